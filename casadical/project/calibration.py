@@ -36,7 +36,7 @@ from casadical.project.calibration_page import calibration_figures, calibration_
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
-from casadical.project.problem import Carried, Problem, nothing_carried, read_problem, together
+from casadical.project.problem import Carried, Problem, error_groups, nothing_carried, read_problem
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
 from casadical.robot.robot import Robot
@@ -162,7 +162,7 @@ class Calibration(Result):
             held_table(last),
             *correlated(last),
         ]
-        return outcome.told_of(
+        return outcome.report_blocks(
             problem,
             self.accuracies,
             it=self,
@@ -239,7 +239,7 @@ class Calibration(Result):
     def _kinds(self) -> dict[str, str]:
         """Return the kind of measurement of each set."""
         kinds = {name: m.kind for name, m in self.problem.parts()}
-        return {name: kinds[names[0]] for name, names in together(kinds).items()}
+        return {name: kinds[names[0]] for name, names in error_groups(kinds).items()}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
         """Return the texts of the result files by path: figures, robots, compensators."""
@@ -251,7 +251,7 @@ class Calibration(Result):
         for name, result in self.written.items():
             origin = f"Calibrated by casadical, method {name}, from {problem.title} ({problem.origin})."
             robot = with_knowledge(result)
-            made = outcome.told_of(problem, self.accuracies, block="made_readings")
+            made = outcome.report_blocks(problem, self.accuracies, block="made_readings")
             said = [b.text for b in made if isinstance(b, Words) and b.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
             texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}", known_alone=True)
@@ -348,7 +348,7 @@ def calibrate(
 
         skcm, names = results["SKCM"], problem.networks
         trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
-    sets = together(used).items()
+    sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
     alone = accuracy_without_prior(plain, results) if plain else None
     return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show))
@@ -409,4 +409,4 @@ def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]
         alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=last.loss, screen=False)
     except InputError:
         return None
-    return alone.accuracy(*(parts[name] for name in next(iter(together(parts).values()))))["calibrated"]
+    return alone.accuracy(*(parts[name] for name in next(iter(error_groups(parts).values()))))["calibrated"]

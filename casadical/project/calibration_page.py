@@ -40,7 +40,7 @@ from casadical.project.outcome import (
     left_out_table,
     network_tables,
     paper_tables,
-    told_of,
+    report_blocks,
 )
 from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
@@ -259,7 +259,7 @@ def _verdict(
     problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
 ) -> Iterator[Block]:
     """Yield the sentences on accuracy, fit, trained networks and the robot's notes."""
-    yield from told_of(problem, accuracies, block="verdict")
+    yield from report_blocks(problem, accuracies, block="verdict")
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")

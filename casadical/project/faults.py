@@ -1,4 +1,4 @@
-"""All faults of all files that a command was given: where one ends it, the others are read, too, each by itself."""
+"""All faults of all files that a command was given: after the first error the others are read."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -22,42 +22,45 @@ from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, ro
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 
-TABLES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet", ".gz")
+# Files with these endings are tables; all others are robot files or problem folders.
+TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet", ".gz")
 
 Given = ParamSpec("Given")
 Read = TypeVar("Read")
 
 
 def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False) -> InputError:
-    """The error at which a command ended, together with those of all other files that it was given.
+    """Return the error at which a command ended, joined with those of all other given files.
 
-    paths : problem folders, robot files and tables; not joint logs, nor tables that take long to read
+    error : the error
+    paths : problem folders, robot files and tables; joint logs, and tables that take long to read,
+        are not checked
     later : whether rows with a cell that is no number are left out of tables
     """
     collected, given = _Collected([error]), list(paths)
-    tables = [path for path in given if path.suffix.lower() in TABLES and not is_log(path)]
+    tables = [path for path in given if path.suffix.lower() in TABLE_SUFFIXES and not is_log(path)]
     robot: Robot | None = None
     joints: list[str] = []
-    source = next((path for path in given if path.suffix.lower() not in TABLES), Path())
+    source = next((path for path in given if path.suffix.lower() not in TABLE_SUFFIXES), Path())
     for path in given:
         if (path / "problem.toml").is_file():
             file = collected.tried(_problem_file, path, collected) or ProblemFile(casadical=1, title="")
             place, urdf = path / file.robot, file.urdf or UrdfTable()
             own = _robot(collected, place, urdf)
             for data in () if tables and not later else file.measurements:  # others are given in their place
-                collected.tried(_read, path / data.file, data, *own, False)
-        elif path.suffix.lower() not in TABLES and path.is_file() and _is_robot(path):
+                collected.tried(_check_table, path / data.file, data, *own, False)
+        elif path.suffix.lower() not in TABLE_SUFFIXES and path.is_file() and _is_robot(path):
             own = _robot(collected, path, UrdfTable())
         else:
             continue
         robot, joints = (robot, joints) if joints else own
     for path in tables:
-        collected.tried(_beside, source, path, robot, joints, later)
+        collected.tried(_check_given_table, source, path, robot, joints, later)
     return FaultsError.joined(collected.errors)
 
 
 def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
-    """What several steps give; their errors are raised together. Raises InputError."""
+    """Return the results of several steps. Raises InputError: the errors of all of them, joined."""
     given: list[Read] = []
 
     def take(step: Callable[[], Read]) -> None:
@@ -69,10 +72,12 @@ def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
 
 @dataclass
 class _Collected:
+    """Errors that are collected from steps instead of raised."""
+
     errors: list[InputError] = field(default_factory=list)
 
     def tried(self, step: Callable[Given, Read], *given: Given.args, **named: Given.kwargs) -> Read | None:
-        """What a step gives; None where an error of it is kept."""
+        """Return the result of a step; None where it raised an error, which is collected."""
         try:
             return step(*given, **named)
         except InputError as error:
@@ -81,7 +86,7 @@ class _Collected:
 
 
 def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
-    """A problem.toml, without those of its keys that are not usable; their faults are kept."""
+    """Return a folder's problem.toml without its invalid keys; their faults are collected."""
     path = folder / "problem.toml"
     data = load_toml(path)
     found.tried(check, ProblemFile, data, str(path))
@@ -95,10 +100,12 @@ def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
 
 
 def _holds(some: Mapping[str, Any]) -> bool:
+    """Return whether these keys of a problem.toml are valid."""
     return _Collected().tried(check, ProblemFile, {"casadical": 1, "title": "", **some}, "") is not None
 
 
 def _is_robot(path: Path) -> bool:
+    """Return whether a file is a robot file (also one that cannot be parsed) or a URDF."""
     if path.suffix != ".toml":
         return path.suffix == ".urdf"
     try:
@@ -108,7 +115,7 @@ def _is_robot(path: Path) -> bool:
 
 
 def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None, list[str]]:
-    """A robot and the kinds of its joints; of a file that is not usable, the latter as far as it tells them."""
+    """Return a robot and the kinds of its joints; of an unusable file, the kinds it declares."""
     robot = found.tried(robot_of_file, path, urdf)
     if robot is not None:
         return robot, [j.kind for j in robot.joints]
@@ -119,19 +126,19 @@ def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None
         return None, []
 
 
-def _beside(source: Path, table: Path, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """As `_read`, of a table that is understood as those of a problem or robot file are."""
+def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
+    """Check a given table, interpreted as those of its problem are. Raises InputError."""
     raw = read_table(table, keep_text=False)
     try:
         data = table_like(source, raw, tables_of(source))
     except InputError:
         data = DataTable(file=table.name)
-    _read(table, data, robot, joints, later)
+    _check_table(table, data, robot, joints, later)
 
 
-def _read(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """Raises InputError for what is wrong with a table; without a robot, for cells alone."""
-    if path.is_file() and path.stat().st_size > 4_000_000:
+def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
+    """Raises InputError for what is wrong with a table; without a robot, for its cells alone."""
+    if path.is_file() and path.stat().st_size > 4_000_000:  # bytes; reading it again takes too long
         return
     raw = read_table(path, keep_text=False)
     of_file = [j if j in ("revolute", "prismatic") else "revolute" for j in joints]
@@ -144,12 +151,15 @@ def _read(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str
     observations = "|".join(k.pattern for k in kinds().values())
     steps = [partial((whole if later else columns).refuse_faults, of_file, observations)]
     if robot is not None and not meaning.questions:
-        steps.append(partial(_refuse_ranges, robot, whole, data.kind))
+        steps.append(partial(_check_ranges, robot, whole, data.kind))
     all_faults(steps)
 
 
-def _refuse_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
-    """Raises FaultsError for readings beyond the limits; what else no robot measures is a matter of the command."""
+def _check_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
+    """Raises FaultsError for readings beyond the joint limits.
+
+    Other contradictions to the robot are left to the command itself.
+    """
     try:
         check_against(robot, from_columns(columns, [j.kind for j in robot.joints], kind))
     except FaultsError:

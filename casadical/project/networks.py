@@ -15,7 +15,7 @@ from casadical.core.telling.plain import Key
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
-from casadical.project.problem import Problem, together
+from casadical.project.problem import Problem, error_groups
 
 # Largest numbers of identification poses that are lent to the network sets, drawn with the seed:
 # a training then takes seconds.
@@ -133,7 +133,7 @@ def train_networks(
         network = fit(trainer=kind.for_method(), output_scale_mm=kind.output_scale_mm, progress=progress)
         left = {name: residual_mm(result.robot, m) - network.correction_mm(m.q) for name, m in judged.items()}
         e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
-        figures = {name: summarise(np.concatenate([e[n] for n in names])) for name, names in together(e).items()}
+        figures = {name: summarise(np.concatenate([e[n] for n in names])) for name, names in error_groups(e).items()}
         trained[method] = NetworkResult(method, network, "", figures)
     return Networks(trained, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
 

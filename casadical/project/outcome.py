@@ -1,4 +1,4 @@
-"""A calibration in sentences and tables: its accuracy, rows that were left out, doubts, whether it helped at all."""
+"""The report of a calibration in sentences and tables: accuracy, outliers, doubts, success."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,28 +20,28 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
-from casadical.project.problem import Problem, together
+from casadical.project.problem import Problem, error_groups
 from casadical.project.problem_file import Paper
 from casadical.robot.robot import Robot
 
-# By method, set, and state (nominal, placed, calibrated).
+# Error figures by method, by set, and by state (nominal, placed, calibrated).
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]
 
 
 def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
-    """Last method, errors before and after on the poses by which it is judged, and whether they were held out."""
+    """Return the last method, errors before and after, and whether they are of held-out poses."""
     method, states = list(accuracies.items())[-1]
-    name = _judging(states)
+    name = _judging_set(states)
     return method, states[name]["placed"], states[name]["calibrated"], name.startswith("report")
 
 
-def _judging(states: Iterable[str]) -> str:
-    """The set by which a method is judged: one that was held out, else the first."""
+def _judging_set(states: Iterable[str]) -> str:
+    """Return the set by which a method is judged: one that was held out, else the first."""
     names = list(states)
     return next((name for name in names if name.startswith("report")), names[0])
 
 
-def told_of(
+def report_blocks(
     problem: Problem | None,
     accuracies: Accuracies,
     *,
@@ -50,30 +50,40 @@ def told_of(
     brief: bool = False,
     **more: Any,
 ) -> list[Block]:
-    """Return the blocks of calibration.j2, or of one block of it; more : values that it needs."""
+    """Return the blocks of calibration.j2, or of one block of it.
+
+    more : further values that the block needs
+    """
     path = Path(__file__).with_name("calibration.j2")
-    return told(path, it, block, problem=problem, accuracies=accuracies, brief=brief, **_SAYS, **more)
+    return told(path, it, block, problem=problem, accuracies=accuracies, brief=brief, **_TEMPLATE_FUNCTIONS, **more)
 
 
 def things_to_know(
     problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
 ) -> list[Block]:
-    """Return at most three things, the most important first; last : by the method that counts."""
-    return told_of(problem, accuracies, block="things", last=last, networks=networks)[:3]
+    """Return at most three things that a reader must know, the most important first.
+
+    last : identification by the method that counts
+    """
+    return report_blocks(problem, accuracies, block="things", last=last, networks=networks)[:3]
 
 
 def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | None = None) -> list[Table]:
-    """A table for each set, held-out poses first: errors before, and after every method and every network in use."""
+    """Return a table of errors [mm] for each set, held-out poses first.
+
+    Rows are the errors before, and after every method and every network in use.
+    """
     last = list(accuracies.values())[-1]
     used = [r for r in networks.results.values() if r.helps] if networks else []
     trained = networks is not None and any(r.compensator for r in networks.results.values())
     tables = []
     for name in sorted(last, key=lambda name: not name.startswith("report")):
-        if name.count("/") > 1:  # one table of several, a row of the kind's
+        if name.count("/") > 1:  # one table of several: it is a row of its kind's table
             continue
         states = last[name]
         rows = [("before, base and tool fitted", states["placed"])]
-        # Nominal errors beyond so many times those with base and tool fitted only say that the base was not known.
+        # Nominal errors this many times larger than those with base and tool fitted only show that the
+        # base was not known.
         if states["nominal"].mean < 20 * states["placed"].mean:
             rows.insert(0, ("before, as given", states["nominal"]))
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]
@@ -84,22 +94,25 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
         use = {"train": "networks learn", "choose": "networks are judged"}.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
         cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
-        title = f"{name} ({use}), {states['nominal'].n} poses: {_error(problem, name)} [mm]"
+        title = f"{name} ({use}), {states['nominal'].n} poses: {_error_kind(problem, name)} [mm]"
         numbers = frozenset(range(1, 6))
         columns = ("model", "mean", "max", "std", "rms", "95 %")
         tables.append(Table(title, columns, cells, numbers, frozenset(range(first, len(rows)))))
     return tables
 
 
-def _error(problem: Problem, name: str) -> str:
-    """What a set's figures are errors of; name : SET or SET/KIND, as in the accuracies."""
+def _error_kind(problem: Problem, name: str) -> str:
+    """Return what the errors of a set are of, such as "position error".
+
+    name : SET or SET/KIND, as in the accuracies
+    """
     of_kind = {m.kind for part, m in problem.parts() if f"{part}/".startswith(f"{name}/")}
     kinds = {"position" if find_kind(kind).lengths == 3 else kind.replace("_", " ") for kind in of_kind}
     return "position error" if kinds == {"position"} else f"error of {' and '.join(sorted(kinds))}"
 
 
 def network_tables(networks: Networks) -> list[Table | Words]:
-    """What each trained network does to the mean error, also where it was refused, and what it was trained on."""
+    """Return a table of mean errors with and without each network, and the training poses."""
     rows: list[tuple[str, ...]] = []
     for name, result in networks.results.items():
         c = result.compensator
@@ -119,13 +132,17 @@ def network_tables(networks: Networks) -> list[Table | Words]:
 
 
 def paper_tables(paper: Paper | None, accuracies: Accuracies, networks: Networks | None = None) -> list[Table | Words]:
-    """Mean, max and std [mm] beside the published ones: calibration (the poses that each was made from) and report."""
+    """Return our mean, max and std [mm] compared with the published ones.
+
+    The table of the calibration has the poses that each method was fitted to, the other the set
+    report.
+    """
     if paper is None:
         return []
     blocks: list[Table | Words] = []
     for name, published in (("calibration", paper.calibration), ("validation", paper.validation)):
         rows = []
-        for method, of_set, ours in _beside(name, accuracies, networks):
+        for method, of_set, ours in _paper_rows(name, accuracies, networks):
             theirs = [f"{v:.4f}" for v in published[method]] if method in published else ["-"] * 3
             refused = networks and method in networks.results and not networks.results[method].helps
             rows.append((method + ("*" if refused else ""), of_set, *(f"{v:.4f}" for v in ours), *theirs))
@@ -136,10 +153,10 @@ def paper_tables(paper: Paper | None, accuracies: Accuracies, networks: Networks
     return [*blocks, Words(f"Paper: {paper.source}.{star}")]
 
 
-def _beside(
+def _paper_rows(
     name: str, accuracies: Accuracies, networks: Networks | None
 ) -> Iterator[tuple[str, str, tuple[float, float, float]]]:
-    """Method, set and our (mean, max, std) [mm]; networks as they were trained, for the paper refuses none."""
+    """Yield method, set and our (mean, max, std) [mm]; networks as trained, also refused ones."""
     base = "identify" if name == "calibration" else "report"
     rows = list(accuracies.items())
     for method, states in [("before", rows[-1][1]), *rows]:
@@ -156,7 +173,7 @@ def _beside(
 
 
 def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]:
-    """Every row that a method left out, with what its model leaves there."""
+    """Return a table of all rows that a method left out as outliers, with their errors [mm]."""
     rows: dict[tuple[str, int], dict[str, str]] = {}
     for method, result in identifications.items():
         for out in result.left_out:
@@ -170,62 +187,63 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
 
 
 def far_held_out(problem: Problem, robot: Robot) -> tuple[list[LeftOut], float]:
-    """Return held-out poses that are far off, the farthest first, and the mean error of the others [m]."""
-    held = _held_out(problem, robot)
+    """Return held-out poses that are far off, the worst first, and the others' mean error [m]."""
+    held = _held_out_errors(problem, robot)
     far = sorted((out for _, some in held.values() for out in some), key=lambda out: -out.error)
     return far, float(np.mean(np.concatenate([e for e, _ in held.values()]))) if far else 0.0
 
 
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
-    """Of each held-out set with poses that are far off, the figures without them."""
-    held = _held_out(problem, robot)
+    """Return the accuracy of held-out sets that have poses far off, without these poses."""
+    held = _held_out_errors(problem, robot)
     return {
         name: summarise(np.concatenate([held[n][0] for n in names]))
-        for name, names in together(held).items()
+        for name, names in error_groups(held).items()
         if any(held[n][1] for n in names)
     }
 
 
-def _held_out(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
-    """Of each held-out set, errors of the usual poses [m], and the poses that are far off."""
+def _held_out_errors(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
+    """Return for each held-out set the errors of its usual poses [m], and its poses far off."""
     # A held-out pose is far off from ten times the median error on.
-    return {name: _far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
+    return {name: _split_far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
 
 
-def _far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
-    """Errors of usual poses [m], and the poses with more than so many times the median error."""
+def _split_far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
+    """Return the usual poses' errors [m], and the poses above this many times the median error."""
     e = errors(robot, m)
     far = e > times * np.median(e)
     return e[~far], [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:
-    """Twice the standard error of the difference of two mean errors [m]."""
+    """Return twice the standard error of the difference of two mean errors [m]."""
     return float(2 * np.hypot(before.std, after.std) / np.sqrt(after.n)) if after.n > 1 else 0.0
 
 
 def worse_methods(accuracies: Accuracies) -> Iterator[tuple[str, Accuracy, Accuracy]]:
-    """Yield methods before the last one with which held-out poses are worse, with errors before and after."""
+    """Yield methods but the last that worsen held-out poses, with their errors before and after."""
     *others, (_, last) = accuracies.items()
     for method, states in others:
-        name = _judging(states)
-        if name.startswith("report"):  # the robot as given may bend, which KM's own start does not
+        name = _judging_set(states)
+        if name.startswith("report"):  # the start of `last`, as the start of KM has no compliance
             before, after = last[name]["placed"], states[name]["calibrated"]
             if after.mean > before.mean + chance_of(before, after):
                 yield method, before, after
 
 
 def worse_than_before(result: Identification, before: Accuracy, after: Accuracy) -> str:
-    """The reason and the remedy, where the mean error of held-out poses grew by more than chance.
+    """Return the reason and the remedy, where held-out poses have become worse by more than chance.
 
-    Chance : twice the standard error of the difference of two means; a robot that was calibrated before, perhaps with
-    these very poses, is not made worse by what it hides.
+    Chance is twice the standard error of the difference of the two means: a robot that was
+    calibrated before, perhaps with these very poses, is not called worse because of it. Returns ""
+    where they are not worse.
     """
     if after.mean <= before.mean + chance_of(before, after):
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     # A fitted pose is far off from four times the median error on.
-    far = (out for m in result.used for out in _far_off(result.robot, m, 4.0)[1])
+    far = (out for m in result.used for out in _split_far_off(result.robot, m, 4.0)[1])
     worst = sorted(far, key=lambda out: -out.error)
     if worst and result.loss == "linear":
         cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.sources)})"
@@ -237,22 +255,22 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
 
 
-def _weighs_nothing(problem: Problem) -> bool:
-    """Return whether a payload was logged that a robot which bends does not have in its model."""
+def _payload_is_ignored(problem: Problem) -> bool:
+    """Return whether a payload was logged that the model of a compliant robot lacks."""
     payloads = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
     gives = problem.robot.payload is None and any(j.compliance is not None for j in problem.robot.joints)
     return gives and any(np.any(p != 0) for p in payloads)
 
 
 def changed_readings(problem: Problem) -> list[str]:
-    """Return joint readings that problem.toml turns round or shifts, in words."""
+    """Return the joint readings that problem.toml reverses, scales or shifts, in words."""
     changed, columns = [], dict[str, Any]()
     for table in problem.tables:
         columns |= table.get("columns", {})
     for name, made in sorted(columns.items()):
         if re.fullmatch(r"q\d+(_\w+)?", name) and isinstance(made, Mapping):
             source = Source.read(made)
-            # By these a unit is another; other factors turn a reading round or scale it.
+            # These factors convert units; all others reverse a reading or scale it.
             factors = [*(factor for _, factor in UNITS.values()), np.pi / 180, 180 / np.pi, 1e3, 1e-3]
             unit_alone = np.isclose(source.times, factors, rtol=1e-6).any()
             if not unit_alone or source != Source(source.name, source.times):
@@ -261,7 +279,7 @@ def changed_readings(problem: Problem) -> list[str]:
 
 
 def unused_columns(problem: Problem) -> dict[str, str]:
-    """Return columns that the tables have and the calibration does not use, each with its table."""
+    """Return the columns that the calibration does not use, each with its table."""
     used = {*problem.robot.conditions, "pose", "time_s", "point", problem.set_column}
     left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
     return {shown(name): table for name, table in left.items() if not name.startswith(("tool_", "session_"))}
@@ -273,15 +291,15 @@ def _with_own_effects(problem: Problem) -> Robot:
     return problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
 
 
-# What the template asks for beside the calibration.
-_SAYS: dict[str, Any] = {
+# Functions that the template calculates with, by their names in it.
+_TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
     "chance_of": chance_of,
     "with_own_effects": _with_own_effects,
-    "weighs_nothing": _weighs_nothing,
+    "weighs_nothing": _payload_is_ignored,
     "changed_readings": changed_readings,
     "unused_columns": unused_columns,
-    "error_of": lambda problem, accuracies: _error(problem, _judging(list(accuracies.values())[-1])),
+    "error_of": lambda problem, accuracies: _error_kind(problem, _judging_set(list(accuracies.values())[-1])),
     "in_words": in_words,
     "worse_methods": worse_methods,
     "rows_in_words": rows_in_words,

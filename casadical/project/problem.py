@@ -1,4 +1,4 @@
-"""A problem: a folder with a robot, measurements and how they are split, checked before anything is solved."""
+"""A problem: a robot and its measurements, split into sets, read from a folder and checked."""
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -43,16 +43,23 @@ from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Puts into a robot what another campaign found, and says how well that is known.
+# A function that puts the values found in another campaign into a robot, and returns it with their
+# prior (None without one).
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 
 
 def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
+    """Return the robot unchanged and no prior: the default of `Carried`."""
     return robot, None
 
 
 def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
-    """What puts a robot file's effects, or other parts, into a robot (see `carry_over`). Raises InputError."""
+    """Return the function that puts a robot file's effects, or other parts, into a robot.
+
+    parts : what is taken from the file, as of `carry_over`
+    frozen : whether the values are fixed
+    Raises InputError.
+    """
     other = read_robot(path)
     return lambda robot: carry_over(robot, other, parts, frozen=frozen)
 
@@ -61,22 +68,23 @@ def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
 class Problem(Shown):
     """A robot and its measurements, split into named sets (identify, train, choose, report).
 
-    folder : where it was read
-    title : of reports
-    data : whether the measurements are real or synthetic; None where nobody said
+    folder : folder that it was read from
+    title : title of reports
+    data : whether the measurements are real or synthetic; None where it is not stated
     robot : nominal robot
-    sets : by name, one `Measurements` for each kind; no pose is in two sets
+    sets : measurements by set name, one `Measurements` for each table; no pose is in two sets
     methods : identification methods of `casadical calibrate`
-    loss : how far poses are weighted, of `casadical calibrate`
-    urdf : file, base link and tip link where the robot came from a URDF
-    networks : network methods that are trained on what SKCM leaves
-    seed : of the split and of the networks
-    paper : published figures, and their source
-    prior : what another campaign told, where it is used
-    set_column : of the tables, that names each pose's set; None where the split is drawn
-    tables : how the tables are to be understood, as problem.toml says it
-    robot_file : what the robot was read from
-    whole : all poses of each table, to which the robots that are written are fitted; () where these are of `identify`
+    loss : loss function of the residuals in `casadical calibrate`
+    urdf : file, base link and tip link where the robot is from a URDF
+    networks : network methods that are trained on the residual of SKCM
+    seed : seed of the split and of the networks
+    paper : published figures and their source
+    prior : prior from another campaign, where one is used
+    set_column : column that names each pose's set; None where the split is drawn at random
+    tables : how each table is interpreted, as problem.toml says
+    robot_file : file that the robot was read from
+    whole : all poses of each table, to which the written robots are fitted; () where these are of
+        `identify`
 
     Examples
     --------
@@ -117,17 +125,24 @@ class Problem(Shown):
 
     @property
     def origin(self) -> str:
-        """What the data are, in words."""
+        """Return the origin of the data, in words."""
         return f"{self.data} data" if self.data else "data of unstated origin"
 
     def parts(self) -> Iterator[tuple[str, Measurements]]:
-        """Every table's share of every set: SET; of several tables SET/KIND, of several of one kind with /FILE."""
+        """Yield the share of every table in every set, with its name.
+
+        The name is SET; of several tables SET/KIND, and of several tables of one kind
+        SET/KIND/FILE.
+        """
         for name, parts in self.sets.items():
             yield from zip(_part_names(name, parts), parts, strict=True)
 
     @cached_property
     def table(self) -> Measurements | None:
-        """All positions of the only table, in the order of the file; None for several tables, or other kinds."""
+        """Return all positions of the only table, in the order of the file.
+
+        Returns None where there are several tables, or other kinds of measurement.
+        """
         parts = [part for _, part in self.parts()]
         first = parts[0]
         if any(part.source != first.source or part.position is None for part in parts):
@@ -147,14 +162,20 @@ class Problem(Shown):
 
     @cached_property
     def unnamed_targets(self) -> str:
-        """Where the only table has several targets and names none: that, and what to do; else nothing."""
+        """Return a sentence on the several targets that the only table does not name.
+
+        The sentence names the remedy; it is empty where there is nothing to say.
+        """
         found = recognised(self.robot, self.table) if self.table is not None else None
         if self.table is None or not found or not found.turning:
             return ""
         return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
 
     def calibrated_urdf(self, robot: Robot) -> str:
-        """The problem's URDF with calibrated geometry, the measured point a link. Raises InputError without one."""
+        """Return the problem's URDF with the calibrated geometry and the measured point as a link.
+
+        Raises InputError where the robot is not from a URDF.
+        """
         from casadical.robot.urdf import calibrated_urdf_text
 
         if self.urdf is None:
@@ -163,6 +184,7 @@ class Problem(Shown):
 
 
 def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
+    """Return the name of each table of a set: SET, SET/KIND or SET/KIND/FILE."""
     if len(parts) == 1:
         return [name]
     alike = Counter(m.kind for m in parts)
@@ -170,8 +192,11 @@ def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
     return [n if named.count(n) == 1 else f"{n} ({named[: k + 1].count(n)})" for k, n in enumerate(named)]
 
 
-def together(names: Iterable[str]) -> dict[str, list[str]]:
-    """By what errors are told of: which names of `Problem.parts` count there; tables of one kind as SET/KIND first."""
+def error_groups(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the names of `Problem.parts` over which errors are evaluated together, by group.
+
+    Tables of one kind form the group SET/KIND; each table is a group of its own, too.
+    """
     groups: dict[str, list[str]] = {}
     for name in names:
         groups.setdefault("/".join(name.split("/")[:2]), []).append(name)
@@ -186,14 +211,15 @@ def read_problem(
     *,
     campaign: bool = False,
 ) -> Problem:
-    """Read a problem folder; `seed` replaces the one that its file gives for the split.
+    """Read a problem folder: robot and measurements, split into named sets.
 
     folder : problem folder, with its problem.toml; or with tables also a robot file
-    seed : of the split, in place of the one in the file; None: that of the file
-    carried : what puts into the robot what another campaign found (see `casadical.identification.prior.carry_over`)
-    tables : measured poses in place of the folder's own, understood as these are (see `read_campaign`)
+    seed : seed of the split in place of the one in the file; None: that of the file
+    carried : function that puts values of another campaign into the robot (see
+        `casadical.identification.prior.carry_over`)
+    tables : measured poses in place of the folder's own, interpreted as these are (see
+        `read_campaign`)
     campaign : whether the robot is that of a diagnosis (see `read_campaign_robot`)
-    Returns robot and measurements, already split into named sets
     Raises InputError: a folder that is no problem; it names the file and what is wrong in it.
 
     Examples
@@ -209,7 +235,7 @@ def read_problem(
 
 
 def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[str | Path], campaign: bool) -> Problem:
-    """As `read_problem`; its errors are those of the first file that is not usable."""
+    """Read a problem as `read_problem` does; errors are those of the first unusable file alone."""
     file, path = file_with_tables(folder, tables), folder / "problem.toml"
     if not file.measurements and file.logs:
         raise InputError(f"{path}: holds joint logs, no measured poses; take casadical diagnose {shown(folder)}")
@@ -256,12 +282,12 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
 
 
 def read_problem_robot(folder: str | Path) -> Robot:
-    """The robot of a problem folder, its measurements left aside. Raises InputError."""
+    """Return the robot of a problem folder without its measurements. Raises InputError."""
     return _robot_of(Path(folder), campaign=False)
 
 
 def read_campaign_robot(folder: str | Path) -> Robot:
-    """The robot of a problem folder as a diagnosis takes it: its `campaign_robot`, else its robot; or of a robot file.
+    """Return the robot of a diagnosis: the folder's `campaign_robot`, else its robot; or a file's.
 
     folder : problem folder, or a robot file (TOML or URDF)
     Raises InputError: no such file, or what is wrong in it.
@@ -276,13 +302,20 @@ def read_campaign_robot(folder: str | Path) -> Robot:
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
+    """Return the robot that a problem folder names for calibrations, or for campaigns."""
     file = problem_file(folder)
     name = file.of_campaigns if campaign else file.robot
     return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
 
 
 def tool_as_measured(robot: Robot, source: Path, sets: Iterable[Measurements]) -> Robot:
-    """The robot of a problem folder or file: where a URDF says nothing of the tool, its pose is unknown if measured."""
+    """Return the robot with the pose of its tool unknown, where orientations were measured.
+
+    Only a URDF whose [urdf] does not say what is unknown of the tool is changed; else the robot is
+    returned as it is.
+
+    source : problem folder or robot file
+    """
     file = problem_file(source) if source.is_dir() else ProblemFile(casadical=1, title="", robot=source.name)
     tools = file.urdf.tool if file.urdf else []
     said = not file.of_campaigns.endswith(".urdf") or any("unknown" in tool.model_fields_set for tool in tools)
@@ -300,19 +333,21 @@ def read_campaign(
     later: bool = False,
     words: bool = False,
 ) -> Measurements:
-    """A table of measured poses beside a problem, its columns understood as the problem's own tables are.
+    """Read a table of measured poses, its columns interpreted as those of the problem's own tables.
 
-    The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of another file, those of
-    the first [[measurements]] whose own names for columns it has, as far as it has them.
+    The `columns`, `point_from` and `kind` are those of the [[measurements]] with this file; of
+    another file, those of the first [[measurements]] whose own names for columns it has, as far as
+    it has them.
 
-    folder : of the problem, or a robot's file, with the tables of its calibration in the result.json beside it; where
-        there is neither, the table's headers are taken as ours
-    path : the table
-    robot : as of `read_campaign_robot`
-    readings_only : of poses that are planned but not measured: every position is zero
-    later : of a check after the calibration, which need not say which of several targets was measured; rows with an
-        empty cell are left out
-    words : whether rows with a word for a number are left out, too
+    folder : problem folder, or a robot file, with the tables of its calibration in the result.json
+        beside it; where there is neither, the headings must be casadical's own or understood by
+        themselves
+    path : table
+    robot : robot as of `read_campaign_robot`
+    readings_only : whether poses are planned but not measured: every position is zero
+    later : whether the table checks a finished calibration: it need not name the measured target,
+        and rows with an empty cell are left out
+    words : whether rows with a word in place of a number are left out, too
     Raises InputError: the table is not usable.
 
     Examples
@@ -338,15 +373,18 @@ def read_campaign(
 
 
 def _with_noise(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
+    """Return the measurements of columns, with the noise that their [[measurements]] declares."""
     m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
     return replace(m, datasheet=None if data.datasheet_mm is None else data.datasheet_mm * 1e-3)
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
+    """Return the known distances between points as (point, point, distance [m])."""
     return [(s.between[0], s.between[1], s.distance_mm * 1e-3) for s in data.separation]
 
 
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
+    """Return a table's columns under casadical's names, without rows in `leave_out`."""
     meaning = understood(raw, robot, data.sources, data.kind)
     refuse_open(raw, meaning)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
@@ -357,7 +395,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:
-    """A table's poses, and its sets."""
+    """Return all poses of one [[measurements]], and its sets by name. Raises InputError."""
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
@@ -375,9 +413,10 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
 
 
 def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
-    """With the columns that a robot's effects follow.
+    """Return the measurements with the derived columns on which the robot's effects depend.
 
-    Raises InputError where it lacks what they are derived from, and at a row where they give no finite position.
+    Raises InputError where a column that they are derived from is missing, and at a row where the
+        effects give no finite position.
     """
     if robot.gravity_frame == "logged" and not {*GRAVITY} <= m.conditions.keys():
         raise InputError(
@@ -400,10 +439,11 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
+    """Return the sets that a column names. Raises InputError: no such column, or unknown name."""
     if column not in columns.table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
     said = pd.Series(columns.table[column].astype(str).to_numpy(), index=columns.row)
-    names = said.loc[found.row]  # copies of rows are in the columns alone
+    names = said.loc[found.row]  # `found` lacks the copies of rows
     unknown = set(names) - set(SETS)
     if unknown:
         raise InputError(f"{found.source}: column {column!r} holds {min(unknown)!r}; allowed: {', '.join(SETS)}")

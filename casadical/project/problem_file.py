@@ -1,4 +1,4 @@
-"""The file problem.toml: what it may hold, how it says that other tables are understood, and where its results are."""
+"""The file problem.toml: its schema, the interpretation of other tables by it, and results."""
 
 from __future__ import annotations
 
@@ -39,10 +39,14 @@ BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 
 class _Strict(BaseModel):
+    """A table of problem.toml; unknown keys, other types and infinite numbers are refused."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class _Separation(_Strict):
+    """A known distance [mm] between two touched points."""
+
     between: list[str] = Field(min_length=2, max_length=2)
     distance_mm: float = Field(gt=0)
 
@@ -60,6 +64,7 @@ class _Source(_Strict):
 
     @model_validator(mode="after")
     def _tells(self) -> _Source:
+        """Refuse a source whose factor leaves nothing of its column."""
         if self.times + self.add.get(self.name, 0.0) == 0:
             key = "times" if "times" in self.model_fields_set else "add"
             raise FaultError(key, f"leaves nothing of column {self.name!r}; leave it out, or take another factor")
@@ -67,6 +72,7 @@ class _Source(_Strict):
 
 
 def _form(value: Any) -> str:
+    """Return the entry of `FORMS` by which a column's source is validated: text or table."""
     return FORMS[isinstance(value, dict | _Source)]
 
 
@@ -74,6 +80,18 @@ _Made = Annotated[Annotated[str, Tag(FORMS[0])] | Annotated[_Source, Tag(FORMS[1
 
 
 class DataTable(_Strict):
+    """[[measurements]] of problem.toml: a file with a table, and how it is interpreted.
+
+    columns : source of each column, by casadical's name
+    leave_out : rows of the file that are left out
+    session : name of the session of all rows
+    tools : rows of the file at which each target was measured, by its name
+    point_from : columns that together name the touched point
+    separation : known distances between touched points
+    sigma_mm, sigma_deg : one sigma of a coordinate and of an angle
+    datasheet_mm : largest error of a point that the data sheet of the instrument states
+    """
+
     file: str
     kind: str | None = None
     columns: dict[Annotated[str, Field(min_length=1)], _Made] = {}
@@ -89,35 +107,42 @@ class DataTable(_Strict):
     @field_validator("kind")
     @classmethod
     def _known(cls, kind: str | None) -> str | None:
+        """Refuse a kind of measurement that is not registered."""
         if kind is not None and kind not in kinds():
             raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
         return kind
 
     @model_validator(mode="after")
     def _one_noise(self) -> DataTable:
+        """Refuse two statements on the noise of a coordinate."""
         if self.sigma_mm is not None and self.datasheet_mm is not None:
             raise FaultError("datasheet_mm", "sigma_mm says more of the same; leave one of them out")
         return self
 
     @property
     def sources(self) -> dict[str, Source]:
+        """Return the source of each column, by casadical's name."""
         given = self.model_dump(include={"columns"}, by_alias=True)["columns"]
         return {ours: Source.read(source) for ours, source in given.items()}
 
     @property
     def noise(self) -> dict[str, float]:
-        """What it says of the instrument's noise."""
+        """Return the keys that declare the instrument's noise."""
         return self.model_dump(include={"sigma_mm", "sigma_deg", "datasheet_mm"}, exclude_none=True)
 
     @property
     def understood(self) -> dict[str, Any]:
-        """What another table of the same origin is understood by."""
+        """Return the keys by which another table of the same origin is interpreted."""
         keys = ("file", "kind", "columns", "point_from")
         given = self.model_dump(include={*keys}, exclude_defaults=True, by_alias=True)
         return {key: given[key] for key in keys if key in given}
 
     def named_in(self, header: Sequence[str]) -> DataTable:
-        """With only those of its own names for columns that a header has, without rows of its file."""
+        """Return the declaration for another file with this header.
+
+        It has only those column sources that the header provides, and nothing that refers to rows
+        of its own file.
+        """
         needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
         columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
         point_from = self.point_from if set(self.point_from) <= set(header) else []
@@ -127,7 +152,10 @@ class DataTable(_Strict):
 
 
 class SetsTable(_Strict):
-    """refit : whether the robots that are written are fitted to all poses, once judged."""
+    """[sets] of problem.toml: the split of the poses, by shares, by numbers or by a column.
+
+    refit : whether the robots that are written are fitted to all poses, once judged
+    """
 
     refit: bool = False
     seed: int = Field(default=0, ge=0, lt=2**63)
@@ -139,6 +167,7 @@ class SetsTable(_Strict):
 
     @model_validator(mode="after")
     def _clear(self) -> SetsTable:
+        """Refuse sizes beside a column, and sizes that are neither a share nor a whole number."""
         given = self.model_dump(include={*SETS}, exclude_none=True)
         if self.column is not None and given:
             raise FaultError("column", f"it names every pose's set; leave out {', '.join(given)}")
@@ -148,7 +177,7 @@ class SetsTable(_Strict):
         return self
 
     def sizes(self) -> dict[str, float]:
-        """Of the sets, shares or numbers of poses; identify = 1 alone is the whole table."""
+        """Return shares or numbers of poses by set; identify = 1 alone is the whole table."""
         given = self.model_dump(include={*SETS}, exclude_none=True)
         if given == {"identify": 1.0}:  # the whole table, not one pose
             return {"identify": math.nextafter(1.0, 0.0)}
@@ -156,16 +185,24 @@ class SetsTable(_Strict):
 
 
 class SessionsTable(_Strict):
+    """[sessions] of problem.toml: what each session of a campaign has of its own."""
+
     base: Literal["own", "shared"] = "own"
     tool: Literal["own", "shared"] = "own"
     zeros: Literal["own", "shared"] = "shared"
 
     def sessions(self) -> Sessions:
+        """Return the declaration as part of a robot."""
         return Sessions(self.base, self.tool, self.zeros)
 
 
 class UrdfTable(_Strict):
-    """Which part of a URDF is the robot; tool : measured points in the tip link's frame, where there are several."""
+    """[urdf] of problem.toml: which part of a URDF is the robot.
+
+    base_link, tip_link : ends of the chain; None: the only ones there are
+    compliant : numbers of the joints whose compliance is identified
+    tool : measured points in the tip link's frame, where there are several
+    """
 
     base_link: str | None = None
     tip_link: str | None = None
@@ -174,7 +211,11 @@ class UrdfTable(_Strict):
 
 
 def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
-    """A robot from its file, of a URDF with what problem.toml says of it. Raises InputError."""
+    """Return the robot of a robot file or URDF.
+
+    urdf : [urdf] of problem.toml, which applies to a URDF alone
+    Raises InputError.
+    """
     if path.suffix == ".urdf":
         from casadical.robot.urdf import read_urdf
 
@@ -184,7 +225,7 @@ def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
 
 
 def as_toml(source: Source) -> Any:
-    """How a column is made, as a value of TOML."""
+    """Return a column's source as a value of TOML: its name, or an inline table."""
     if isinstance(said := source.table, str):
         return tomlkit.string(said)
     made = tomlkit.inline_table()
@@ -193,18 +234,24 @@ def as_toml(source: Source) -> Any:
 
 
 def all_methods() -> tuple[str, ...]:
-    """Every method of a calibration: identifications, then the networks of all trainers."""
+    """Return all calibration methods: identifications, then the networks of all trainers."""
     return (*BASE_METHODS, *network_methods())
 
 
 def _known_method(name: str) -> str:
+    """Return a method's name. Raises ValueError where there is no such method."""
     if name not in all_methods():
         raise ValueError(f"allowed: {', '.join(all_methods())}")
     return name
 
 
 class Paper(_Strict):
-    """Published figures: (mean, max, std) [mm] by method, "before" among them, of both of the paper's tables."""
+    """[paper] of problem.toml: published figures to compare with.
+
+    source : of the figures
+    calibration, validation : (mean, max, std) [mm] by method, "before" among them, of the two
+        tables of the paper
+    """
 
     source: str
     calibration: dict[str, Triple] = {}
@@ -212,10 +259,12 @@ class Paper(_Strict):
 
     @field_serializer("calibration", "validation")
     def _named(self, table: dict[str, Triple]) -> dict[str, dict[str, float]]:
+        """Return the published figures with their keys in JSON."""
         return {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
 
     @model_validator(mode="after")
     def _known(self) -> Paper:
+        """Refuse published figures of unknown methods."""
         for table in ("calibration", "validation"):
             for name in getattr(self, table):
                 if name not in ("before", *all_methods()):
@@ -224,19 +273,26 @@ class Paper(_Strict):
 
 
 class LogsTable(_Strict):
-    """Files of joint logs: whole motions that may be fitted, and those of the report."""
+    """[logs] of problem.toml: files of joint logs.
+
+    identify : whole motions that may be fitted
+    report : motions that are held out
+    """
 
     identify: list[str] = Field(min_length=1)
     report: list[str] = []
 
     @model_validator(mode="after")
     def _apart(self) -> LogsTable:
+        """Refuse a log that is both fitted and held out."""
         if both := {*self.identify} & {*self.report}:
             raise FaultError("report", f"{min(both)} is in identify, too; keep it in one of them")
         return self
 
 
 class ProblemFile(_Strict):
+    """The contents of problem.toml (docs/measurements.md lists the keys)."""
+
     casadical: Annotated[Literal[1], WHOLE]
     title: str
     data: Literal["real", "synthetic"] | None = None
@@ -253,18 +309,18 @@ class ProblemFile(_Strict):
 
     @property
     def of_campaigns(self) -> str:
-        """The robot file that campaigns are diagnosed with."""
+        """Return the robot file with which campaigns are diagnosed."""
         return self.campaign_robot or self.robot
 
 
 def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
-    """The identifications that these methods need: networks learn what SKCM leaves."""
+    """Return the identifications that these methods need; a network learns the residual of SKCM."""
     needed = {*methods, "SKCM"} if set(methods) - {*BASE_METHODS} else {*methods}
     return tuple(m for m in BASE_METHODS if m in needed)
 
 
 def problem_file(folder: Path) -> ProblemFile:
-    """The problem.toml of a folder. Raises InputError."""
+    """Return the contents of a folder's problem.toml. Raises InputError."""
     if not folder.exists():
         raise missing(folder, "robot file" if folder.suffix in (".toml", ".urdf") else "problem folder")
     if not folder.is_dir():
@@ -281,7 +337,10 @@ def problem_file(folder: Path) -> ProblemFile:
 
 
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
-    """A problem folder's file; of a robot file, or with other tables, as if it said so. Raises InputError."""
+    """Return the problem.toml of a folder; with tables, as if it named these in place of its own.
+
+    For a robot file it is as if a problem.toml named this robot and the tables. Raises InputError.
+    """
     if not tables:
         return problem_file(source)
     if source.is_file():
@@ -298,7 +357,7 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
 
 
 def own_tables(source: Path) -> list[Path]:
-    """Files of the tables of a problem folder. Raises InputError where it names none, and of a robot file."""
+    """Return the table files of a problem folder. Raises InputError for none or a robot file."""
     if source.is_file():
         raise InputError(f"{shown(source)}: a robot file has no measurements; give their tables after it")
     if source.is_dir() and not (source / "problem.toml").exists():
@@ -310,7 +369,11 @@ def own_tables(source: Path) -> list[Path]:
 
 
 def tables_of(folder: Path) -> Sequence[DataTable]:
-    """How the tables of a problem are to be understood, or those that a robot file was calibrated from."""
+    """Return how the tables of a problem, or of a robot file's calibration, are interpreted.
+
+    folder : problem folder, or a robot file with the result.json of its calibration beside it; []
+        where there is neither
+    """
     if (folder / "problem.toml").exists():
         return problem_file(folder).measurements
     try:
@@ -321,7 +384,14 @@ def tables_of(folder: Path) -> Sequence[DataTable]:
 
 
 def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> DataTable:
-    """How a problem's tables say that this one is to be understood; a copy of one of them is that one."""
+    """Return how a table is interpreted, by the declarations of a problem's tables.
+
+    A copy of one of these tables is interpreted as that one.
+
+    folder : of the problem
+    raw : table
+    tables : declarations of the problem's own tables
+    """
     for data in tables:
         own = folder / data.file
         if own.resolve() == raw.path.resolve() or (own.is_file() and read_bytes(own) == read_bytes(raw.path)):
@@ -341,7 +411,10 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 
 
 def result_in(folder: Path) -> Path:
-    """The robot file of the method that counts in a folder of results; a file as it is. Raises InputError."""
+    """Return the robot file of the last method in a folder of results; a file is returned as it is.
+
+    Raises InputError.
+    """
     if not folder.is_dir():
         return folder
     fault = "no result.json of a calibration is in it"

@@ -1,4 +1,4 @@
-"""What the columns of a table say with the robot beside them: what is meant, measured targets, coupled joints."""
+"""Interpretation of a table by the nominal robot: ambiguous headings, targets, coupled joints."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -20,16 +20,24 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns
 from casadical.robot.robot import Robot
 
-# The way to read an orientation that leaves so little [rad], and so much less than each other, is the one.
-FITS, TIMES = np.deg2rad(5.0), 4.0
-# Coordinates that the nominal model gives within so much [m], or within their last digit, are computed.
-COMPUTED = 2e-6
-# Orientations that it gives within so much [rad] are.
-COMPUTED_TURN = 2e-5
+# An angle convention is accepted without a question if the nominal robot's median orientation error
+# is below this [rad] ...
+MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
+# ... and every other convention has at least this many times the error.
+MIN_ERROR_RATIO_TO_OTHERS = 4.0
+# Positions that agree with the nominal model within this [m], or within their last digit, were
+# computed by a controller and not measured.
+COMPUTED_POSITION_TOLERANCE = 2e-6
+# The same of orientations [rad].
+COMPUTED_ORIENTATION_TOLERANCE_RAD = 2e-5
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
-    """What headings mean (see `understand`), or the nominal robot tells; given : known columns; kind : if said."""
+    """Return what headings mean (see `understand`), ambiguities resolved by the nominal robot.
+
+    given : columns whose source is declared
+    kind : kind of measurement, if declared
+    """
     meaning = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
     for question in meaning.questions:
         if question.about:
@@ -40,13 +48,19 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
 def _without_other_frame(
     raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding
 ) -> Understanding:
-    """Without orientations that are of another frame than the positions, or the nominal robot's own: a controller's."""
+    """Return `found` without orientations that were not measured with the positions.
+
+    They are in another frame than the positions, or the controller's own, computed by the nominal
+    model.
+    """
     turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
     if not turned or found.questions:
         return found
     with suppress(InputError, np.linalg.LinAlgError):
-        m = _measured(raw, robot, {**found.sources, **given})
-        if m.orientation is not None and (of_another_frame(robot, m) or _turned_off(robot, m) < COMPUTED_TURN):
+        m = _measurements_of(raw, robot, {**found.sources, **given})
+        if m.orientation is not None and (
+            of_another_frame(robot, m) or _orientation_error(robot, m) < COMPUTED_ORIENTATION_TOLERANCE_RAD
+        ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
 
@@ -54,13 +68,16 @@ def _without_other_frame(
 def _by_model(
     raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding, question: Question
 ) -> Understanding:
-    """With the answer that fits the robot; else with what fits best as the first choice."""
+    """Return `found` with the question answered by the nominal robot, if its answer is clear.
+
+    Else the choices of the question are ordered, the best fit first.
+    """
     left: dict[str, float] = {}
     for choice in question.choices:
         with suppress(InputError, np.linalg.LinAlgError):
-            m = _measured(raw, robot, {**found.answered(question, choice).sources, **given})
+            m = _measurements_of(raw, robot, {**found.answered(question, choice).sources, **given})
             if question.about == "orientation" and m.orientation is not None:
-                left[choice] = _turned_off(robot, m)
+                left[choice] = _orientation_error(robot, m)
             if m.kind == "position" and computed(robot, m):
                 length = next(c for c in question.choices if len(question.choices[c]) == 1)
                 return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
@@ -69,7 +86,9 @@ def _by_model(
     if not order:
         return found
     others = [left[choice] for choice in order[1:]]
-    if left[order[0]] < FITS and all(TIMES * left[order[0]] < other for other in others):
+    if left[order[0]] < MAX_ORIENTATION_ERROR_RAD and all(
+        MIN_ERROR_RATIO_TO_OTHERS * left[order[0]] < other for other in others
+    ):
         best, second = (np.rad2deg(v) for v in (left[order[0]], min(others, default=np.inf)))
         return found.answered(question, order[0], f"{order[0]}: {best:.2g} deg from the robot, else {second:.2g}")
     choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in left))}
@@ -77,35 +96,37 @@ def _by_model(
     return replace(found, questions=asked)
 
 
-def _measured(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
+def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
+    """Return the measurements of a table with these column sources, complete rows alone."""
     columns = Columns.of_file(raw).mapped(sources)
     return from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
 
 
-def _turned_off(robot: Robot, m: Measurements) -> float:
+def _orientation_error(robot: Robot, m: Measurements) -> float:
+    """Return the median orientation error [rad] of the nominal robot, its tool rotated to fit."""
     return turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
 
 
 def computed(robot: Robot, m: Measurements) -> bool:
-    """Whether positions are those of the nominal robot, to their last digit: computed from the readings."""
+    """Return whether positions equal those of the nominal robot: computed from the readings."""
     if m.position is None or len(m) < 6:
         return False
     digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
-    return placed_by(robot, m)[1] < max(COMPUTED, 10.0**-digits)
+    return placed_by(robot, m)[1] < max(COMPUTED_POSITION_TOLERANCE, 10.0**-digits)
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
-    """The nominal robot with base and tool where positions say, and what that leaves (median) [m]."""
+    """Return the nominal robot with base and tool fitted to positions, and its median error [m]."""
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
     placed = place_frames(free, m.positions_alone())
     return placed, float(np.median(errors(placed, m.positions_alone())))
 
 
 def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
-    """The measurements, without a column `tool` that names one point of a robot with one tool.
+    """Return the measurements if the robot file has the targets that their column `tool` names.
 
-    Raises InputError where the column names a point that the robot file does not have, or is missing where the robot
-    file has several.
+    A column `tool` that names a single point is removed if the robot has one tool. Raises
+    InputError where the column names a point that the robot file does not have.
     """
     measured = names_in(m)
     known = [robot.tool_name, *(t.name for t in robot.targets)]
@@ -122,12 +143,12 @@ def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
 
 
 def names_in(m: Measurements) -> list[str]:
-    """Names of the targets that were measured, in the order in which they come."""
+    """Return the names of the measured targets, in the order in which they appear."""
     return [name.removeprefix("tool_") for name in m.conditions if name.startswith("tool_")]
 
 
 def some_rows(rows: Sequence[object]) -> str:
-    """The first eight rows by commas, with dots behind them where there are more."""
+    """Return the first eight rows, separated by commas, with dots where there are more."""
     return ", ".join(map(str, rows[:8])) + (" ..." if len(rows) > 8 else "")
 
 
@@ -143,7 +164,10 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
 
 
 def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
-    """Targets that were measured in poses that are held out, but in none that is fitted: a sentence each."""
+    """Return a sentence for each target or session that is in held-out poses only.
+
+    No fitted pose then determines its point, or its base and tool.
+    """
     fitted = {name for m in sets.get("identify", ()) for name in names_in(m) if m.conditions[f"tool_{name}"].any()}
     faults = []
     for name, parts in sets.items():
@@ -168,17 +192,21 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
 
 
 def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list[str]:
-    """Targets of the robot file that no row names."""
+    """Return the targets of the robot file that no row names."""
     seen = {name for parts in sets.values() for m in parts for name in names_in(m)}
     return [name for name in (robot.tool_name, *(t.name for t in robot.targets)) if name and name not in seen]
 
 
-# Logged readings of such a joint may differ by so much from what the robot file says [rad or m].
-WITHIN = 2e-3
+# Logged readings of a coupled or locked joint may differ by this from what the robot file computes
+# [rad or m]; it is well above the resolution of a reading.
+COUPLING_TOLERANCE = 2e-3
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
-    """The table with readings of coupled and locked joints [rad or m]. Raises InputError for one logged elsewhere."""
+    """Return the table with the readings of coupled and locked joints [rad or m].
+
+    Raises InputError where a logged reading contradicts the robot file.
+    """
     coupled = [i for i, joint in enumerate(robot.joints, 1) if joint.coupling is not None]
     if not coupled:
         return columns
@@ -196,12 +224,17 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
             table = table.assign(**{f"q{i}_{'rad' if turning else 'm'}": made[:, i - 1]})
             continue
         off = np.abs(q[:, i - 1] - made[:, i - 1])
-        if off.max() > WITHIN:
-            _refuse(columns, robot, i, int(np.argmax(off)), q, made)
+        if off.max() > COUPLING_TOLERANCE:
+            _refuse_coupled_reading(columns, robot, i, int(np.argmax(off)), q, made)
     return replace(columns, table=table)
 
 
-def _refuse(columns: Columns, robot: Robot, i: int, row: int, q: Array, made: Array) -> None:
+def _refuse_coupled_reading(columns: Columns, robot: Robot, i: int, row: int, q: Array, made: Array) -> None:
+    """Raise the InputError for a coupled or locked joint whose reading contradicts the robot file.
+
+    i : number of the joint; row : index of the row
+    q, made : logged and computed readings, shape (n, joints) [rad or m]
+    """
     factor, unit = (180 / np.pi, "deg") if robot.joints[i - 1].kind == "revolute" else (1e3, "mm")
     coupling = robot.joints[i - 1].coupling
     what = "follows other joints and would be" if coupling and coupling.follows else "is locked"

@@ -1,4 +1,4 @@
-"""Figures and reports of any result by one call each."""
+"""The functions `plot` and `report`: the figures and the HTML report of any result."""
 
 from __future__ import annotations
 
@@ -25,10 +25,14 @@ if TYPE_CHECKING:
 
 
 class WithFigures(Protocol):
+    """A result that has figures by name."""
+
     def figures(self) -> Mapping[str, Figure]: ...
 
 
 class WithPage(Protocol):
+    """A result that has a report page."""
+
     def page(self) -> Page: ...
 
 
@@ -42,12 +46,12 @@ def plot(result: Result, name: str, more: Details | None = None, *, dark: bool =
 def plot(
     result: Result, name: str | None = None, more: Details | None = None, *, dark: bool = False
 ) -> Picture | dict[str, Picture]:
-    """The figures of a report, drawn by plotly: one by its name, or all by name.
+    """Return the figures of a report, drawn by plotly: one by its name, or all of them by name.
 
-    result : of `calibrate`, `identify`, `diagnose`, `compare_files` or `run_fleet`
-    name : as "errors/report"; None: all figures
-    more : what `casadical.diagnosis.analyse` computed of a diagnosis
-    dark : in the colours of a dark notebook or page
+    result : result of `calibrate`, `identify`, `diagnose`, `compare_files` or `run_fleet`
+    name : name of a figure, such as "errors/report"; None: all figures
+    more : what `casadical.diagnosis.analyse` computed for a diagnosis
+    dark : whether the colours are for a dark notebook or page
     Raises InputError: a name that the result does not have, or plotly is not installed.
 
     Examples
@@ -69,10 +73,11 @@ def plot(
 
 
 def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> str:
-    """One HTML file of one or several results of a kind, that needs no other file.
+    """Return one self-contained HTML file of one or several results of a kind.
 
-    results : or the pages of them, as `casadical.diagnosis.page.diagnosis_page` makes one of a diagnosis
-    command : as it was typed, for the provenance
+    results : results, or their pages, as `casadical.diagnosis.page.diagnosis_page` makes one of a
+        diagnosis
+    command : command line as it was typed, for the provenance
     Raises InputError: plotly is not installed, or a file is gone.
 
     Examples
@@ -88,19 +93,20 @@ def report(results: Sequence[WithPage | Page], command: Sequence[str] = ()) -> s
 
 
 def problem_files(problem: Problem) -> list[Path]:
+    """Return the files that a problem was read from: problem.toml, robot file and tables."""
     path = problem.folder / "problem.toml"
     names = [problem.robot_file, *(problem.folder / table["file"] for table in problem.tables)]
     return [*([path] if path.is_file() else []), *map(_short, names)]
 
 
 def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
-    """What a diagnosis was read from: problem.toml, the campaign's robot, or a robot file; and the campaigns."""
+    """Return the files that a diagnosis was read from: problem.toml, robot file and campaigns."""
     if source.is_file():
         return [source, *campaigns]
     return [source / "problem.toml", _short(source / problem_file(source).of_campaigns), *campaigns]
 
 
 def _short(path: Path) -> Path:
-    """Resolved, without ".."; relative to the working directory if it is below it."""
+    """Return the resolved path, relative to the working directory if it is below it."""
     whole = path.resolve()
     return whole.relative_to(Path.cwd()) if whole.is_relative_to(Path.cwd()) else whole

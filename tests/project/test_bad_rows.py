@@ -16,7 +16,7 @@ from casadical.core.telling.blocks import Table
 from casadical.identification.accuracy import Accuracy
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
-from casadical.project.outcome import told_of
+from casadical.project.outcome import report_blocks
 from casadical.project.problem import read_campaign
 
 # Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
@@ -146,9 +146,9 @@ def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
     before, worse, better = (Accuracy(40, 1e-3 * v, 2e-3 * v, 1e-4 * v, 1e-3 * v, 2e-3 * v) for v in (1.0, 1.5, 0.5))
     states = [{"nominal": before, "placed": before, "calibrated": after} for after in (worse, better)]
     accuracies = {"KM": {"report": states[0]}, "SKCM": {"report": states[1]}}
-    (words,) = told_of(None, accuracies, block="methods_worse")
+    (words,) = report_blocks(None, accuracies, block="methods_worse")
     assert words.text == "KM makes held-out poses worse: 1.500 mm, 1.000 mm before; do not use KM.robot.toml."
-    assert not told_of(None, {key: {"report": states[1]} for key in ("KM", "SKCM")}, block="methods_worse")
+    assert not report_blocks(None, {key: {"report": states[1]} for key in ("KM", "SKCM")}, block="methods_worse")
 
 
 def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:

@@ -13,14 +13,14 @@ import pytest
 from casadical import InputError, Measurements, report
 from casadical.diagnosis.localisation import Localisation
 from casadical.project.calibration import accuracy_without_prior
-from casadical.project.calibration_page import where_left
+from casadical.project.calibration_page import residual_localisation
 from casadical.project.check.findings import LACKS, far_rows, outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import outside
 from casadical.project.new.texts import Given, with_measured
-from casadical.project.outcome import changed_readings, told_of
+from casadical.project.outcome import changed_readings, report_blocks
 from casadical.project.planning import declared, plan
 from casadical.project.problem import read_problem
 
@@ -105,12 +105,12 @@ def test_too_few_poses_without_the_prior_are_no_error(calibrated: Any) -> None:
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any) -> None:
     planar = calibrated("planar")
     result = planar.identification
-    ways = {row.part for row in dict(where_left(result).tables())["approach"].itertuples()}
+    ways = {row.part for row in dict(residual_localisation(result).tables())["approach"].itertuples()}
     (m,) = result.measurements
     many = m[np.tile(np.arange(len(m)), 1 + 5000 // len(m))]
     sets = (replace(many, row=np.arange(len(many))),)
     result = replace(result, measurements=sets, outliers=(), problem=replace(result.problem, sets=sets))
-    found = dict(where_left(result).tables())
+    found = dict(residual_localisation(result).tables())
     for name in ("regions", "time", "approach"):
         assert set(found[name].groupby("by").poses.sum()) <= {4999, 5000}  # the first was approached from nowhere
     assert {row.part for row in found["approach"].itertuples()} == ways
@@ -119,14 +119,14 @@ def test_of_many_poses_some_tell_where_the_error_lies(calibrated: Any) -> None:
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated: Any) -> None:
     planar = calibrated("planar")
-    assert isinstance(where_left(planar.identification), Localisation)
+    assert isinstance(residual_localisation(planar.identification), Localisation)
     result = planar.identification
     (m,) = result.measurements
     distances = replace(m, kind="distance", position=None, distance=np.ones(len(m)), target=np.zeros((len(m), 3)))
     for sets in ((m, m), (distances,)):
-        assert where_left(replace(result, measurements=sets)) is None
+        assert residual_localisation(replace(result, measurements=sets)) is None
     # It was made ten times better, so no data are asked for.
-    assert not told_of(planar.problem, planar.accuracies, block="no_better", last=result)
+    assert not report_blocks(planar.problem, planar.accuracies, block="no_better", last=result)
 
 
 def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Problem) -> None:
@@ -138,7 +138,7 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
         "q5_deg": {"from": "Achse 5", "times": 0.5, "add": {"Achse 2": -2.0}, "rows": -1},
         "x_mm": {"from": "X", "times": -1.0},
     }
-    (words,) = told_of(replace(planar, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings")
+    (words,) = report_blocks(replace(planar, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings")
     assert "q1 = -'Achse 1', q2 = 'Achse 2' +90, q4 = 0.5 x 'column_m' -0.706, " in words.text
     assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text

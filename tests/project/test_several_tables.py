@@ -15,7 +15,7 @@ from casadical.identification.accuracy import Accuracy, errors, predicted, summa
 from casadical.measurements.measurements import unmeasured
 from casadical.project.acceptance.verification import promised_rms, verify
 from casadical.project.calibration import Calibration
-from casadical.project.outcome import told_of
+from casadical.project.outcome import report_blocks
 from casadical.robot.robot_file import read_robot, to_toml
 
 ROBOT = Path(__file__).parents[2] / "problems" / "planar" / "robot.toml"
@@ -87,9 +87,9 @@ def test_a_method_worse_than_the_before_of_the_table_is_named() -> None:
         return {"placed": summarise(1e-3 * placed * e), "calibrated": summarise(1e-3 * calibrated * e)}
 
     found = {"KM": {"report": states(1.2, 0.83)}, "SKCM": {"report": states(0.6, 0.1)}}
-    (said,) = told_of(None, found, block="methods_worse")
+    (said,) = report_blocks(None, found, block="methods_worse")
     assert said.text.startswith("KM makes held-out poses worse: 0.830 mm, 0.600 mm before")
-    assert not told_of(None, found | {"KM": {"report": states(1.2, 0.6)}}, block="methods_worse")
+    assert not report_blocks(None, found | {"KM": {"report": states(1.2, 0.6)}}, block="methods_worse")
 
 
 SPATIAL = ROBOT.parents[1] / "ur10e" / "robot.toml"
