@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.diagnosis.linearisation import of_turn
+from casadical.diagnosis.linearisation import condition_of_reading
 from casadical.diagnosis.observations import Stops, edges_of
 from casadical.effects.formula_effect import FAR, FLAGS, WIRES, image_columns
 from casadical.measurements.kinds.distance import Distance
@@ -23,7 +23,7 @@ def with_far_ends(
 
     far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
     where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
-    Of further rows at a stop they are further columns (see `linearisation.of_turn`).
+    Of further rows at a stop they are further columns (see `linearisation.condition_of_reading`).
     """
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
@@ -47,7 +47,7 @@ def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Meas
     for turn in range(stops.most):
         own = np.flatnonzero(stops.turn == turn)
         for name, values in of_row.items():
-            columns[of_turn(name, turn)] = column = np.zeros(len(m))
+            columns[condition_of_reading(name, turn)] = column = np.zeros(len(m))
             column[stops.of[own]] = values[own]
     return replace(m, conditions=columns)
 

@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
 from casadical.diagnosis.instrument_columns import with_far_ends, with_images
-from casadical.diagnosis.linearisation import EffectColumns, Made
+from casadical.diagnosis.linearisation import ColumnCache, EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
@@ -180,7 +180,9 @@ class Case:
         whole = replace(self.whole, sigmas=WIDE_SIGMA_GRID_M)
         if left > most:
             assert isinstance(whole.E, EffectColumns)
-            whole = replace(whole, reference=left, E=replace(whole.E, growth=left / most, first=None, made=Made()))
+            whole = replace(
+                whole, reference=left, E=replace(whole.E, growth=left / most, first=None, cached=ColumnCache())
+            )
         return replace(self, whole=whole)
 
     @property

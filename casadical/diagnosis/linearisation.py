@@ -1,9 +1,11 @@
-"""What each effect does to the measured position: its columns of the Jacobian, at zero effect.
+"""Jacobian columns of the effects: derivative of the measured position by each effect's parameters.
 
-The chain rule at the seams: a column is the position's derivative by the seam's variables (joint variables, a twist
-behind each link, at the base and in the tool, the measured point) times those variables' derivative by the effect's
-parameter. The first factor is the same for all effects and is computed once per pose. The second is a short formula,
-composed once for all settings of an effect and evaluated for all poses and settings together.
+Columns are computed at zero effect by the chain rule at the seams, the insertion points of effects
+in the model: a column is the position's derivative by the seam's variables (joint variables, a
+twist behind each link, at the base and in the tool, the measured point) times those variables'
+derivative by the effect's parameter. The first factor is the same for all effects and is computed
+once per pose. The second is a short formula, composed once for all settings of an effect and
+evaluated for all poses and settings together.
 """
 
 from __future__ import annotations
@@ -23,32 +25,39 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Variables of the measured point, the last of the seams.
-POINT = 3
-# Behind a condition's name, before the number of the reading at a pose.
-TURN = "#"
+# Number of variables of the measured point, the last of the seam variables.
+POINT_VARIABLES = 3
+# Separates a condition's name from the index of an additional reading at the same pose.
+READING_MARK = "#"
 
 
-def of_turn(condition: str, turn: int) -> str:
-    """The name of a condition of a further reading at a pose; of the first, 0, its own."""
-    return f"{condition}{TURN}{turn}" if turn else condition
+def condition_of_reading(condition: str, turn: int) -> str:
+    """Return the name of a condition of the reading with this index (0 for the first) at a pose."""
+    return f"{condition}{READING_MARK}{turn}" if turn else condition
 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """A robot at its seams at measured poses; columns of effects are made from it, some poses at a time.
+    """A robot linearised at its seams at the measured poses, from which effects' columns are made.
 
-    robot : nothing of what is judged is in it; phi : its parameters, shape (P,) [SI]
-    q, conditions : of the poses, shapes (n, joints) and (n,) each
-    J : by the base model's parameters, shape (n, 3, P); S : by all seam variables, shape (n, 3, seams)
-    seen : what effects look at, shape (n, numbers); constants : of the model with effects in it
-    model : the robot at its seams, of any pose
-    far : readings and what effects look at where the other ends of measurements are, whose seams follow those of the
-        poses in S; None for measurements with one end
-    further : readings that a pose has at most beside the first; each has variables of the measured point of its own,
-        behind all other seams, and conditions of its own where there are such (see `of_turn`)
-    Of other kinds of measurement than positions, J and S are of what is measured (see `observations`), not of three
-    coordinates.
+    robot : calibrated base model, without the candidate effects
+    model : derivative functions of the robot's structure, for any pose
+    phi : parameters of the robot, shape (P,) [SI]
+    q : joint readings of the poses, shape (n, joints) [rad or m]
+    conditions : logged and derived columns by name, shape (n,) each
+    J : Jacobian by the base model's parameters, shape (n, 3, P)
+    S : Jacobian by all seam variables, shape (n, 3, seams)
+    seen : quantities that effects depend on (measured point, gravity torques, gravity, frames),
+        shape (n, numbers)
+    constants : of the model with effects in it
+    far : q and seen at the other ends of measurements between two poses, whose seam variables
+        follow those of the first ends in S; None for measurements with one end
+    further : largest number of additional readings at a pose; each has its own variables of the
+        measured point, after all other seam variables, and may have its own conditions (see
+        `condition_of_reading`)
+
+    For other kinds of measurement than positions, J and S are derivatives of the measured numbers
+    (see `observations`) instead of three coordinates.
     """
 
     robot: Robot
@@ -65,25 +74,29 @@ class Linearisation:
 
     @property
     def Jq(self) -> Array:
-        """By the joint variables, shape (n, 3, joints)."""
+        """Return the Jacobian by the joint variables, shape (n, 3, joints)."""
         return self.S[:, :, : self.robot.n]
 
     def at(self, poses: Array | slice) -> Linearisation:
-        """Some of the poses."""
+        """Return the linearisation of the poses with these indices."""
         conditions = {name: values[poses] for name, values in self.conditions.items()}
         far = self.far and (self.far[0][poses], self.far[1][poses])
         each = {name: getattr(self, name)[poses] for name in ("q", "J", "S", "seen")}
         return replace(self, conditions=conditions, far=far, **each)
 
     def columns(self, effects: Sequence[Effect]) -> Array:
-        """Columns of all parameters of the effects, shape (n, 3, parameters) [m per unit of parameter].
+        """Return the columns of all effects' parameters, shape (n, 3, parameters) [m per SI unit].
 
-        Raises KeyError for a condition that is not there (see `derived_columns.derive`).
+        Raises KeyError for a condition that is missing (see `derived_columns.derive`).
         """
         return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
     def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
-        """The same columns as factors of the seams at which they act; parts : of `plan`; sizes : units, (columns,)."""
+        """Return the columns of effects as derivatives of the seam variables at which they act.
+
+        parts : of `plan`; sizes : parameter values that count as one, shape (columns,); SI units by
+            default
+        """
         n, by_seam = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
             q, seen = ([c[None] for c in of.T] for of in numbers)
@@ -110,19 +123,21 @@ class Linearisation:
         return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
-        """Where effects act: readings and what effects look at, number of the first seam, the least that is used, turn.
+        """Yield where effects act: at each end of a measurement, and at each additional reading.
 
-        Of further readings at a pose it is the measured point alone.
+        Each item is q and seen there, the index of the first seam variable in S, the first seam
+        variable that is used, and the index of the reading. An additional reading at a pose has
+        variables of the measured point only.
         """
         ends = [(self.q, self.seen)] if self.far is None else [(self.q, self.seen), self.far]
-        seams = (self.S.shape[2] - POINT * self.further) // len(ends)
+        seams = (self.S.shape[2] - POINT_VARIABLES * self.further) // len(ends)
         for k, end in enumerate(ends):
             yield end, k * seams, 0, 0
         for turn in range(1, self.further + 1):
-            yield ends[0], len(ends) * seams + POINT * turn - seams, seams - POINT, turn
+            yield ends[0], len(ends) * seams + POINT_VARIABLES * turn - seams, seams - POINT_VARIABLES, turn
 
     def _condition(self, name: str, turn: int) -> Array:
-        for own in (of_turn(name, turn), name):
+        for own in (condition_of_reading(name, turn), name):
             if own in self.conditions:
                 return self.conditions[own]
         known = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
@@ -130,9 +145,10 @@ class Linearisation:
 
 
 def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
-    """A robot at its seams at measured poses.
+    """Return the robot linearised at its seams at the measured poses.
 
-    m : with every condition that the effects to be judged need; phi : the robot's parameters, shape (P,) [SI]
+    m : measurements with every condition that the candidate effects need
+    phi : the robot's parameters, shape (P,) [SI]
     """
     s, constants = seams_of(robot), constants_of(robot, robot.torque_scale)
     w = m.condition_matrix(robot.conditions, robot.declared)
@@ -141,18 +157,20 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
 
 
 def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values: Array) -> tuple[Array, Array, Array]:
-    """Columns of the effects, of the base model's parameters and of the joint variables at the measured poses.
+    """Return Jacobians of the measured position by effects, base parameters and joint variables.
 
-    Shapes (n, 3, all effects' parameters), (n, 3, P), (n, 3, joints), at the parameter values given, shape (P,) [SI].
-    m : with every condition that the effects need (see `casadical.measurements.derived_columns.derive`)
+    Shapes (n, 3, all effects' parameters), (n, 3, P) and (n, 3, joints).
+    m : with every condition that the effects need (see
+        `casadical.measurements.derived_columns.derive`)
+    values : the robot's parameters at which they are evaluated, shape (P,) [SI]
     """
     linear = linearise(robot, m, values)
     return linear.columns(effects), linear.J, linear.Jq
 
 
 @dataclass(eq=False)
-class Made:
-    """What was made of columns: their factors at all poses of the linearisation, and the sizes of their parameters."""
+class ColumnCache:
+    """Cached seam derivatives of columns at all poses, and sizes of the columns' parameters."""
 
     factors: Factors | None = None
     sizes: Array | None = None
@@ -160,14 +178,16 @@ class Made:
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns:
-    """Columns of effects at poses in units of their parameters' sizes, made when they are asked for.
+    """Jacobian columns of effects in units of their parameters' sizes, made on demand.
 
-    linear : all poses; effects : one after the other; sizes : of every parameter, shape (columns,)
-    poses : which of the linearisation's these columns are of, shape (n,); None for all
-    growth : of the sizes, for a robot that leaves more than others do
-    first : the columns of the first of the effects, which were made before
-    directions : of the parts of effects that have parts (see `core.linear_gaussian.columns`); none until they are asked
-        for
+    linear : linearisation at all poses
+    effects : effects whose columns follow one another
+    growth : factor on all sizes, for a robot with larger residuals than the noise grid covers
+    first : columns of the first of the effects, made before
+    directions : observable directions of the effects' parts (see `core.linear_gaussian.columns`);
+        empty until `with_directions`
+    poses : indices of the linearisation's poses at which the columns are, shape (n,); None for all
+    cached : what was computed before
     """
 
     linear: Linearisation
@@ -176,20 +196,20 @@ class EffectColumns:
     first: EffectColumns | None = None
     directions: Directions = ()
     poses: Array | None = None
-    made: Made = field(repr=False, default_factory=Made)
+    cached: ColumnCache = field(repr=False, default_factory=ColumnCache)
 
     @property
     def sizes(self) -> Array:
-        """Realistic size of every parameter, shape (columns,)."""
-        if self.made.sizes is None:
+        """Return the typical size of every parameter, shape (columns,) [SI]."""
+        if self.cached.sizes is None:
             known = np.zeros(0) if self.first is None else self.first.sizes
             own = [self.growth * size for e in self._own for size, _ in e.sizes().values()]
-            self.made.sizes = np.concatenate([known, own])
-        return self.made.sizes
+            self.cached.sizes = np.concatenate([known, own])
+        return self.cached.sizes
 
     @cached_property
     def held(self) -> Array:
-        """One sigma of every parameter once it is in a model, in sizes, shape (columns,)."""
+        """Return each parameter's prior sd once it is in a model, in sizes, shape (columns,)."""
         known = np.zeros(0) if self.first is None else self.first.held
         return np.concatenate([known, [e.held for e in self._own for _ in e.sizes()]])
 
@@ -199,12 +219,12 @@ class EffectColumns:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Poses, coordinates, columns."""
+        """Return the numbers of poses, measured numbers of a pose, and columns."""
         n, numbers, _ = self.linear.S.shape
         return n if self.poses is None else len(self.poses), numbers, len(self.sizes)
 
     def _among_all(self, blocks: Array | slice) -> Array | slice:
-        """The numbers of some poses among those of the linearisation."""
+        """Return the indices of some poses among those of the linearisation."""
         return blocks if self.poses is None else self.poses[blocks]
 
     @cached_property
@@ -218,45 +238,49 @@ class EffectColumns:
 
     @property
     def _all(self) -> Factors:
-        if self.made.factors is None:
+        if self.cached.factors is None:
             if self.first is None:
-                self.made.factors = self._factors_at(self.linear)
+                self.cached.factors = self._factors_at(self.linear)
             else:
                 own = EffectColumns(self.linear, self._own, self.growth)
-                self.made.factors = self.first._all.before(own._all)
-        return self.made.factors
+                self.cached.factors = self.first._all.before(own._all)
+        return self.cached.factors
 
     def _factors_at(self, linear: Linearisation) -> Factors:
         return linear.factors(self._parts, self.sizes)
 
     @property
-    def _few(self) -> bool:
-        # Factors of up to so many bytes are kept once they were made.
+    def _cacheable(self) -> bool:
+        """Whether the factors at all poses are small enough, in bytes, to be cached."""
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
     def factors(self, blocks: Array | slice = EVERY) -> Factors:
-        """All columns at some poses as factors of the seams (see `Linearisation.S`)."""
+        """Return all columns at some poses as derivatives of the seam variables."""
         poses = self._among_all(blocks)
-        return self._all.at(poses) if self._few else self._factors_at(self.linear.at(poses))
+        return self._all.at(poses) if self._cacheable else self._factors_at(self.linear.at(poses))
 
     def levers(self, blocks: Array | slice = EVERY) -> Array:
-        """Derivative by the seams' variables at some poses, shape (poses, 3, seams)."""
+        """Return the Jacobian by the seam variables at some poses, shape (poses, 3, seams)."""
         return self.linear.S[self._among_all(blocks)]
 
     def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
-        """Some of the columns at some poses, shape (poses, 3, len(columns)) [m per unit of size], or combinations."""
+        """Return some columns at some poses, shape (poses, 3, len(columns)) [m per unit of size].
+
+        every : combinations of the columns to return instead
+        """
         factors = self._factors_of(columns, blocks)
         return (factors.combined(every) if every else factors).columns_at(self.levers(blocks))
 
     def _factors_of(self, columns: Array, blocks: Array | slice) -> Factors:
+        """Return some columns at some poses as derivatives of the seam variables."""
         poses = self._among_all(blocks)
-        if self._few:
+        if self._cacheable:
             return self._all.only(columns).at(poses)
         some, places = self._owning(columns)
         return some._factors_at(some.linear.at(poses)).only(places)
 
     def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
-        """The columns of those effects that have some columns, and the places of these among them."""
+        """Return the columns of the effects that own these, and the indices of these among them."""
         owners = np.searchsorted(self._edges, columns, side="right") - 1
         used = np.unique(owners)
         some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth, poses=self.poses)
@@ -264,21 +288,21 @@ class EffectColumns:
         return some, columns - starts[np.searchsorted(used, owners)]
 
     def only(self, columns: Array) -> EffectColumns:
-        """Some of the columns, in rising order, all those of an effect or none."""
+        """Return some of the columns, in rising order, either all or none of each effect."""
         some, _ = self._owning(columns)
-        some.made.sizes = self.sizes[columns]
-        some.made.factors = self._all.only(columns) if self._few else None
+        some.cached.sizes = self.sizes[columns]
+        some.cached.factors = self._all.only(columns) if self._cacheable else None
         return some
 
     def at(self, blocks: Array) -> EffectColumns:
-        """The same columns at some of the poses."""
+        """Return the same columns at some of the poses."""
         poses = blocks if self.poses is None else self.poses[blocks]
-        if self._few or 2 * len(poses) > len(self.linear.q):
+        if self._cacheable or 2 * len(poses) > len(self.linear.q):
             return replace(self, poses=poses)
         return EffectColumns(self.linear.at(poses), self.effects, self.growth, directions=self.directions)
 
     def with_directions(self) -> EffectColumns:
-        """The same with the directions of all parts; they serve for some of these poses, too."""
+        """Return the columns with the observable directions of all parts computed."""
         directions = []
         for effect, first in zip(self.effects, self._edges.tolist(), strict=False):
             for part in effect.parts.values():
@@ -286,17 +310,20 @@ class EffectColumns:
                 for start in range(0, self.shape[0], BLOCK):
                     poses = slice(start, start + BLOCK)
                     normal += self._factors_of(first + part, poses).products(self.levers(poses))
-                # A direction of a part is left out if one size of it moves all poses together by
-                # less than this [m].
+                # A direction of a part is unobservable if one size of it moves all poses together
+                # by less than this [m].
                 directions.append((first + part, directions_of(normal, 3e-9)))
         return replace(self, directions=tuple(directions))
 
     def after(self, column: int) -> EffectColumns:
-        """The columns from this one on, with which an effect's columns begin."""
+        """Return the columns from this one on; it must be the first of an effect."""
         some = self.effects[int(np.searchsorted(self._edges, column)) :]
         return EffectColumns(self.linear, some, self.growth, poses=self.poses)
 
     def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
-        """With further effects behind the others; conditions : all logged and derived columns of all poses."""
+        """Return the columns with those of additional effects behind them.
+
+        conditions : all logged and derived columns of all poses, shape (n,) each
+        """
         linear = replace(self.linear, conditions=dict(conditions))
         return EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions, self.poses)

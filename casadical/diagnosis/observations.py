@@ -1,10 +1,12 @@
-"""The linear problem of any kinds of measurement, several sets together: by each kind's own residual.
+"""Residuals and Jacobians of measurement sets of any kind, by each kind's own residual.
 
-All that was read at one stop of the robot (see `Stops`) is one pose with as many numbers: these share how the joints
-repeat, as the coordinates of a position do, and the instruments' own noise they do not share. Every pose has as many
-numbers as the one with the most; what was not measured is zero. They are in units in which the noise of all sets is
-alike, that of a length of the first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's
-lengths by the ratio of the sets'. An unknown point, which poses share, is three more parameters of the base model.
+All rows that were read at one stop of the robot (see `Stops`) form one pose with as many numbers:
+they share the joint repeatability error, as the coordinates of a position do, but not the
+instruments' noise. Every pose has as many numbers as the one with the most; numbers that were not
+measured are zero. They are scaled so that the noise of all sets is equal to that of a length of the
+first set: an angle of a full pose is multiplied by the ratio of the two sigmas, a set's lengths by
+the ratio of the sets' sigmas. An unknown point, which poses share, is three more parameters of the
+base model.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.diagnosis.linearisation import POINT, TURN, Linearisation, of_turn
+from casadical.diagnosis.linearisation import POINT_VARIABLES, READING_MARK, Linearisation, condition_of_reading
 from casadical.diagnosis.seams import observed_at_seams, over_poses, seams_of
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.position import Position
@@ -27,16 +29,17 @@ from casadical.measurements.measurements import Measurements, same_readings
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Logged columns that are of the stop and not of the reading.
+# Logged columns that belong to the stop and not to a single reading.
 _OF_STOP = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
 
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """Rows of several sets, by the stops at which they were read.
+    """Assignment of the rows of several measurement sets to the stops at which they were read.
 
-    of : number of each row's stop, shape (rows,); turn : how many rows of its stop come before it, shape (rows,)
-    rows : that is the first of each stop, shape (stops,)
+    of : index of each row's stop, shape (rows,)
+    turn : number of rows of the same stop before each row, shape (rows,)
+    rows : index of the first row of each stop, shape (stops,)
     """
 
     of: Array
@@ -45,36 +48,39 @@ class Stops:
 
     @property
     def most(self) -> int:
-        """Rows of the stop with the most."""
+        """Return the largest number of rows at one stop."""
         return int(self.turn.max()) + 1
 
     def kept(self, mask: Array) -> Array:
-        """Of the rows at stops that a mask keeps, the number of the stop among those, shape (k,)."""
+        """Return, for each row at a stop in the mask, the stop's index among these, shape (k,)."""
         return np.asarray((np.cumsum(mask) - 1)[self.of[mask[self.of]]])
 
 
 @dataclass(frozen=True)
 class Ratios:
-    """Sigmas of a length [m] and of an angle [rad] of every set, of which their ratios count."""
+    """Noise standard deviations of a length [m] and an angle [rad] of every set; ratios matter."""
 
     sigmas: tuple[tuple[float, float], ...]
 
     def of_set(self, k: int) -> tuple[float, float]:
-        """What makes a set's lengths and angles lengths of the first set, as noisy as those."""
+        """Return the factors that scale a set's lengths and angles to the first set's noise."""
         length, angle = self.sigmas[k]
         return self.sigmas[0][0] / length, self.sigmas[0][0] / angle
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """What sets of measurements tell, at the base model calibrated on them.
+    """Residuals and Jacobians of measurement sets at the base model that was calibrated on them.
 
     m : all poses as one table; sets : as given, with the conditions of m; ratios : of their noise
-    layout : where the sets' rows stand among the numbers of the poses
-    r : measured less modelled, shape (n, numbers); linear : its derivatives
-    U : by the unknown points in units of what is known of them, shape (n, numbers, points), and mean, shape (points,)
-    measured, size, alike : see `Evidence`; apart : number of what each pose was measured to, for repeats, shape (n,)
-    Jq : by the joint variables, as the joints' repeatability acts, shape (n, numbers, joints)
+    layout : positions of the sets' rows among the numbers of the poses
+    r : measured minus modelled, shape (n, numbers); linear : its derivatives
+    U : Jacobian by the unknown points in units of their prior, shape (n, numbers, 3 points)
+    mean : prior mean of these points minus their estimate, in the same units, shape (3 points,)
+    measured, size, alike : see `Evidence`
+    apart : index of the target of each pose, for the comparison of repeated poses, shape (n,)
+    Jq : Jacobian by the joint variables through which joint repeatability acts, shape (n, numbers,
+        joints)
     """
 
     m: Measurements
@@ -93,19 +99,20 @@ class Observations:
 
     @property
     def plain(self) -> bool:
-        """Whether they are one set of positions."""
+        """Return whether there is only one set, of positions."""
         return len(self.sets) == 1 and self.sets[0].kind == Position.name
 
     @property
     def stops(self) -> Stops:
-        """At which the sets' rows were read: these are the poses."""
+        """Return the stops at which the sets' rows were read: these are the poses."""
         return self.layout.stops
 
 
 def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
-    """All poses as one table, of those columns that every set has; what the robot's model needs is as declared else.
+    """Return all poses as one table with the columns that every set has.
 
-    Its positions are not those of a measurement, unless it is one set.
+    Conditions that the robot's model needs take the declared value where a set lacks them. With
+    several sets the table's positions are zeros, not measurements.
     """
     if len(sets) == 1:
         return sets[0] if len(stops.rows) == len(sets[0]) else sets[0][stops.rows]
@@ -124,11 +131,12 @@ def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurem
 
 
 def stops_in(sets: Sequence[Measurements]) -> Stops:
-    """At which stops the rows of some sets were read, in the order of their first rows.
+    """Return the stops at which the rows of the sets were read, in the order of their first rows.
 
-    Rows at equal readings and circumstances are of one stop, unless another reading lies between them by the logged
-    time, else by the number of the pose. What is read twice to the same end are two stops, and so is each distance
-    between two poses: each row of one set that is measured to one thing is a stop of its own.
+    Rows at equal readings and circumstances belong to one stop, unless a row at other readings lies
+    between them by the logged time, else by the logged pose number. Two measurements of the same
+    target are two stops, and so is each distance between two poses; in a single set with one target
+    each row is a stop of its own.
     """
     points = [m.label if m.label is not None else np.full(len(m), "") for m in sets]
     measured_to = _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1])
@@ -156,19 +164,23 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
 
 
 def edges_of(sets: Sequence[Measurements]) -> list[slice]:
-    """Where each set stands in the table of all."""
+    """Return the rows of each set in the concatenated table of all sets."""
     ends = np.cumsum([0, *(len(m) for m in sets)]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
-    """The sets with the conditions of the table of all."""
-    own = [name for name in m.conditions if TURN not in name]
+    """Return the sets with the conditions of the joint table m.
+
+    An additional reading at a stop has its own condition where there is one (see
+    `condition_of_reading`).
+    """
+    own = [name for name in m.conditions if READING_MARK not in name]
     columns = {name: m.conditions[name][stops.of] for name in own}
     for name in own:
         for turn in range(1, stops.most):
             at = np.flatnonzero(stops.turn == turn)
-            if (further := of_turn(name, turn)) in m.conditions:
+            if (further := condition_of_reading(name, turn)) in m.conditions:
                 columns[name][at] = m.conditions[further][stops.of[at]]
     return tuple(
         replace(part, conditions={name: values[at] for name, values in columns.items()})
@@ -178,9 +190,12 @@ def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tu
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where the rows of the sets stand among the numbers of the poses.
+    """Positions of the sets' rows in an array of poses by numbers.
 
-    poses, places : of each set, shapes (rows, 1) and (rows, numbers); shape : poses, and numbers of the one with most
+    stops : the poses
+    rows : rows of each set in the concatenated table of all sets
+    poses : index of the pose of each row, for each set, shape (rows, 1)
+    places : indices of the row's numbers at this pose, for each set, shape (rows, numbers)
     """
 
     stops: Stops
@@ -190,15 +205,20 @@ class Layout:
 
     @property
     def alone(self) -> bool:
-        """Whether each row of the one set is a pose."""
+        """Return whether there is one set whose rows are the poses."""
         return len(self.rows) == 1 and np.array_equal(self.stops.of, np.arange(len(self.stops.rows)))
 
     @property
     def shape(self) -> tuple[int, int]:
+        """Return the number of poses and the largest number of measured numbers at one pose."""
         return len(self.stops.rows), max(int(places.max()) + 1 for places in self.places)
 
     def together(self, parts: Sequence[Array]) -> Array:
-        """Numbers of all sets at their poses, shape (poses, numbers, ...), zero where there are none."""
+        """Return the sets' arrays merged by pose, shape (poses, numbers, ...).
+
+        Numbers that were not measured are zero.
+        parts : of each set, shape (rows, numbers, ...)
+        """
         if self.alone:
             return parts[0]
         out = np.zeros((*self.shape, *parts[0].shape[2:]))
@@ -208,6 +228,7 @@ class Layout:
 
 
 def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
+    """Return the layout in which the numbers of a stop's rows follow one another."""
     rows, numbers = edges_of(sets), [find_kind(m.kind).numbers for m in sets]
     counts = np.repeat(numbers, [len(m) for m in sets])
     order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
@@ -225,7 +246,11 @@ def observe(
     ratios: Ratios,
     stops: Stops,
 ) -> Observations:
-    """The sets at the base model's values, shape (P,) [SI]; m : of `joined`, with every condition that is needed."""
+    """Return residuals and Jacobians of the sets at the base model's parameters.
+
+    m : table of `joined` with every condition that the effects need
+    values : parameters of the base model, shape (P,) [SI]
+    """
     robot, where = identification.given, identification.unknown_points
     sets = separated(sets, m, stops)
     parts = [_of_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
@@ -257,36 +282,36 @@ def observe(
 
 
 def _by_seams(parts: Sequence[_OfSet], layout: Layout, ends: int) -> Array:
-    """Derivatives by all seam variables, shape (poses, numbers, seams).
+    """Return the Jacobian by all seam variables, shape (poses, numbers, seams).
 
-    What an instrument does to its own reading, it does to no other of this stop: of further readings the variables of
-    the measured point are others, behind all seams.
+    An instrument's effect on its own reading leaves the other readings at the stop unchanged: each
+    additional reading has its own variables of the measured point, after all other seam variables.
     """
     stops, seams = layout.stops, parts[0].S.shape[2] // parts[0].ends
     if layout.alone:
         return parts[0].S
-    S = np.zeros((*layout.shape, ends * seams + POINT * (stops.most - 1)))
+    S = np.zeros((*layout.shape, ends * seams + POINT_VARIABLES * (stops.most - 1)))
     for part, at, poses, places in zip(parts, layout.rows, layout.poses, layout.places, strict=True):
         S[poses, places, : part.S.shape[2]] = part.S
         for turn in range(1, stops.most):
             own = np.flatnonzero(stops.turn[at] == turn)
-            to = ends * seams + POINT * (turn - 1)
-            S[poses[own], places[own], to : to + POINT] = part.S[own, :, seams - POINT : seams]
-            S[poses[own], places[own], seams - POINT : seams] = 0.0
+            to = ends * seams + POINT_VARIABLES * (turn - 1)
+            S[poses[own], places[own], to : to + POINT_VARIABLES] = part.S[own, :, seams - POINT_VARIABLES : seams]
+            S[poses[own], places[own], seams - POINT_VARIABLES : seams] = 0.0
     return S
 
 
 def _by_joints(S: Array, ends: int, seams: int, joints: int) -> Array:
-    """Derivatives by the joint variables as the joints' repeatability acts, shape (poses, numbers, joints).
+    """Return the Jacobian of joint repeatability, shape (poses, numbers, joints).
 
-    Joints repeat independently at the two ends of a distance between poses.
+    The repeatability errors at the two ends of a distance between poses are independent.
     """
     arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, :joints]
     return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
 
 
 def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: Layout) -> tuple[Array, Array]:
-    """Derivatives by the unknown points in units of what is known of them, and their mean; see `Observations`."""
+    """Return U and mean of the unknown points (see `Observations`)."""
     where = identification.unknown_points
     U = np.zeros((*layout.shape, 3 * len(where)))
     for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):
@@ -298,19 +323,19 @@ def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: 
 
 
 def _at_turns(stops: Stops, numbers: Array) -> Array:
-    """Numbers of rows by the turn of each at its stop, shape (stops, turns); -1 where there is no such row."""
+    """Return one number of each row, arranged by stop, shape (stops, turns); -1 without a row."""
     out = np.full((len(stops.rows), stops.most), -1)
     out[stops.of, stops.turn] = numbers
     return out
 
 
 def _numbered(keys: Array) -> Array:
-    """A number for each different row of keys, shape (n,)."""
+    """Return the index of each row among the distinct rows of keys, shape (n,)."""
     return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
 
 
 def _counted(keys: Array) -> Array:
-    """How often each row's numbers occur before it, shape (n,)."""
+    """Return how many equal rows precede each row of keys, shape (n,)."""
     number = _numbered(keys)
     order = np.argsort(number, kind="stable")
     places = np.empty(len(number), dtype=np.int64)
@@ -319,7 +344,7 @@ def _counted(keys: Array) -> Array:
 
 
 class _OfSet(NamedTuple):
-    """One set, row by row; of q and seen, one for each end."""
+    """Residuals and Jacobians of one set, row by row; q and seen have one entry for each end."""
 
     r: Array
     J: Array
@@ -334,6 +359,10 @@ class _OfSet(NamedTuple):
 
 
 def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios) -> _OfSet:
+    """Return residuals and Jacobians of set k at the base model, scaled to equal noise.
+
+    where : estimate of each unknown point by name, shape (3,) [m]
+    """
     kind, n = find_kind(m.kind), len(m)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
     number = {name: i for i, name in enumerate(where)}
@@ -354,13 +383,13 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
 
 
 def _known_points(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Root of the covariance of what is known of the points beside the poses, and its mean in these units.
+    """Return a root of the prior covariance of the unknown points, and the prior mean in its units.
 
-    They lie near where the base fit has them, and known distances are between some.
+    The prior is centred at the estimates of the base fit; given distances between points narrow it.
     """
     number, p = {name: i for i, name in enumerate(where)}, np.array([*where.values()]).reshape(-1, 3)
-    # One sigma of an unknown point about where the base fit has it [m]: wide beside what a cause
-    # moves it.
+    # The prior standard deviation of an unknown point about its estimate is 0.1 m: wide compared
+    # with the displacements that causes produce.
     precision, right = np.eye(p.size) / 0.1**2, np.zeros(p.size)
     for k, m in enumerate(identification.measurements):
         for first, second, length in m.separations:
@@ -372,14 +401,15 @@ def _known_points(identification: Identification, where: Mapping[str, Array]) ->
             precision += np.outer(g, g) / m.separation_sigma**2
             right += g.ravel() * (length - apart) / m.separation_sigma**2
     L = np.linalg.cholesky(precision)
-    # Of the inverse L^-T L^-1 the root is L^-T.
+    # The covariance is the inverse L^-T L^-1 of the precision, so that its root is L^-T.
     return np.linalg.inv(L).T, np.linalg.solve(L, right)
 
 
 def _measured_to(sets: Sequence[Measurements], point: Array) -> Array:
-    """Number of the set, the unknown point, and what else each row was measured to, shape (rows,).
+    """Return the index of each row's target, shape (rows,).
 
-    point : number of each row's unknown point, shape (rows,)
+    Targets differ by set, unknown point, given target and other pose.
+    point : index of each row's unknown point, shape (rows,)
     """
     number = np.concatenate([np.full(len(m), k) for k, m in enumerate(sets)])
     width = max((3 if m.target is not None else 0) + (m.other.shape[1] if m.other is not None else 0) for m in sets)

@@ -17,7 +17,7 @@ from casadical.core.linear_gaussian.columns import EVERY
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.laws.forms import FORMS, SLOW, WAVE, Driver, Form
 from casadical.diagnosis.laws.problem import Problem, Rough, Seam, Tried, log_mean, scaled
-from casadical.diagnosis.linearisation import POINT, Linearisation
+from casadical.diagnosis.linearisation import POINT_VARIABLES, Linearisation
 from casadical.effects.formula import NUMERIC, parse
 from casadical.effects.formula_effect import HEAD, TOWARDS, Law, head_column
 from casadical.robot.robot import Robot
@@ -122,7 +122,9 @@ class Beam:
     def _by_point(self) -> Array:
         """Derivative by the measured point, of all readings at a pose, shape (n, 3, 3)."""
         S, readings = self.linear.S, 1 + self.linear.further
-        return np.asarray(S[:, :, -POINT * readings :].reshape(*S.shape[:2], readings, POINT).sum(axis=2))
+        return np.asarray(
+            S[:, :, -POINT_VARIABLES * readings :].reshape(*S.shape[:2], readings, POINT_VARIABLES).sum(axis=2)
+        )
 
     def nearby(self, law: Law, step: float) -> list[tuple[Seam, Array]]:
         """A station moved by a step to each side, up and down, farther and nearer; a target turned by one."""
