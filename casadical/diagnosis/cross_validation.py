@@ -7,7 +7,7 @@ evidence uses; the errors are those of the poses left out.
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, SIGMA_GRID_M, Evidence
@@ -41,7 +41,7 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
     return known
 
 
-def lengths(e: Evidence, left: Array, poses: Array | slice = EVERY) -> Array:
+def lengths(e: Evidence, left: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
     """The reported error of what is left at some poses, shape (poses,) [m]."""
     return np.asarray(np.linalg.norm(left if e.size is None else left * e.size[poses], axis=1))
 
@@ -65,11 +65,11 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
 def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
     """The same for a fit that was made."""
     if len(np.unique(folds)) == len(folds):
-        return lengths(e, fit.alone())
+        return lengths(e, fit.leave_one_out_residuals())
     errors = np.empty(len(folds))
     for fold in np.unique(folds):
         test = np.flatnonzero(folds == fold)
-        errors[test] = lengths(e, fit.without(test), test)
+        errors[test] = lengths(e, fit.residual_without(test), test)
     return errors
 
 
@@ -90,7 +90,7 @@ def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> 
 def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
     """What a fit to the poses outside of a mask leaves at every pose, shape (n, 3) [m]."""
     fit = fit_of(e, columns, noise)
-    return fit.left(fit.to(np.flatnonzero(~test)))
+    return fit.residual(fit.estimate_from(np.flatnonzero(~test)))
 
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
@@ -100,9 +100,9 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
     follows an outlier that it was fitted to.
     """
     fit = new_fit(e, columns, noise)
-    x, pull = fit.to(np.flatnonzero(kept)), fit.pull(np.flatnonzero(kept))
-    spread = np.eye(fit.numbers) + np.where(kept[:, None, None], -pull, pull)
-    return lengths(e, fit.left(x)), fit.distance(x, spread)
+    x, pull = fit.estimate_from(np.flatnonzero(kept)), fit.leverage(np.flatnonzero(kept))
+    spread = np.eye(fit.rows_per_block) + np.where(kept[:, None, None], -pull, pull)
+    return lengths(e, fit.residual(x)), fit.mahalanobis_squared(x, spread)
 
 
 def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:

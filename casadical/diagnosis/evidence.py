@@ -18,7 +18,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
 from casadical.core.linear_gaussian.grid import Grid
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
 from casadical.measurements.measurements import Noise
@@ -138,7 +138,7 @@ class Evidence(LinearModel):
     def with_causes_alone(self, columns: Array) -> Self:
         """Return the model with these columns in the base, no candidates and noise as assumed."""
         alone = self.with_base(columns)
-        return replace(alone, E=ArrayColumns(np.zeros((*self.r.shape, 1))), held=None, unsure=())
+        return replace(alone, E=ArrayColumns(np.zeros((*self.r.shape, 1))), cause_prior=None, unsure=())
 
     def forget(self) -> None:
         """Drop the large cached results, which are computed again when they are needed."""
@@ -185,7 +185,7 @@ class Evidence(LinearModel):
 
         also : columns that are in the model already
         """
-        own = self.marginals.log_base(NONE if also is None else also)
+        own = self.marginals.log_base(NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_base(also) for _, other in self.at_other_ratios))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
@@ -195,7 +195,7 @@ class Evidence(LinearModel):
         also : columns of causes that are in the model already; they are marginalised like the base
             model
         """
-        own = self.marginals.log_grids(groups, NONE if also is None else also)
+        own = self.marginals.log_grids(groups, NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, Show, silent
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.diagnosis.cross_validation import (
     FOLDS,
     fitted_without,
@@ -143,7 +143,7 @@ class NetworkGap:
 
 def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
     """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
-    alone = network_gap(found.case, NONE, found.rankings[0].noise[""], found.seed, show=show)
+    alone = network_gap(found.case, NO_COLUMNS, found.rankings[0].noise[""], found.seed, show=show)
     return alone, network_gap(found.case, found.columns, found.noise, found.seed, show=show)
 
 

@@ -147,7 +147,7 @@ def _covered(angle: Array, q: Array, reach: float) -> Array:
 
 def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
     """Log evidence lost by leaving out one joint's curve, the noise level estimated again."""
-    square = float((fit.rest**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
+    square = float((fit.whitened_residual**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
     lost = {}
     for j, places in own.items():
         scaled = fit.covariance[np.ix_(places, places)] / np.outer(fit.prior[places], fit.prior[places])

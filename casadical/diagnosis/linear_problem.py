@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.marginals import FEW, NONE
+from casadical.core.linear_gaussian.marginals import MAX_CHANGED_BLOCK_SHARE, NO_COLUMNS
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
@@ -204,7 +204,7 @@ class Case:
         if np.array_equal(kept, self.kept):
             return self
         more = replace(self, kept=kept)
-        if (kept != self.kept).sum() <= FEW * self.kept.sum():
+        if (kept != self.kept).sum() <= MAX_CHANGED_BLOCK_SHARE * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
             more.evidence.moving(self.evidence, lost, gained)
             if self.form.stays:
@@ -229,7 +229,7 @@ class Case:
 
     def group(self, effects: Sequence[Effect]) -> Array:
         """Columns of effects that act together; none of no effects."""
-        return np.concatenate([NONE, *(self.columns[e] for e in effects)])
+        return np.concatenate([NO_COLUMNS, *(self.columns[e] for e in effects)])
 
     def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
         """The case with the prior size of an effect's parts learnt, and the effect with these sizes.
@@ -238,7 +238,7 @@ class Case:
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
-        held = self.whole.widths.copy()
+        held = self.whole.cause_prior_sigmas.copy()
         for part, places in effect.parts.items():
             held[columns[places]] *= factors[part]
         candidates = tuple(
@@ -247,7 +247,7 @@ class Case:
         )
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
         near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHO_GRID))))
-        whole = replace(self.whole, held=held, reference=noise.sigma, near=near)
+        whole = replace(self.whole, cause_prior=held, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
         more.evidence.extending(self.evidence)
         if self.form is not WHITE_FORM:
@@ -272,10 +272,12 @@ class Case:
         assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
         # Sizes that were learnt stay.
-        held = E.held if self.whole.held is None else np.append(self.whole.held, E.held[self.whole.width :])
+        held = (
+            E.held if self.whole.cause_prior is None else np.append(self.whole.cause_prior, E.held[self.whole.width :])
+        )
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
-        more = replace(more, whole=replace(self.whole, E=E, held=held))
-        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), held=held).extending(known))
+        more = replace(more, whole=replace(self.whole, E=E, cause_prior=held))
+        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=held).extending(known))
         if self.form is not WHITE_FORM:
             more.judged.extending(self.judged)
         return more
@@ -348,7 +350,7 @@ def _problem(
         np.append(delta0, seen.mean),
         np.append(base_prior(robot, free), np.ones(len(seen.mean))),
         E,
-        held=E.held,
+        cause_prior=E.held,
         Jq=seen.Jq,
         known=NoisePrior(declared, sheet, again.sigma, min(again.freedom, 60)),
         measured=seen.measured,
@@ -388,7 +390,10 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     if seen.plain:
         return None
     fit, known = fit_of(case.evidence, columns, noise), seen.ratios
-    left, pull = fit.rest.reshape(case.evidence.r.shape) ** 2, fit.pull(np.arange(len(case.evidence.r)))
+    left, pull = (
+        fit.whitened_residual.reshape(case.evidence.r.shape) ** 2,
+        fit.leverage(np.arange(len(case.evidence.r))),
+    )
     freedom = seen.measured[case.kept] - np.diagonal(pull, axis1=1, axis2=2)
     place, sigmas = np.cumsum(case.kept) - 1, []
     each = zip(seen.sets, known.sigmas, seen.layout.poses, seen.layout.places, strict=True)

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Combined, Directions, Factors, directions_of
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Combined, Directions, Factors, directions_of
 from casadical.diagnosis.formula_cache import Part, plan
 from casadical.diagnosis.seams import BLOCK, Seams, over_poses, seams_of
 from casadical.effects import Effect
@@ -254,16 +254,16 @@ class EffectColumns:
         """Whether the factors at all poses are small enough, in bytes, to be cached."""
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
-    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
         """Return all columns at some poses as derivatives of the seam variables."""
         poses = self._among_all(blocks)
         return self._all.at(poses) if self._cacheable else self._factors_at(self.linear.at(poses))
 
-    def levers(self, blocks: Array | slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
         """Return the Jacobian by the seam variables at some poses, shape (poses, 3, seams)."""
         return self.linear.S[self._among_all(blocks)]
 
-    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
         """Return some columns at some poses, shape (poses, 3, len(columns)) [m per unit of size].
 
         every : combinations of the columns to return instead

@@ -55,7 +55,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
         J = J if units is None else J @ units
     new = np.concatenate([J, E * widths(variant)], axis=2)
     # One sigma, in sizes, of a cause's parameters before the data.
-    fit = new_fit(replace(old, held=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
+    fit = new_fit(replace(old, cause_prior=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 

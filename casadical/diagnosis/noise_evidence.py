@@ -13,7 +13,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import SerialColumns
 from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.linear_gaussian.noise import SerialNoise, serial_noise
 from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
 
@@ -65,7 +65,7 @@ def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
     """
     own, noise = e.at(order), form.serial(len(order))
     E = SerialColumns(e.E, order, noise)
-    return replace(own, r=noise.white(own.r), J=noise.white(own.J), Jq=form.repeatability(own.Jq), E=E)
+    return replace(own, r=noise.whiten(own.r), J=noise.whiten(own.J), Jq=form.repeatability(own.Jq), E=E)
 
 
 class Problem:
@@ -80,8 +80,8 @@ class Problem:
         self._own = e.with_causes_alone(chosen)
         self._others = [other.with_causes_alone(chosen) for _, other in e.at_other_ratios]
         # Contribution to the log likelihood of the directions of the causes that no pose shows.
-        combined, widths = e.combined(chosen), e.widths[chosen]
-        self._lost = combined.left_out(np.log(e.reference / widths))
+        combined, widths = e.combined(chosen), e.cause_prior_sigmas[chosen]
+        self._lost = combined.sum_over_dropped(np.log(e.reference / widths))
         self._known: dict[Form, Array] = {}
 
     def log_likelihood(self, form: Form) -> Array:
@@ -97,5 +97,5 @@ class Problem:
         rho : index of the repeatability ratio in `RHO_GRID`
         """
         moved = prewhitened(self._own, form, self._order)
-        fit = Fit(moved, NONE, moved.reference, {REPEATABILITY: float(RHO_GRID[rho])})
-        return np.asarray(moved.reference * fit.rest.reshape(moved.r.shape))
+        fit = Fit(moved, NO_COLUMNS, moved.reference, {REPEATABILITY: float(RHO_GRID[rho])})
+        return np.asarray(moved.reference * fit.whitened_residual.reshape(moved.r.shape))

@@ -14,7 +14,7 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.marginals import REACH
+from casadical.core.linear_gaussian.marginals import POINT_LOG_EVIDENCE_WINDOW
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import RHO_GRID
@@ -125,7 +125,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             grids.append(problem.log_likelihood(form))
             logs = np.append(logs, float(np.logaddexp.reduce(grids[-1], axis=None)))
             # Likelihood falls with the coefficient from here on.
-            if logs[-1] < max(plain, logs.max()) - REACH:
+            if logs[-1] < max(plain, logs.max()) - POINT_LOG_EVIDENCE_WINDOW:
                 break
         factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 3) - plain
         rivals.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))

@@ -48,7 +48,7 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
     }
     for effect in (e for e in effects if e in case.columns and case.growth != 1.0):
         columns = case.columns[effect]
-        sigmas = (case.sizes(columns) * case.whole.widths[columns]).tolist()
+        sigmas = (case.sizes(columns) * case.whole.cause_prior_sigmas[columns]).tolist()
         priors |= {p.name: (0.0, sigma) for p, sigma in zip(effect.parameters(), sigmas, strict=True)}
     return priors
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.plain import WRITTEN, Key, written
@@ -336,7 +336,7 @@ class Diagnosis(Result):
     def held_out(self) -> PoseErrors:
         """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
         e = self.case.evidence
-        lengths = [partitioned_errors(e, NONE, self.rankings[0].noise[""], self.seed)]
+        lengths = [partitioned_errors(e, NO_COLUMNS, self.rankings[0].noise[""], self.seed)]
         if self.columns.size:
             lengths.append(partitioned_errors(e, self.columns, self.noise, self.seed))
         models = map(ModelErrors, ("base model", "with causes"), lengths)

@@ -135,7 +135,7 @@ class _White:
 
     def rows(self, X: Array) -> Array:
         """Numbers at the poses, shape (n, numbers, k), as white rows, shape (n numbers, k)."""
-        white = self._W @ self._form.serial(len(X)).white(X)
+        white = self._W @ self._form.serial(len(X)).whiten(X)
         return np.asarray(white.reshape(-1, X.shape[2]))
 
     def _beside(self, rows: Array) -> Array:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.normal_equations import without_others
+from casadical.core.linear_gaussian.normal_equations import marginalised
 from casadical.core.statistics import best_of
 from casadical.core.telling.plain import WRITTEN, written
 from casadical.core.telling.result import Shown
@@ -90,7 +90,7 @@ class Estimate(Shown):
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
         """Information, (p, p), and score, (p,), at other values [SI], units of scale; all others are fitted again."""
         kept, _, inverse = self.fitted_beside(names)
-        own, score = without_others(self.information, self.score, kept, inverse)
+        own, score = marginalised(self.information, self.score, kept, inverse)
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
 
     def fitted_beside(self, names: Sequence[str]) -> tuple[Array, Array, Array]:

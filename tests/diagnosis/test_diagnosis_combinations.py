@@ -125,8 +125,8 @@ def test_columns_stay_as_they_are_unless_a_whole_part_is_there() -> None:
     assert every.combine(x) == pytest.approx(np.concatenate([x[:2], V.T @ x[2:6], x[6:]]))
     assert every.values(every.combine(x)) == pytest.approx(np.concatenate([x[:2], V @ V.T @ x[2:6], x[6:]]))
     assert every.places(np.arange(1, 6)).tolist() == [1, 2, 3]
-    assert every.one_of_each(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])).tolist() == [1, 1, 5, 5, 2, 2]
-    assert every.left_out(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])) == 10.0
+    assert every.per_combination(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])).tolist() == [1, 1, 5, 5, 2, 2]
+    assert every.sum_over_dropped(np.repeat([1.0, 5.0, 2.0], [2, 4, 2])) == 10.0
     assert combined(np.array([4, 5, 6]), [(part, V)]).width == 3
     assert combined(np.zeros(0, dtype=np.int64), [(part, V)]).width == 0
 

@@ -7,7 +7,7 @@ import pytest
 from cases import small_problem
 from scipy.optimize import lsq_linear
 
-from casadical.core.linear_gaussian.model import Memory
+from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.cross_validation import (
     fit_of,
     fold_errors,
@@ -73,7 +73,7 @@ def test_many_poses_and_few_are_left_out_alike() -> None:
     e, columns = small_problem(n=40), np.array([0, 2])
     folds, alone = random_folds(40, 3), np.arange(40)
     expected = held_out_errors(e, columns, NOISE, folds), held_out_errors(e, columns, NOISE, alone)
-    for memory in (Memory(rows=0), Memory(kept=0)):
+    for memory in (MemoryLimits(max_observation_rows=0), MemoryLimits(cache_bytes=0)):
         own = replace(e, memory=memory)
         assert own.memory is memory
         fit = new_fit(own, columns, NOISE)

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from casadical import InputError
 from casadical.blind_check.mujoco_physics import perturb
-from casadical.core.linear_gaussian.sums import WIDE
+from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS
 from casadical.diagnosis.cross_validation import Noise
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, Evidence
@@ -142,14 +142,14 @@ def test_what_a_curve_holds_is_no_cause_beside_it(found) -> None:
 def wide_problem(n: int) -> Evidence:
     """Many columns, of which all do something."""
     e, rng = small_problem(n=n), np.random.default_rng(5)
-    E = 4e-5 * rng.normal(size=(n, 3, WIDE + 5))
-    return replace(e, E=E, held=None, r=e.r + E @ rng.normal(size=WIDE + 5))
+    E = 4e-5 * rng.normal(size=(n, 3, MAX_NARROW_GROUP_COLUMNS + 5))
+    return replace(e, E=E, cause_prior=None, r=e.r + E @ rng.normal(size=MAX_NARROW_GROUP_COLUMNS + 5))
 
 
 @pytest.mark.parametrize("n", [9, 30], ids=["judged on the rows", "judged on the columns"])
-@pytest.mark.parametrize("chosen", [[], [WIDE + 4]], ids=["first", "after one"])
+@pytest.mark.parametrize("chosen", [[], [MAX_NARROW_GROUP_COLUMNS + 4]], ids=["first", "after one"])
 def test_a_wide_group_is_the_normal_density(n: int, chosen: list[int]) -> None:
-    e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(WIDE + 1)
+    e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(MAX_NARROW_GROUP_COLUMNS + 1)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
     J, E = e.J.reshape(3 * n, -1), e.E.values.reshape(3 * n, -1)
     for rho, sigma, kappa in ((0, 12, 0), (3, 17, 2), (5, 25, 4)):
@@ -189,7 +189,7 @@ def test_sizes_are_learnt_by_part() -> None:
     parts = {1: np.arange(60), 2: np.arange(60, 120), 3: np.arange(120, 180), 4: np.arange(180, 200)}
     held = np.ones(200)
     factors, noise = learnt_sizes(
-        replace(e, r=r, E=E, held=held), np.arange(200), parts, np.zeros(0, dtype=np.int64), Noise(4e-5, 0.0)
+        replace(e, r=r, E=E, cause_prior=held), np.arange(200), parts, np.zeros(0, dtype=np.int64), Noise(4e-5, 0.0)
     )
     assert [factors[k] for k in (1, 2, 3)] == pytest.approx([0.5, 1.0, 4.0], rel=0.25)
     assert factors[4] == 1.0
@@ -201,13 +201,13 @@ def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
     curve = next(c for c in known.candidates if c.label == "joint_error_curve").variants[0][0]
     sized, effect = known.with_sizes(curve, dict.fromkeys(curve.parts, 0.5), Noise(2e-5, 0.0))
     own = sized.columns[effect]
-    before = sized.whole.widths[own]
-    assert before == pytest.approx(0.5 * known.whole.widths[own])
+    before = sized.whole.cause_prior_sigmas[own]
+    assert before == pytest.approx(0.5 * known.whole.cause_prior_sigmas[own])
     more = sized.with_variants("transmission_ripple@2", [(TransmissionRipple(2, cycles=9.3),)])
     assert more.whole.width > sized.whole.width
     for problem in (more.whole, more.evidence):
-        assert problem.widths[own] == pytest.approx(before)
-        assert len(problem.widths) == problem.width
+        assert problem.cause_prior_sigmas[own] == pytest.approx(before)
+        assert len(problem.cause_prior_sigmas) == problem.width
 
 
 def test_many_poses_have_more_harmonics() -> None:

@@ -369,7 +369,7 @@ def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:
     (seam,) = seams_with_columns(linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept)), [Law(2, "joint", "a")])
     functions = np.random.default_rng(0).normal(size=(1, len(e.r), 5))
     for some in ((near,), (near, *(k for k in SCREENED if k != near))):
-        found = Problem(replace(e, E=np.zeros((len(e.r), 3, 1)), held=None, near=tuple(sorted(some)))).gains(
+        found = Problem(replace(e, E=np.zeros((len(e.r), 3, 1)), cause_prior=None, near=tuple(sorted(some)))).gains(
             seam, functions
         )
         assert np.isfinite(found).all()

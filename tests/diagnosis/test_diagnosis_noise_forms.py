@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from casadical.blind_check.mujoco_physics.cause import Cause
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.model import Memory
+from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, NoisePrior
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
@@ -38,7 +38,7 @@ def small(poses: int = 14) -> Evidence:
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     J, prior = c.base.J[c.kept][:poses], np.minimum(c.base.prior, 1e-4)
     e = replace(c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, known=NoisePrior(), absorbed=0.0)
-    return replace(e, E=np.zeros((poses, 3, 1)), held=None)
+    return replace(e, E=np.zeros((poses, 3, 1)), cause_prior=None)
 
 
 def density(e: Evidence, rho: int, sigma: float, correlation: Array, joints: Sequence[float] | Array) -> float:
@@ -59,7 +59,7 @@ def problem(e: Evidence, order: Array | None = None, columns: int = 0) -> Proble
         return Problem(e, NONE, np.arange(len(e.r)) if order is None else order)
     rng = np.random.default_rng(3)
     E = 2e-5 * rng.standard_normal((len(e.r), 3, columns))
-    own = replace(e, E=E, held=np.full(columns, 0.1))
+    own = replace(e, E=E, cause_prior=np.full(columns, 0.1))
     return Problem(own, np.arange(columns), np.arange(len(e.r)) if order is None else order)
 
 
@@ -70,7 +70,7 @@ def columns(request: pytest.FixtureRequest) -> int:
 
 def with_causes(p: Problem) -> Evidence:
     """The problem with its causes' columns in the base model."""
-    return replace(p.e.with_base(p.chosen), E=np.zeros((len(p.e.r), 3, 1)), held=None)
+    return replace(p.e.with_base(p.chosen), E=np.zeros((len(p.e.r), 3, 1)), cause_prior=None)
 
 
 def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance(columns: int) -> None:
@@ -121,7 +121,10 @@ def test_sums_in_parts_are_those_of_all_poses() -> None:
         Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0)),
     ]
     order = np.random.default_rng(0).permutation(len(e.r))
-    whole, parts = Problem(e, NONE, order), Problem(replace(e, memory=Memory(kept=0, part=1)), NONE, order)
+    whole, parts = (
+        Problem(e, NONE, order),
+        Problem(replace(e, memory=MemoryLimits(cache_bytes=0, part_bytes=1)), NONE, order),
+    )
     for f in form:
         assert parts.log_likelihood(f)[1:3] == pytest.approx(whole.log_likelihood(f)[1:3], abs=1e-6)
         assert parts.residual(f, 1) == pytest.approx(whole.residual(f, 1), abs=1e-12)

@@ -17,7 +17,7 @@ from scipy.special import logsumexp
 from scipy.stats import chi2, multivariate_normal
 
 from casadical import InputError, Joint, Measurements, Robot
-from casadical.core.linear_gaussian.grid import NEGLIGIBLE, log_gain
+from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap
 from casadical.diagnosis.candidates import Candidate, candidates_of, gathered, standard_candidates
@@ -149,7 +149,7 @@ def test_odds_of_a_draw_are_those_of_its_density() -> None:
 def test_gains_are_left_out_only_where_they_cannot_count() -> None:
     """A group that explains nothing is judged near the best sigma alone, and there by the determinant it costs."""
     sigmas, base = np.geomspace(1e-6, 1e-3, 40), np.full(40, 0.0)
-    base[:10] = -NEGLIGIBLE - 30
+    base[:10] = -SIGMA_LOG_LIKELIHOOD_WINDOW - 30
     value, turned = np.array([[2.0, 1.0]]), np.array([[0.0, 0.0]])
     kappas = 1e-4 * KAPPA_GRID
     found = log_gain(sigmas, kappas, base, value, turned)
@@ -321,8 +321,8 @@ def test_learnt_sizes_hold_about_the_noise_at_which_they_were_learnt(ratio: floa
     more, _ = with_it.with_sizes(any_effect, {0: 0.5, 1: 2.0}, Noise(3e-5, ratio * 3e-5))
     assert set(more.whole.near) == set(near)
     assert more.whole.reference == 3e-5
-    assert more.whole.held is not None
-    assert more.whole.held.tolist() == [CHOSEN, 0.5 * CHOSEN, CHOSEN, 2 * CHOSEN]
+    assert more.whole.cause_prior is not None
+    assert more.whole.cause_prior.tolist() == [CHOSEN, 0.5 * CHOSEN, CHOSEN, 2 * CHOSEN]
 
 
 def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:

@@ -1,11 +1,13 @@
-"""Columns of a linear model, made some blocks at a time, and combinations of the columns of one part.
+"""Columns of a linear model, computed some blocks at a time, and combinations of their columns.
 
-A column may be given by the chain rule: the rows' derivative by a variable in between (a lever, the same for all
-columns) times that variable's derivative by the column's parameter, one factor a block. Products of thousands of
-columns are then products of their factors.
+A column may be given by the chain rule: the derivative of the rows with respect to an intermediate
+variable (the lever, common to all columns) times the derivative of that variable with respect to
+the column's parameter, one factor a block. Products of thousands of columns are then products of
+factors.
 
-The columns of one part have one prior size, so that its combinations along orthogonal directions are as independent as
-its columns were. Those that move no row are left out: they are their priors, before and after the data.
+The columns of one part of an effect have one prior standard deviation, so that orthonormal
+combinations of them are as independent a priori as the columns. Combinations that change no row are
+dropped: their posterior is their prior.
 """
 
 from __future__ import annotations
@@ -20,96 +22,119 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.noise import SerialNoise
 
-# All blocks.
-EVERY = slice(None)
+# The index of every element along an array axis.
+WHOLE_AXIS = slice(None)
 
-# Columns of one part, and orthonormal directions among them that move something, shape (columns, k).
+# For each part: indices of its columns, and orthonormal directions among them that change the rows,
+# shape (columns, k).
 Directions = Sequence[tuple[Array, Array]]
 
 
 @dataclass(frozen=True)
-class Memory:
-    """How much is held at a time; answers do not depend on it.
+class MemoryLimits:
+    """Limits on memory; results do not depend on them.
 
-    columns, blocks : bytes of the columns that are added up at a time, and at least so many blocks
-    kept : bytes up to which white columns are kept, else they are made again; part : so many at a time
-    rows : up to so many, leaving some out is worked out among the observations instead of the parameters
+    column_bytes : bytes of the columns that are accumulated at a time
+    min_blocks : number of blocks that are accumulated at a time even if they take more bytes
+    cache_bytes : bytes up to which whitened columns are cached; more are computed again when needed
+    part_bytes : bytes of the whitened columns that are computed at a time
+    max_observation_rows : up to this number of rows, residuals of excluded blocks are computed in
+        the space of observations instead of parameters
     """
 
-    columns: int = 128_000_000
-    blocks: int = 256
-    kept: int = 60_000_000
-    part: int = 32_000_000
-    rows: int = 1500
+    column_bytes: int = 128_000_000
+    min_blocks: int = 256
+    cache_bytes: int = 60_000_000
+    part_bytes: int = 32_000_000
+    max_observation_rows: int = 1500
 
 
 class Columns(Protocol):
-    """Columns E of n blocks, made when they are asked for."""
+    """Interface of the columns E of n blocks, which are computed when they are asked for."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Blocks, rows of each, columns."""
+        """Return the numbers of blocks, of rows of each block and of columns."""
 
     @property
     def directions(self) -> Directions:
-        """Of the parts of columns that are combined."""
+        """Return the directions of the parts whose columns are combined."""
 
     def at(self, blocks: Array) -> Columns:
-        """The same columns at some of the blocks."""
+        """Return the same columns at some of the blocks."""
 
     def only(self, columns: Array) -> Columns:
-        """Some of the columns, in rising order, all those of one cause or none."""
+        """Return some of the columns, indices rising; all columns of a cause or none."""
 
     def after(self, column: int) -> Columns:
-        """The columns from this one on, with which a cause's columns begin."""
+        """Return the columns from this index on, at which the columns of a cause begin."""
 
-    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
-        """Some of the columns at some blocks, or combinations of them, shape (blocks, m, columns or combinations)."""
+    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
+        """Return some of the columns at some blocks, shape (blocks, m, columns).
 
-    def factors(self, blocks: Array | slice = EVERY) -> Factors:
-        """All columns at some blocks as factors."""
+        every : if given, the combinations of these columns that are returned instead
+        """
 
-    def levers(self, blocks: Array | slice = EVERY) -> Array:
-        """Derivative of the rows by the variables in between, shape (blocks, m, variables)."""
+    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
+        """Return all columns at some blocks as factors of the intermediate variables."""
+
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
+        """Return the rows' derivatives by the intermediate variables, (blocks, m, variables)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayColumns:
-    """Columns that are given as an array, shape (n, m, columns); the rows themselves are the variables in between."""
+    """Columns given as an array; the rows themselves are the intermediate variables.
+
+    values : shape (n, m, columns)
+    directions : of the parts whose columns are combined
+    """
 
     values: Array
     directions: Directions = ()
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Return the numbers of blocks, of rows of each block and of columns."""
         n, m, columns = self.values.shape
         return n, m, columns
 
     def at(self, blocks: Array) -> ArrayColumns:
+        """Return the columns at some of the blocks."""
         return ArrayColumns(self.values[blocks])
 
     def only(self, columns: Array) -> ArrayColumns:
+        """Return some of the columns."""
         return ArrayColumns(self.values[:, :, columns])
 
     def after(self, column: int) -> ArrayColumns:
+        """Return the columns from this index on."""
         return ArrayColumns(self.values[:, :, column:])
 
-    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
+        """Return some of the columns at some blocks, or their combinations."""
         taken = self.values[blocks][:, :, columns]
         return np.asarray(every.combine(taken) if every else taken)
 
-    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
+        """Return all columns at some blocks as factors."""
         every = np.arange(self.values.shape[2])
         return Factors(tuple((i, every, self.values[blocks, i].T) for i in range(self.values.shape[1])), len(every))
 
-    def levers(self, blocks: Array | slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
+        """Return the derivatives by the intermediate variables, shape (blocks, m, variables)."""
         n, m, _ = self.values[blocks].shape
         return np.broadcast_to(np.eye(m), (n, m, m))
 
 
 @dataclass(frozen=True, eq=False)
 class SerialColumns:
-    """Columns of blocks in an order, as they are where noise that follows itself is white."""
+    """Columns whitened for autocorrelated noise.
+
+    columns : before the whitening
+    order : index of each block in time order, shape (n,)
+    noise : AR(1) noise of the blocks in that order
+    """
 
     columns: Columns
     order: Array
@@ -117,56 +142,65 @@ class SerialColumns:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Return the numbers of blocks, of rows of each block and of columns."""
         return len(self.order), *self.columns.shape[1:]
 
     @property
     def directions(self) -> Directions:
+        """Return the directions of the parts whose columns are combined."""
         return self.columns.directions
 
     def at(self, blocks: Array) -> ArrayColumns:
+        """Return the columns at some of the blocks."""
         return ArrayColumns(self.take(np.arange(self.shape[2]), blocks), self.directions)
 
     def only(self, columns: Array) -> SerialColumns:
+        """Return some of the columns."""
         return replace(self, columns=self.columns.only(columns))
 
     def after(self, column: int) -> SerialColumns:
+        """Return the columns from this index on."""
         return replace(self, columns=self.columns.after(column))
 
-    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
+        """Return some of the columns at some blocks, or their combinations."""
         here, last, own, before = self._blocks(blocks)
         taken = own * self.columns.take(columns, self.order[here], every)
-        if self.noise.follows:
+        if self.noise.is_autocorrelated:
             taken = taken - before * self.columns.take(columns, self.order[last], every)
         return np.asarray(taken)
 
-    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
+        """Return all columns as factors of the variables of a block and of the one before."""
         here, last, _, _ = self._blocks(blocks)
         own = self.columns.factors(self.order[here])
-        if not self.noise.follows:
+        if not self.noise.is_autocorrelated:
             return own
         variables = self.columns.levers(self.order[:1]).shape[2]
         shifted = tuple((s + variables, c, values) for s, c, values in self.columns.factors(self.order[last]).blocks)
         return Factors((*own.blocks, *shifted), own.width)
 
-    def levers(self, blocks: Array | slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
+        """Return the derivatives by the variables of a block and of the block before it."""
         here, last, own, before = self._blocks(blocks)
         levers = own * self.columns.levers(self.order[here])
-        if not self.noise.follows:
+        if not self.noise.is_autocorrelated:
             return np.asarray(levers)
         return np.concatenate([levers, -before * self.columns.levers(self.order[last])], axis=2)
 
     def _blocks(self, blocks: Array | slice) -> tuple[Array, Array, Array, Array]:
-        """Some blocks and those before them, and the weight of each."""
+        """Return some blocks, the blocks before them, and the weights of both."""
         here = np.arange(len(self.order))[blocks]
         own = self.noise.weight.reshape(len(self.order), -1, 1)[here]
-        return here, np.maximum(here - 1, 0), own, self.noise.stays[here, None, None] * own
+        return here, np.maximum(here - 1, 0), own, self.noise.ar_coefficient[here, None, None] * own
 
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Columns as sums over variables in between: the rows' derivative by one times a factor at each block.
+    """Columns as sums over intermediate variables of lever times factor at each block.
 
-    blocks : a variable, the columns that act through it, at most once each, and their factors, shape (columns, n)
+    blocks : for each variable its index, the columns that act through it, at most once each, and
+        their factors, shape (columns, n)
     width : number of columns
     """
 
@@ -174,11 +208,11 @@ class Factors:
     width: int
 
     def columns_at(self, levers: Array) -> Array:
-        """The columns, shape (n, m, columns); levers : shape (n, m, variables)."""
+        """Return the columns, shape (n, m, columns); levers : shape (n, m, variables)."""
         return np.ascontiguousarray(self.by_column(levers)[:-1].transpose(2, 1, 0))
 
     def by_column(self, levers: Array) -> Array:
-        """The same one by one, with a last one of zeros, shape (columns + 1, m, n)."""
+        """Return the columns and a last one of zeros, shape (columns + 1, m, n)."""
         n, m, _ = levers.shape
         out, by_variable = np.zeros((self.width + 1, m, n)), np.ascontiguousarray(levers.transpose(2, 1, 0))
         for variable, columns, values in self.blocks:
@@ -186,12 +220,14 @@ class Factors:
         return out
 
     def at(self, blocks: Array | slice) -> Factors:
+        """Return the factors at some of the blocks."""
         some = blocks if isinstance(blocks, slice) else as_slice(blocks)
         if isinstance(some, slice):
             return replace(self, blocks=tuple((s, c, values[:, some]) for s, c, values in self.blocks))
         return replace(self, blocks=tuple((s, c, np.take(v, some, axis=1, mode="clip")) for s, c, v in self.blocks))
 
     def only(self, columns: Array) -> Factors:
+        """Return the factors of some of the columns."""
         place = np.full(self.width, -1)
         place[columns] = np.arange(len(columns))
         kept = []
@@ -202,7 +238,7 @@ class Factors:
         return Factors(tuple(kept), len(columns))
 
     def combined(self, every: Combined) -> Factors:
-        """Of combinations of the columns, of which those of a part act through the same variables."""
+        """Return the factors of combinations of the columns."""
         if every.plain:
             return self
         starts, made = np.array([a for a, _, _ in every.blocks]), []
@@ -211,12 +247,12 @@ class Factors:
             parts = [(k, own[which == k], values[which == k]) for k in np.unique(which).tolist()]
             more = [every.factors(k, columns, part) for k, columns, part in parts]
             places, factors = (np.concatenate(a) for a in zip(*more, strict=True))
-            if len(places):  # what moves no row has no combinations
+            if len(places):  # a part that changes no row has no combinations
                 made.append((variable, places, factors))
         return Factors(tuple(made), every.width)
 
     def products(self, levers: Array) -> Array:
-        """Products of the columns, added up over the blocks, shape (columns, columns)."""
+        """Return the Gram matrix of the columns over all blocks, shape (columns, columns)."""
         total = np.zeros((self.width, self.width))
         for s, own, values in self.blocks:
             for t, others, more in self.blocks:
@@ -224,23 +260,24 @@ class Factors:
         return total
 
     def before(self, others: Factors) -> Factors:
-        """With the columns of others behind."""
+        """Return the columns of both, those of `others` behind."""
         shifted = tuple((s, self.width + c, values) for s, c, values in others.blocks)
         return Factors((*self.blocks, *shifted), self.width + others.width)
 
 
 def as_slice(columns: Array) -> Array | slice:
-    """Columns one after the other as a slice, which is faster."""
+    """Return consecutive column indices as a slice, which is faster, and others unchanged."""
     if not len(columns):
         return slice(0)
     return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
 
 
 def directions_of(normal: Array, nothing: float) -> Array:
-    """Directions that move something.
+    """Return the orthonormal directions of a part's columns that change the rows, shape (k, kept).
 
-    normal : products of a part's columns in units of size, shape (k, k); nothing : of one size of a direction, that
-        moves all rows together by less than this in units of the residual
+    normal : Gram matrix of the part's columns in units of typical size, shape (k, k)
+    nothing : directions are dropped of which one typical size changes the norm of all rows by less
+        than this, in the unit of the residual
     """
     value, vector = np.linalg.eigh(normal)
     return np.asarray(vector[:, value > nothing**2])
@@ -248,55 +285,57 @@ def directions_of(normal: Array, nothing: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Combined:
-    """Columns, those of whole parts replaced by their combinations.
+    """Columns of which those of whole parts are replaced by orthonormal combinations.
 
-    blocks : in order, the first column and the one behind the last, and the directions; None for columns as they are
+    blocks : in order, first column, one past the last column, and directions, shape (columns, k);
+        None for columns that are not combined
     """
 
     blocks: tuple[tuple[int, int, Array | None], ...]
 
     @cached_property
     def edges(self) -> list[int]:
-        """Of the blocks among the combinations."""
+        """Return where the blocks begin and end among the combinations."""
         widths = [b - a if V is None else V.shape[1] for a, b, V in self.blocks]
         return [0, *np.cumsum(widths, dtype=np.int64).tolist()]
 
     @property
     def width(self) -> int:
+        """Return the number of combinations."""
         return self.edges[-1]
 
     @property
     def plain(self) -> bool:
-        """Whether all columns are as they are."""
+        """Return whether no column is combined."""
         return all(V is None for _, _, V in self.blocks)
 
     def combine(self, M: Array) -> Array:
-        """Numbers by column as numbers by combination, along the last axis."""
+        """Return products with columns as products with combinations, along the last axis."""
         if self.plain:
             return M
         return np.concatenate([M[..., a:b] if V is None else M[..., a:b] @ V for a, b, V in self.blocks], axis=-1)
 
     def factors(self, k: int, columns: Array, values: Array) -> tuple[Array, Array]:
-        """Factors of columns of a block as those of its combinations, and the places of these; shapes (columns, n)."""
+        """Return indices and factors, shape (k, n), of combinations of a block's columns."""
         a, _, V = self.blocks[k]
         if V is None:
             return self.edges[k] + columns - a, values
         return np.arange(*self.edges[k : k + 2]), V[columns - a].T @ values
 
-    def one_of_each(self, sizes: Array) -> Array:
-        """Numbers that are alike throughout a part, by combination."""
+    def per_combination(self, sizes: Array) -> Array:
+        """Return numbers per combination from numbers per column, equal within a part."""
         if self.plain:
             return sizes
         runs = zip(self.blocks, np.diff(self.edges), strict=True)
         return np.concatenate([sizes[a:b] if V is None else np.full(k, sizes[a]) for (a, b, V), k in runs])
 
-    def left_out(self, numbers: Array) -> float:
-        """Sum over the directions that are left out of numbers that are alike throughout a part."""
+    def sum_over_dropped(self, numbers: Array) -> float:
+        """Return the sum, over dropped directions, of numbers that are equal within a part."""
         runs = zip(self.blocks, np.diff(self.edges), strict=True)
         return float(sum((b - a - k) * numbers[a] for (a, b, V), k in runs if V is not None))
 
     def places(self, columns: Array) -> Array:
-        """Of the combinations of some columns, all those of a part or none; columns : their places among all."""
+        """Return the indices of the combinations of some columns; all columns of a part or none."""
         own = [np.arange(*run) for run in zip(self.edges[:-1], self.edges[1:], strict=True)]
         places = [
             at[np.isin(np.arange(a, b), columns)] if V is None else at[: len(at) * bool(np.isin(a, columns))]
@@ -305,13 +344,16 @@ class Combined:
         return np.concatenate([np.zeros(0, dtype=np.int64), *places])
 
     def values(self, x: Array) -> Array:
-        """Numbers by combination as numbers by column, along the first axis."""
+        """Return parameters of combinations as parameters of columns, along the first axis."""
         runs = zip(self.blocks, self.edges[:-1], self.edges[1:], strict=True)
         return np.concatenate([x[:0], *(x[i:j] if V is None else V @ x[i:j] for (_, _, V), i, j in runs)])
 
 
 def combined(columns: Array, directions: Directions) -> Combined:
-    """Some columns, in rising order; directions : of all parts, whose columns follow each other."""
+    """Return some columns, indices rising, with those of complete parts replaced by combinations.
+
+    directions : of all parts, each of consecutive columns
+    """
     blocks: list[tuple[int, int, Array | None]] = []
     end = 0
     for part, V in directions:

@@ -1,4 +1,4 @@
-"""Estimates at one noise: base and some columns fitted together to the blocks, and to all but some of them."""
+"""Estimates at one noise level: base and some columns fitted to all blocks, or to some of them."""
 
 from collections.abc import Mapping
 from functools import cached_property, reduce
@@ -13,62 +13,70 @@ from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_s
 
 
 class Fit:
-    """Base and some columns of a model, estimated at one noise.
+    """Joint estimate of the base and some columns of a model at one noise level.
 
-    columns : that are in it, in rising order; combined : with combinations for those of parts (see `columns`)
-    y : residual made white, shape (n m,); prior, mean : of every parameter or combination, shape (p,)
-    W : what makes each block white, shape (n, m, m)
-    sums : of the white columns and y
+    columns : indices of the columns in the fit, rising
+    combined : the columns, those of complete parts replaced by combinations (see `columns`)
+    y : whitened residual, shape (n m,)
+    prior, mean : prior standard deviation and mean of every parameter or combination, shape (p,)
+    W : whitening matrix of each block, shape (n, m, m)
+    sums : normal sums of the whitened columns and y
+    rows_per_block : m
     """
 
     def __init__(
         self, model: LinearModel, columns: Array, sigma: float, ratios: Mapping[str, Ratio], *, combined: bool = True
     ) -> None:
         self._base, self._E, self._columns = model.J, model.E, columns
-        self.numbers, self._memory = model.r.shape[1], model.memory
+        self.rows_per_block, self._memory = model.r.shape[1], model.memory
         self.combined = model.combined(columns) if combined else Combined(((0, len(columns), None),))
         self.W = model.noise.whitening(ratios).W / sigma
         self.y = (self.W @ model.r[:, :, None]).ravel()
-        self._widths = model.widths[columns]
-        self.prior = np.concatenate([model.prior, self.combined.one_of_each(self._widths)])
+        self._widths = model.cause_prior_sigmas[columns]
+        self.prior = np.concatenate([model.prior, self.combined.per_combination(self._widths)])
         self.mean = np.concatenate([model.delta0, np.zeros(self.combined.width)])
         p = len(self.prior)
-        self._kept = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= model.memory.kept else None
+        self._cached_columns = np.empty((len(self.y), p)) if 8 * len(self.y) * p <= model.memory.cache_bytes else None
         self.sums = NormalSums(np.zeros((p, p)), np.zeros(p), 0.0, 0)
         for some in self._parts():
-            A = self._white(some)
-            if self._kept is not None:
-                self._kept[self._rows_of(some)] = A
+            A = self._whitened(some)
+            if self._cached_columns is not None:
+                self._cached_columns[self._rows_of(some)] = A
             self.sums = self.sums.plus(normal_sums(self.y[self._rows_of(some)], A))
 
     def _rows(self, blocks: Array) -> Array:
-        return np.asarray((self.numbers * blocks[:, None] + np.arange(self.numbers)).ravel())
+        """Return the indices of the rows of some blocks."""
+        return np.asarray((self.rows_per_block * blocks[:, None] + np.arange(self.rows_per_block)).ravel())
 
     def _rows_of(self, blocks: slice) -> slice:
-        return slice(self.numbers * blocks.start, self.numbers * blocks.stop)
+        """Return the slice of rows of a slice of blocks."""
+        return slice(self.rows_per_block * blocks.start, self.rows_per_block * blocks.stop)
 
     def _by_block(self, rows: Array) -> Array:
-        """Rows as columns of numbers, shape (blocks, numbers, 1)."""
-        return rows.reshape(-1, self.numbers, 1)
+        """Return rows by block, shape (blocks, m, 1)."""
+        return rows.reshape(-1, self.rows_per_block, 1)
 
     def _parts(self) -> list[slice]:
-        """The blocks in parts whose columns take little memory."""
-        step = max(64, self._memory.part // (24 * len(self.prior)))
+        """Return slices of blocks whose columns stay within the memory limit."""
+        step = max(64, self._memory.part_bytes // (24 * len(self.prior)))
         return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
-    def _white(self, blocks: Array | slice) -> Array:
-        """Columns of some blocks made white, shape (blocks m, p)."""
+    def _whitened(self, blocks: Array | slice) -> Array:
+        """Return the whitened columns of some blocks, shape (blocks m, p)."""
         causes = self._E.take(self._columns, blocks, self.combined)
         A = np.concatenate([self._base[blocks], causes], axis=2)
         return np.asarray((self.W[blocks] @ A).reshape(-1, A.shape[2]))
 
     def _columns_of(self, blocks: Array | slice) -> Array:
-        if self._kept is None:
-            return self._white(blocks)
-        return np.asarray(self._kept[self._rows_of(blocks) if isinstance(blocks, slice) else self._rows(blocks)])
+        """Return the whitened columns of some blocks, cached or computed."""
+        if self._cached_columns is None:
+            return self._whitened(blocks)
+        return np.asarray(
+            self._cached_columns[self._rows_of(blocks) if isinstance(blocks, slice) else self._rows(blocks)]
+        )
 
     def _sums_of(self, blocks: Array) -> NormalSums:
-        """Sums of some blocks alone: theirs, or those of all less the others', whichever are fewer."""
+        """Return the normal sums of some blocks, from all minus the others if these are fewer."""
         out = np.setdiff1d(np.arange(len(self.W)), blocks)
         fewer = out if len(out) < len(blocks) else blocks
         parts = np.array_split(fewer, 1 + len(fewer) // len(self.prior))
@@ -77,6 +85,7 @@ class Fit:
         return self.sums.less(total) if fewer is out else total
 
     def _solution(self, sums: NormalSums) -> Array:
+        """Return the posterior mean from normal sums, shape (p,)."""
         normal = sums.H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
         right = (sums.g + self.mean / self.prior**2) / scale
@@ -84,114 +93,125 @@ class Fit:
 
     @cached_property
     def root(self) -> Array:
-        """Root of the inverse of the normal matrix, shape (p, p)."""
+        """Return a root R of the covariance R'R of the estimate, shape (p, p)."""
         return root_of_inverse(self.sums.H + np.diag(self.prior**-2))
 
     @cached_property
-    def _pulled(self) -> Array | None:
-        """Columns in which the inverse of the normal matrix is one, shape (n m, p); None if they are not kept."""
-        return None if self._kept is None else np.asarray(self._kept @ self.root.T)
+    def _hat_root(self) -> Array | None:
+        """Return a root B of the hat matrix B B', shape (n m, p); None without cached columns."""
+        return None if self._cached_columns is None else np.asarray(self._cached_columns @ self.root.T)
 
     @cached_property
     def x(self) -> Array:
+        """Return the estimate from all blocks, shape (p,)."""
         return self._solution(self.sums)
 
     @cached_property
     def covariance(self) -> Array:
+        """Return the covariance of the estimate, shape (p, p)."""
         return np.asarray(self.root.T @ self.root)
 
     @property
     def causes(self) -> tuple[Array, Array]:
-        """Values and standard errors of the causes' parameters, in sizes, shapes (columns,)."""
+        """Return values and standard errors of the causes' parameters, in typical sizes,
+        (columns,).
+        """
         first = len(self.prior) - self.combined.width
         known = self.combined.values(np.eye(self.combined.width))
         variance = ((known @ self.root.T[first:]) ** 2).sum(axis=1) + self._widths**2 * (1 - (known**2).sum(axis=1))
         return self.combined.values(self.x[first:]), np.sqrt(variance)
 
-    def to(self, blocks: Array) -> Array:
-        """Fit to some blocks alone, given by their numbers, shape (p,)."""
+    def estimate_from(self, blocks: Array) -> Array:
+        """Return the estimate from some blocks only, given by their indices, shape (p,)."""
         return self.x if len(blocks) == len(self.W) else self._solution(self._sums_of(blocks))
 
-    def _left(self, x: Array) -> Array:
-        """What a fit leaves, white, shape (n m,)."""
+    def _whitened_residual(self, x: Array) -> Array:
+        """Return the whitened residual at parameters x, shape (n m,)."""
         return np.asarray(self.y - np.concatenate([self._columns_of(some) @ x for some in self._parts()]))
 
-    def left(self, x: Array) -> Array:
-        """What a fit leaves at every block, shape (n, m); x : its parameters, shape (p,)."""
-        return np.asarray(np.linalg.solve(self.W, self._by_block(self._left(x)))[:, :, 0])
+    def residual(self, x: Array) -> Array:
+        """Return the residual of every block at parameters x of shape (p,), shape (n, m)."""
+        return np.asarray(np.linalg.solve(self.W, self._by_block(self._whitened_residual(x)))[:, :, 0])
 
-    def distance(self, x: Array, spread: Array) -> Array:
-        """Squared Mahalanobis distance of what a fit leaves at each block, shape (n,); spread : shape (n, m, m)."""
-        white = self._by_block(self._left(x))
+    def mahalanobis_squared(self, x: Array, spread: Array) -> Array:
+        """Return the squared Mahalanobis distance of each block's residual, shape (n,).
+
+        x : parameters, shape (p,); spread : covariance of the whitened residuals, shape (n, m, m)
+        """
+        white = self._by_block(self._whitened_residual(x))
         return np.asarray((white * np.linalg.solve(spread, white)).sum(axis=(1, 2)))
 
-    def pull(self, blocks: Array) -> Array:
-        """Covariance of the fit to some blocks at each block, in units of its noise, shape (n, m, m)."""
+    def leverage(self, blocks: Array) -> Array:
+        """Return the leverage of each block, shape (n, m, m): its diagonal block of the hat matrix.
+
+        It is the covariance of the prediction by a fit to `blocks`, in units of the noise.
+        """
         if len(blocks) == len(self.W):
-            if self._pulled is not None:
-                return _blocks(self._pulled.reshape(len(self.W), self.numbers, -1))
+            if self._hat_root is not None:
+                return _blocks(self._hat_root.reshape(len(self.W), self.rows_per_block, -1))
             root = self.root
         else:
             root = root_of_inverse(self._sums_of(blocks).H + np.diag(self.prior**-2))
         return np.concatenate(
-            [_blocks((self._columns_of(s) @ root.T).reshape(-1, self.numbers, len(root))) for s in self._parts()]
+            [_blocks((self._columns_of(s) @ root.T).reshape(-1, self.rows_per_block, len(root))) for s in self._parts()]
         )
 
     @cached_property
-    def _left_of(self) -> Array | None:
-        """What takes observations to what a fit to all leaves of them, shape (n m, n m); None for too many blocks."""
+    def _residual_maker(self) -> Array | None:
+        """Return the residual maker I - B B', shape (n m, n m); None for too many rows."""
         rows, p = len(self.y), len(self.prior)
-        if rows > self._memory.rows or self._kept is None:
+        if rows > self._memory.max_observation_rows or self._cached_columns is None:
             return None
-        if rows > p and self._pulled is not None:
-            return np.asarray(np.eye(rows) - self._pulled @ self._pulled.T)
+        if rows > p and self._hat_root is not None:
+            return np.asarray(np.eye(rows) - self._hat_root @ self._hat_root.T)
         first = p - self.combined.width
-        Q, _ = axes_of_base(self._kept[:, :first], 1 / self.prior[:first])
-        wide = self._kept[:, first:] * self.prior[first:]
-        return np.asarray((np.linalg.inv(beside_base(Q, wide @ wide.T)) - Q @ Q.T)[:rows, :rows])
+        Q, _ = axes_of_base(self._cached_columns[:, :first], 1 / self.prior[:first])
+        wide = self._cached_columns[:, first:] * self.prior[first:]
+        return np.asarray((np.linalg.inv(covariance_given_base(Q, wide @ wide.T)) - Q @ Q.T)[:rows, :rows])
 
     @cached_property
-    def _missed(self) -> Array:
-        """What the priors' mean leaves, white, shape (n m,)."""
-        return self._left(self.mean)
+    def _residual_of_prior_mean(self) -> Array:
+        """Return the whitened residual at the prior mean, shape (n m,)."""
+        return self._whitened_residual(self.mean)
 
     @cached_property
-    def rest(self) -> Array:
-        """What the fit to all blocks leaves, white, shape (n m,)."""
-        return self._left(self.x)
+    def whitened_residual(self) -> Array:
+        """Return the whitened residual of the fit to all blocks, shape (n m,)."""
+        return self._whitened_residual(self.x)
 
-    def without(self, blocks: Array) -> Array:
-        """What is left at some blocks by a fit to all others, shape (len(blocks), m)."""
+    def residual_without(self, blocks: Array) -> Array:
+        """Return the residual of some blocks for a fit to all others, shape (len(blocks), m)."""
         rows = self._rows(blocks)
-        whole = self._left_of
-        if whole is not None:  # what all blocks leave, freed of these blocks' own pull on the fit
-            left = np.linalg.solve(whole[np.ix_(rows, rows)], whole[rows] @ self._missed)
-        elif len(rows) < len(self.prior) and self._pulled is not None:
-            B = self._pulled[rows]
-            left = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.rest[rows])
+        maker = self._residual_maker
+        if maker is not None:  # the deletion formula in the space of observations
+            residual = np.linalg.solve(maker[np.ix_(rows, rows)], maker[rows] @ self._residual_of_prior_mean)
+        elif len(rows) < len(self.prior) and self._hat_root is not None:
+            B = self._hat_root[rows]
+            residual = np.linalg.solve(np.eye(len(rows)) - B @ B.T, self.whitened_residual[rows])
         else:
             A, y = self._columns_of(blocks), self.y[rows]
-            left = y - A @ self._solution(self.sums.less(normal_sums(y, A)))
-        return np.asarray(np.linalg.solve(self.W[blocks], self._by_block(left))[:, :, 0])
+            residual = y - A @ self._solution(self.sums.less(normal_sums(y, A)))
+        return np.asarray(np.linalg.solve(self.W[blocks], self._by_block(residual))[:, :, 0])
 
-    def alone(self) -> Array:
-        """What is left at each block by a fit to all others, shape (n, m)."""
-        if self._left_of is not None:
-            return np.concatenate([self.without(np.array([k])) for k in range(len(self.W))])
-        pull = self.pull(np.arange(len(self.W)))
-        left = np.linalg.solve(np.eye(self.numbers) - pull, self._by_block(self.rest))
-        return np.asarray(np.linalg.solve(self.W, left)[:, :, 0])
+    def leave_one_out_residuals(self) -> Array:
+        """Return the residual of each block for a fit to all other blocks, shape (n, m)."""
+        if self._residual_maker is not None:
+            return np.concatenate([self.residual_without(np.array([k])) for k in range(len(self.W))])
+        leverage = self.leverage(np.arange(len(self.W)))
+        residual = np.linalg.solve(np.eye(self.rows_per_block) - leverage, self._by_block(self.whitened_residual))
+        return np.asarray(np.linalg.solve(self.W, residual)[:, :, 0])
 
 
 def _blocks(B: Array) -> Array:
-    """Each block's own block of B B', shape (n, m, m); B : shape (n, m, p)."""
+    """Return the diagonal blocks of B B', shape (n, m, m); B : shape (n, m, p)."""
     return np.asarray(B @ B.transpose(0, 2, 1))
 
 
-def beside_base(Q: Array, K: Array) -> Array:
-    """Covariance of white rows, and of those of the base's priors, orthogonal to the base: one, and what causes do.
+def covariance_given_base(Q: Array, K: Array) -> Array:
+    """Return the prior covariance of whitened rows orthogonal to the base: identity plus causes.
 
-    Q : axes of the base, shape (rows + P, P); K : what the causes do by their priors, shape (rows, rows)
+    Q : orthonormal basis of the base with its prior rows, shape (rows + P, P)
+    K : prior covariance of the rows by the causes, shape (rows, rows)
     """
     whole = np.zeros((len(Q), len(Q)))
     whole[: len(K), : len(K)] = K

@@ -1,4 +1,4 @@
-"""Values of the noise's sigma and ratios and of a cause's size, and log likelihoods over them."""
+"""Grid of noise levels, noise ratios and effect sizes, and log-likelihood gains over it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,16 +7,18 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# A sigma counts where the log likelihood may come within so much of a group's greatest one.
-NEGLIGIBLE = 40.0
+# Log likelihoods that are lower than a group's greatest one by more than this [nats] are not
+# computed.
+SIGMA_LOG_LIKELIHOOD_WINDOW = 40.0
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Values at which a model is judged.
+    """Grid over which the likelihood of a model is computed and integrated.
 
-    sigmas : of white noise, rising, in units of the residual; ratios : of each noise component over sigma, by name,
-        shape (points,) each; kappas : sizes of a cause in units of its usual one, rising
+    sigmas : standard deviations of the white noise, rising, in the unit of the residual
+    ratios : standard deviation of each noise component over sigma, by name, shape (points,) each
+    kappas : sizes of a cause in units of its typical size, rising
     """
 
     sigmas: Array
@@ -25,28 +27,32 @@ class Grid:
 
     @property
     def points(self) -> int:
-        """How many combinations of ratios there are."""
+        """Return the number of combinations of noise ratios."""
         return len(next(iter(self.ratios.values()))) if self.ratios else 1
 
     def at(self, point: int) -> dict[str, float]:
-        """The ratios of one point, by component."""
+        """Return the noise ratios of one grid point, by component."""
         return {name: float(values[point]) for name, values in self.ratios.items()}
 
 
-def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, turned: Array) -> Array:
-    """Log likelihood with groups of columns, shape (groups, sigmas, kappas), from that without, shape (sigmas,).
+def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projected: Array) -> Array:
+    """Return the log likelihood with each group of columns, shape (groups, sigmas, kappas).
 
-    sigmas : of the noise [m]; kappas : sizes of the cause in units of its usual one, rising
-    value, turned : eigenvalues of their visible products, and products with what is left, shapes (groups, width)
-    Only at sigmas where it counts; it is minus infinity at the others (see `NEGLIGIBLE`).
+    sigmas : of the white noise, in the unit of the residual
+    kappas : sizes of the cause in units of its typical size, rising
+    log_base : log likelihood without any of the groups, shape (sigmas,)
+    value : eigenvalues of each group's Gram matrix, whitened and orthogonal to the base, shape
+        (groups, width)
+    projected : products of the residual with its eigenvectors, shape (groups, width)
+    Sigmas at which it is negligible get minus infinity (see `SIGMA_LOG_LIKELIHOOD_WINDOW`).
     """
-    value, square = np.maximum(value, 0), turned**2
-    # An upper bound: the gain at the greatest kappa, without what its width costs.
+    value, square = np.maximum(value, 0), projected**2
+    # This is an upper bound: the gain at the greatest kappa without the penalty of its determinant.
     bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
     best = bound.argmax(axis=1)
     unit = (sigmas[best, None] / kappas) ** 2
     least = log_base[best] + gain(unit, sigmas[best, None], value, square).max(axis=1)
-    likely = np.flatnonzero((bound > least[:, None] - NEGLIGIBLE).any(axis=0))
+    likely = np.flatnonzero((bound > least[:, None] - SIGMA_LOG_LIKELIHOOD_WINDOW).any(axis=0))
     out = np.full((len(value), len(sigmas), len(kappas)), -np.inf)
     unit, own = ((sigmas[likely, None] / kappas) ** 2).ravel(), np.repeat(sigmas[likely], len(kappas))
     gained = gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
@@ -55,7 +61,7 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, turned
 
 
 def _explained(unit: Array, value: Array, square: Array) -> Array:
-    """Sum of squares / (unit + value) over a group's directions, shape (groups, units)."""
+    """Return the sum of square / (unit + value) over directions, shape (groups, units)."""
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
         total += s / (unit + v)
@@ -63,14 +69,18 @@ def _explained(unit: Array, value: Array, square: Array) -> Array:
 
 
 def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Array:
-    """What groups gain in log likelihood, shape (groups, units); unit : squared sigma over kappa."""
+    """Return the gain in log likelihood of each group of columns, shape (groups, units).
+
+    unit : (sigma / kappa)^2
+    value : eigenvalues of the group's Gram matrix; square : squared products with the residual
+    """
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     product, log = np.ones_like(total), np.zeros_like(total)
     for k, (v, s) in enumerate(zip(value.T[:, :, None], square.T[:, :, None], strict=True), 1):
         wide = unit + v
         total += s / wide
         product *= wide
-        # Factors of a determinant that are multiplied before a logarithm is taken.
+        # Eight factors of the determinant are multiplied before a logarithm is taken, for speed.
         if k % 8 == 0 or k == value.shape[1]:
             log += np.log(product)
             product[:] = 1.0

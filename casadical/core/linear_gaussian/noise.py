@@ -1,8 +1,9 @@
-"""Noise of rows in blocks: white, named components that the rows of a block share, and what stays from block to block.
+"""Noise of rows in blocks: white noise, components that rows of a block share, and AR(1) noise.
 
-A block's covariance is sigma^2 (I + sum_k rho_k^2 A_k A_k'): component k has sources (the joints of a robot, say) whose
-independent deviations of rho_k sigma reach the rows through A_k. Noise that follows itself keeps a share of the block
-before it.
+A block's covariance is sigma^2 (I + sum_k rho_k^2 A_k A_k'): component k has sources (for example
+the joints of a robot) whose independent deviations of standard deviation rho_k sigma reach the rows
+through A_k. Autocorrelated noise (`SerialNoise`) is a first-order autoregressive process over the
+blocks.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,57 +13,73 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Of a component: over sigma, alike for all of its sources, or of each of them, shape (sources,).
+# Standard deviation of a component's sources divided by sigma: one for all, or one each, shape
+# (sources,).
 Ratio = float | Array
 
 
 @dataclass(frozen=True, eq=False)
 class Whitening:
-    """At one noise: W of each block with W C W' = I, shape (n, m, m), and the log determinant of all C together."""
+    """Whitening matrices of all blocks at one noise level.
+
+    W : matrix of each block with W C W' = I for its covariance C, shape (n, m, m)
+    log_det : log determinant of the covariance of all blocks together
+    """
 
     W: Array
     log_det: float
 
     def __matmul__(self, rows: Array) -> Array:
-        """White rows; rows : shape (n, m, columns)."""
+        """Return the whitened rows; rows : shape (n, m, columns)."""
         return np.asarray(self.W @ rows)
 
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """Axes of each block in which the noise is independent at several points of a grid.
+    """Eigenvectors of each block's noise covariance, common to several points of the noise grid.
 
-    points : numbers of these points, rising; turn : axes as columns, shape (n, m, m)
-    precision : of each axis in units of 1 / sigma^2, shape (points, n, m); log_det : of the covariance, shape (points,)
-    plain : whether the axes are the rows themselves, for they share no noise
+    points : indices of these grid points, rising
+    rotation : eigenvectors as columns, shape (n, m, m)
+    precision : of each eigenvector in units of 1 / sigma^2, shape (points, n, m)
+    log_det : log determinant of the covariance in units of sigma^2, shape (points,)
+    plain : whether the noise of all rows is independent, so that rotating them is unnecessary
     """
 
     points: tuple[int, ...]
-    turn: Array
+    rotation: Array
     precision: Array
     log_det: Array
     plain: bool = False
 
-    def turned(self, rows: Array, blocks: slice = slice(None)) -> Array:
-        """Rows of some blocks in the axes; rows : shape (n, m, columns)."""
+    def rotated(self, rows: Array, blocks: slice = slice(None)) -> Array:
+        """Return rows of some blocks rotated into the eigenbasis; rows : shape (n, m, columns)."""
         if self.plain:
             return rows
-        return np.asarray(self.turn[blocks].transpose(0, 2, 1) @ rows)
+        return np.asarray(self.rotation[blocks].transpose(0, 2, 1) @ rows)
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """Noise of n blocks of m rows; components : A of each by name, shape (n, m, sources)."""
+    """White noise and components of n blocks of m rows.
+
+    shape : (n, m)
+    components : matrix A of each component by name, shape (n, m, sources)
+    """
 
     shape: tuple[int, int]
     components: Mapping[str, Array]
 
     def at(self, blocks: Array | slice) -> "NoiseModel":
+        """Return the noise model of some of the blocks."""
         components = {name: A[blocks] for name, A in self.components.items()}
         return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
 
     def covariance(self, ratios: Mapping[str, Ratio], white: float = 1.0) -> Array:
-        """Of each block, shape (n, m, m), in units of sigma^2; or with one sigma of everything as ratios and white."""
+        """Return the covariance of each block, shape (n, m, m), in units of sigma^2.
+
+        Given standard deviations in place of `ratios` and `white`, the result is in their unit
+        squared.
+        """
         n, m = self.shape
         total = np.tile(white**2 * np.eye(m), (n, 1, 1))
         for name, ratio in ratios.items():
@@ -71,13 +88,16 @@ class NoiseModel:
         return total
 
     def whitening(self, ratios: Mapping[str, Ratio]) -> Whitening:
-        """What makes noise of variance sigma^2 of it, in units of sigma."""
+        """Return the whitening after which every row has independent noise of variance sigma^2."""
         return whitening_of(self.covariance(ratios))
 
     def axes(self, ratios: Mapping[str, Array]) -> list[Axes]:
-        """Axes for all points of a grid; ratios : by component, shape (points,) each.
+        """Return the eigenbases for all points of a grid.
 
-        One component has the same axes at every ratio, so that rows are turned once; several have others at each point.
+        ratios : by component, shape (points,) each
+
+        A single component has the same eigenvectors at every ratio, so that rows are rotated once;
+        with several components every point has its own.
         """
         count = len(next(iter(ratios.values()))) if ratios else 1
         if len(ratios) > 1:
@@ -87,63 +107,72 @@ class NoiseModel:
         return [_axes(each[0], range(count), np.concatenate([*ratios.values(), np.zeros(0 if ratios else 1)]))]
 
     def mean_variance(self, ratios: Mapping[str, float], rows: float) -> float:
-        """Mean over the measured rows of the noise's variance in units of sigma^2; rows : how many were measured."""
+        """Return the mean noise variance of the measured rows in units of sigma^2.
+
+        rows : number of measured rows
+        """
         return 1 + sum(ratio**2 * float((self.components[k] ** 2).sum()) for k, ratio in ratios.items()) / rows
 
 
 def _axes(shared: Array, points: Sequence[int], ratios: Array) -> Axes:
-    """Axes of I + ratio^2 * shared; shared : shape (n, m, m)."""
-    square, turn = np.linalg.eigh(shared)
+    """Return the eigenbasis of I + ratio^2 * shared for every ratio; shared : shape (n, m, m)."""
+    square, rotation = np.linalg.eigh(shared)
     variance = np.multiply.outer(ratios**2, np.maximum(square, 0.0))
-    return Axes(tuple(points), turn, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
+    return Axes(tuple(points), rotation, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
 
 
 def whitening_of(covariance: Array) -> Whitening:
-    """What makes noise of a covariance white, shape (n, m, m)."""
+    """Return the whitening of noise with a covariance of shape (n, m, m), by Cholesky factors."""
     L = np.linalg.cholesky(covariance)
     return Whitening(np.linalg.inv(L), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()))
 
 
 @dataclass(frozen=True, eq=False)
 class SerialNoise:
-    """Noise that keeps a share of what it was at the block before; without that share, times a weight, it is white.
+    """Autocorrelated (AR(1)) noise: (row - ar_coefficient * previous row) * weight is white.
 
-    stays : the share, zero where a run of blocks begins; weight : shapes (n,), or (n, m) of each row
+    ar_coefficient : share of the previous block's noise, zero where a run of blocks begins
+    weight : inverse standard deviation of the innovations
+    Both have shape (n,), or (n, m) for each row.
     """
 
-    stays: Array
+    ar_coefficient: Array
     weight: Array
 
     @property
-    def follows(self) -> bool:
-        """Whether anything stays at all."""
-        return bool(self.stays.any())
+    def is_autocorrelated(self) -> bool:
+        """Return whether any AR coefficient differs from zero."""
+        return bool(self.ar_coefficient.any())
 
-    def white(self, rows: Array) -> Array:
-        """Rows of all blocks whitened, shape (n, m, ...)."""
-        stays, weight = (a.reshape(*a.shape, *[1] * (rows.ndim - a.ndim)) for a in (self.stays, self.weight))
+    def whiten(self, rows: Array) -> Array:
+        """Return the whitened rows of all blocks, shape (n, m, ...)."""
+        ar_coefficient, weight = (
+            a.reshape(*a.shape, *[1] * (rows.ndim - a.ndim)) for a in (self.ar_coefficient, self.weight)
+        )
         out = np.array(rows)
-        if self.follows:
-            out[1:] -= stays[1:] * rows[:-1]
+        if self.is_autocorrelated:
+            out[1:] -= ar_coefficient[1:] * rows[:-1]
         out *= weight
         return out
 
-    def pulled(self, white: Array) -> Array:
-        """What products with white rows are products with: white(rows) * white and rows * this sum alike.
+    def whiten_transposed(self, white: Array) -> Array:
+        """Return W' white for the whitening W: sum(whiten(rows) * white) = sum(rows * result).
 
         white : of all blocks, shape (n, m)
         """
-        weight, stays = (a.reshape(len(white), -1) for a in (self.weight, self.stays))
+        weight, ar_coefficient = (a.reshape(len(white), -1) for a in (self.weight, self.ar_coefficient))
         out = weight * white
-        out[:-1] -= stays[1:] * out[1:]
+        out[:-1] -= ar_coefficient[1:] * out[1:]
         return np.asarray(out)
 
 
-def serial_noise(stays: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
-    """Noise that is as large at the begin of a run as later, an AR(1) process in its steady state.
+def serial_noise(ar_coefficient: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
+    """Return stationary AR(1) noise: its variance at the begin of a run is that of later blocks.
 
-    stays : the share that stays; first : whether a run begins at a block; weight : of each, one over the noise; shapes
-        (n,), or (n, m) of each row, or what numpy broadcasts to either
+    ar_coefficient : share of the previous block's noise, -1 to 1
+    first : whether a run begins at a block
+    weight : inverse standard deviation of each block's noise
+    The shapes are (n,), or (n, m) for each row, or broadcastable to either.
     """
-    share = np.where(first, 0.0, stays)
+    share = np.where(first, 0.0, ar_coefficient)
     return SerialNoise(share, weight / np.sqrt(1 - share**2))

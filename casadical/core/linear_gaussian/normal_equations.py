@@ -1,4 +1,4 @@
-"""Normal equations: sums of products of white rows, and parameters that join a model by them."""
+"""Normal equations: sums of products of whitened rows, and adding parameters to a model by them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,13 @@ from casadical.core.basics import Array
 
 @dataclass(frozen=True, eq=False)
 class NormalSums:
-    """Of white rows A and residual y: H = A'A, g = A'y, y'y, and how many were measured; blocks may be taken off."""
+    """Sums of products of whitened rows A and residual y, which can be added and subtracted.
+
+    H : A'A, shape (p, p)
+    g : A'y, shape (p,)
+    square : y'y
+    count : number of rows
+    """
 
     H: Array
     g: Array
@@ -22,30 +28,36 @@ class NormalSums:
     count: int
 
     def plus(self, other: NormalSums) -> NormalSums:
+        """Return the sums of the rows of both."""
         return NormalSums(self.H + other.H, self.g + other.g, self.square + other.square, self.count + other.count)
 
     def less(self, other: NormalSums) -> NormalSums:
-        """Without the rows of another one."""
+        """Return the sums without the rows of another one."""
         return NormalSums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
 
     def moved(self, x: Array) -> NormalSums:
-        """With y + A x as the residual."""
+        """Return the sums with y + A x as the residual."""
         return NormalSums(self.H, self.g + self.H @ x, self.square + 2 * x @ self.g + x @ self.H @ x, self.count)
 
 
 def normal_sums(y: Array, A: Array) -> NormalSums:
-    """Of white rows; y : shape (n, m) or (rows,), A : shape (n, m, p) or (rows, p)."""
+    """Return the normal sums of whitened rows.
+
+    y : residual, shape (n, m) or (rows,); A : shape (n, m, p) or (rows, p)
+    """
     rows, left = A.reshape(-1, A.shape[-1]), y.ravel()
     return NormalSums(rows.T @ rows, rows.T @ left, float(left @ left), len(left))
 
 
 @dataclass(frozen=True, eq=False)
 class Joined:
-    """Parameters that joined a model at one noise.
+    """Parameters added to a model at one noise level, by a Schur complement.
 
-    L, scale : Cholesky factor of their scaled normal matrix beside those before, and what scales it
-    z : what they take up in the axes of `root`, shape (new,)
-    square, log_norm : of the residual, what is left; of the log likelihood, what does not depend on sigma
+    L, scale : Cholesky factor of their scaled normal matrix given the parameters before, and its
+        scale, shape (new,)
+    z : solution in the orthonormal axes of `root`, shape (new,)
+    square : squared norm of the whitened residual with them in the model
+    log_norm : term of the log likelihood that does not depend on sigma
     """
 
     L: Array
@@ -56,26 +68,30 @@ class Joined:
 
     @cached_property
     def root(self) -> Array:
-        """Of the inverse of their normal matrix, shape (new, new)."""
+        """Return a root R of the inverse R'R of their normal matrix, shape (new, new)."""
         return np.asarray(inverse_of_triangle(self.L) * self.scale)
 
 
 def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joined:
-    """How parameters join a model.
+    """Return a model's update by additional parameters.
 
-    normal : beside what is in the model, shape (new, new); right : products with what was left, shape (new,)
-    square, log_norm : of the model before
+    normal : their normal matrix given the parameters in the model, priors included, shape (new,
+        new)
+    right : their products with the residual of the model before, shape (new,)
+    square, log_norm : of the model before (see `Joined`)
     """
-    # A parameter whose column is long is scaled first, so that rank is judged fairly.
+    # Scaled to unit diagonal, so that rank does not depend on the units of the parameters.
     scale = 1 / np.sqrt(np.diag(normal))
     L, z = reduced(normal * np.outer(scale, scale), scale * right)
     return Joined(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
 
 
-def without_others(H: Array, g: Array, kept: Array, inverse: Array) -> tuple[Array, Array]:
-    """Information and score of some parameters, the others integrated.
+def marginalised(H: Array, g: Array, kept: Array, inverse: Array) -> tuple[Array, Array]:
+    """Return information matrix and score of some parameters with the others marginalised.
 
-    H, g : of all; kept : numbers of those asked for; inverse : of the others' H with their prior, in rising order
+    H, g : information and score of all parameters, shapes (p, p), (p,)
+    kept : indices of the parameters asked for
+    inverse : inverse of the others' H with their prior precision, their indices rising
     """
     rest = np.setdiff1d(np.arange(len(g)), kept)
     own = inverse @ H[np.ix_(rest, kept)]
@@ -88,16 +104,19 @@ def inverse_of_triangle(L: Array) -> Array:
 
 
 def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
-    """Cholesky factor L of a normal matrix, shape (p, p), and the solution z of L z = right, in one factorisation.
+    """Return the Cholesky factor L of a normal matrix and the solution z of L z = right.
 
-    normal : of unit diagonal. Raises numpy.linalg.LinAlgError where it is not positive definite, beyond round-off.
+    normal : of unit diagonal, shape (p, p). Raises numpy.linalg.LinAlgError where it is not
+        positive definite, beyond round-off.
     """
     L = _factor(normal)
     return L, solve_triangular(L, right, lower=True)
 
 
 def root_of_inverse(normal: Array) -> Array:
-    """A root R of the inverse R' R of a normal matrix, shape (p, p), scaled first so that rank is judged fairly.
+    """Return a root R of the inverse R'R of a normal matrix, shape (p, p).
+
+    The matrix is scaled to unit diagonal first, so that its rank is judged independently of units.
 
     Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
@@ -106,15 +125,15 @@ def root_of_inverse(normal: Array) -> Array:
 
 
 def inverse_of(normal: Array) -> Array:
-    """Inverse of a normal matrix, shape (p, p), as `root_of_inverse`: symmetric to the last bit."""
+    """Return the inverse of a normal matrix, shape (p, p), symmetric to the last bit."""
     root = root_of_inverse(normal)
     return np.asarray(root.T @ root)
 
 
 def _factor(normal: Array) -> Array:
+    """Return the Cholesky factor of a normal matrix of unit diagonal."""
     try:
         return np.linalg.cholesky(normal)
     except np.linalg.LinAlgError:
-        # What round-off may take from a matrix of unit diagonal: where it is not positive definite,
-        # so much is added.
+        # Round-off may take this much from a matrix of unit diagonal; it is added to its diagonal.
         return np.linalg.cholesky(normal + 1e-10 * np.eye(len(normal)))

@@ -2,8 +2,8 @@
 
 In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so
 that columns are rotated once and weighted for each point. Products are accumulated some blocks at a
-time and when they are asked for, so that memory does not grow with blocks times columns. Where a few
-blocks turn out to be outliers, or none, their sums are subtracted or added.
+time and when they are asked for, so that memory does not grow with blocks times columns. When
+blocks become outliers or inliers, their sums are subtracted or added.
 """
 
 from __future__ import annotations
@@ -15,21 +15,24 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Columns, Factors, as_slice, combined
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Factors, as_slice, combined
 from casadical.core.linear_gaussian.noise import Axes
 
 if TYPE_CHECKING:
     from casadical.core.linear_gaussian.model import LinearModel
 
-# Groups of so many columns are added up one by one, at the points that are asked for.
-WIDE = 64
+# Narrow groups, of up to this many columns, are accumulated together at all points; wider ones one
+# by one.
+MAX_NARROW_GROUP_COLUMNS = 64
 
 
 class GridSums:
-    """Of one problem's residual, base columns and columns.
+    """Whitened Gram matrices of base, residual and columns at every point of the noise grid.
 
-    base : products of the base columns and the residual, shape (points, P + 1, P + 1); zero at points that are not near
-    log_det : log determinant of the noise's covariance in units of sigma, shape (points,)
+    E : the columns
+    base : Gram matrix of the base columns and the residual, shape (points, P + 1, P + 1); zero at
+        points that are not `near`
+    log_det : log determinant of the noise covariance in units of sigma^2, shape (points,)
     """
 
     def __init__(self, model: LinearModel) -> None:
@@ -41,77 +44,78 @@ class GridSums:
         self.base = np.zeros((self._points, width, width))
         for blocks in self._slices(width):
             for axes in self._axes:
-                turned = self._turned_base(axes, blocks)
+                rotated = self._rotated_base(axes, blocks)
                 for k, precision in zip(axes.points, axes.precision[:, blocks], strict=True):
                     if k in model.near:
-                        white = (turned * np.sqrt(precision[:, :, None])).reshape(-1, width)
+                        white = (rotated * np.sqrt(precision[:, :, None])).reshape(-1, width)
                         self.base[k] += white.T @ white
-        self._forget()
+        self._reset_cache()
 
-    def _forget(self) -> None:
-        """Nothing is known of the columns."""
+    def _reset_cache(self) -> None:
+        """Empty the caches of products with the columns."""
         self._columns: Array | None = None
         self._own: dict[bytes, Array] = {}
         self._wide: dict[tuple[bytes, int], Array] = {}
-        self._cross: dict[tuple[int, int, int], KnownRows] = {}
+        self._cross: dict[tuple[int, int, int], CachedRows] = {}
 
-    def of_others(self, columns: Columns) -> GridSums:
-        """Sums of the same residual and base with other columns."""
+    def with_other_columns(self, columns: Columns) -> GridSums:
+        """Return the sums of the same residual and base with other columns."""
         more = copy(self)
         more.E = columns
-        more._forget()
+        more._reset_cache()
         return more
 
-    def _turned_base(self, axes: Axes, blocks: slice) -> Array:
-        """The base columns and the residual of some blocks in some axes, shape (blocks, m, P + 1)."""
-        return axes.turned(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
+    def _rotated_base(self, axes: Axes, blocks: slice) -> Array:
+        """Return base columns and residual of some blocks, rotated, shape (blocks, m, P + 1)."""
+        return axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
     @property
     def rows(self) -> int:
+        """Return the number of rows of all blocks."""
         return int(np.prod(self._shape))
 
     @property
     def columns(self) -> Array:
-        """Products of all columns with the base columns and the residual, shape (columns, points, P + 1)."""
+        """Return products of all columns with base and residual, (columns, points, P + 1)."""
         if self._columns is None:
-            self._columns = self._by_base(self.E)
+            self._columns = self._products_with_base(self.E)
         return self._columns
 
     def extend(self, known: GridSums) -> None:
-        """Take over sums of the same blocks and the first of the columns."""
+        """Take over the sums of a model with the same blocks and the first of these columns."""
         width = known.E.shape[2]
         self._own, self._wide = dict(known._own), dict(known._wide)
         self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in known._cross.items()}
         self._columns = known.columns
         if self.E.shape[2] > width:
-            self._columns = np.concatenate([known.columns, self._by_base(self.E.after(width))])
+            self._columns = np.concatenate([known.columns, self._products_with_base(self.E.after(width))])
 
     def move(self, known: GridSums, lost: GridSums, gained: GridSums) -> None:
-        """Take over sums of other blocks: known ones without some that are lost, with some that are gained."""
+        """Take over the sums of a model with other blocks, minus the lost, plus the gained ones."""
         parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
         self._columns = known.columns + sum(sign * part.columns for sign, part in parts)
         groups = [np.frombuffer(key, dtype=np.int64) for key in known._own]
         for _, part in parts:
-            part.add_own(groups)
+            part.add_gram_matrices(groups)
         self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in known._own.items()}
         for (key, k), own in known._wide.items():
             group = np.frombuffer(key, dtype=np.int64)
-            self._wide[key, k] = own + sum(sign * part.wide(group, k) for sign, part in parts)
+            self._wide[key, k] = own + sum(sign * part.wide_gram_matrix(group, k) for sign, part in parts)
         alike: dict[tuple[bytes, int], list[Array]] = {}
         for (first, last, k), cross in known._cross.items():
             alike.setdefault((cross.known.tobytes(), k), []).append(np.arange(first, last + 1))
         for (key, k), runs in alike.items():
             at = np.frombuffer(key, dtype=np.int64)
             for _, part in parts:
-                part.cross(runs, [k], at)
+                part.add_cross_products(runs, [k], at)
             for run in runs:
                 cross = known._cross[_key(run, k)]
-                self._cross[_key(run, k)] = more = KnownRows(len(cross.place), cross.numbers)
+                self._cross[_key(run, k)] = more = CachedRows(len(cross.place), cross.numbers)
                 more.add(at, cross[at] + sum(sign * part._cross[_key(run, k)][at] for sign, part in parts))
 
-    def add_own(self, groups: Iterable[Array]) -> None:
-        """Add up the products of each narrow group's columns among themselves, all in one go."""
-        new = {g.tobytes(): g for g in groups if len(g) <= WIDE and g.tobytes() not in self._own}
+    def add_gram_matrices(self, groups: Iterable[Array]) -> None:
+        """Accumulate and cache the Gram matrices of narrow groups, in one pass over the blocks."""
+        new = {g.tobytes(): g for g in groups if len(g) <= MAX_NARROW_GROUP_COLUMNS and g.tobytes() not in self._own}
         by_width: dict[int, list[Array]] = {}
         for g in new.values():
             by_width.setdefault(len(g), []).append(g)
@@ -124,9 +128,9 @@ class GridSums:
         for blocks in self._parts(E):
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
-                for rows, columns, by_column in _by_rows(F, axes.turned(levers, blocks)):
+                for rows, columns, by_column in _by_rows(F, axes.rotated(levers, blocks)):
                     weights = axes.precision[:, blocks, rows].transpose(0, 2, 1).reshape(len(axes.points), -1)
-                    place = np.full(len(used), len(columns))  # behind the last of them is nothing
+                    place = np.full(len(used), len(columns))  # the index past the last column is a column of zeros
                     place[columns] = np.arange(len(columns))
                     for w, which in stacks.items():
                         there = place[np.searchsorted(used, which)]
@@ -139,12 +143,14 @@ class GridSums:
             for i, g in enumerate(which):
                 self._own[g.tobytes()] = totals[w][:, i]
 
-    def own(self, groups: Sequence[Array]) -> Array:
-        """These products of groups of one width, shape (groups, points, width, width)."""
+    def gram_matrices(self, groups: Sequence[Array]) -> Array:
+        """Return the cached Gram matrices of groups of one width, (groups, points, width,
+        width).
+        """
         return np.stack([self._own[g.tobytes()] for g in groups])
 
-    def wide(self, group: Array, k: int) -> Array:
-        """Products of a wide group's columns, combined, among themselves at one point, shape (width, width)."""
+    def wide_gram_matrix(self, group: Array, k: int) -> Array:
+        """Return the Gram matrix of a wide group's combinations at one point, (width, width)."""
         key = group.tobytes(), k
         if key not in self._wide:
             E, every = self.E.only(group), combined(group, self.E.directions)
@@ -155,43 +161,48 @@ class GridSums:
             self._wide[key] = total[:, 0]
         return self._wide[key]
 
-    def widest(self, columns: Array) -> Array:
-        """The widest group among some columns whose own products are known; none where there is none."""
+    def widest_cached_group(self, columns: Array) -> Array:
+        """Return the widest group among some columns with a cached Gram matrix, or an empty one."""
         groups = [np.frombuffer(key, dtype=np.int64) for key, _ in self._wide]
         return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
 
-    def crossed(self, columns: Array, points: Sequence[int], wanted: Array) -> dict[int, Array]:
-        """Products of wanted columns with some others, combined, at some points, shape (wanted, width); kept by runs.
+    def cross_products(self, columns: Array, points: Sequence[int], wanted: Array) -> dict[int, Array]:
+        """Return products of wanted columns with combinations of others, (wanted, width), by point.
 
-        wanted : in rising order, all columns of a cause or none
+        columns : the others, indices rising; their products are cached by runs of consecutive
+            indices
+        points : indices of the grid points
+        wanted : indices rising, all columns of a cause or none
         """
         firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
         apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
         runs = np.split(columns, np.flatnonzero(apart) + 1)
-        self.cross(runs, points, wanted)
+        self.add_cross_products(runs, points, wanted)
         return {k: np.concatenate([self._cross[_key(run, k)][wanted] for run in runs], axis=1) for k in points}
 
-    def cross(self, runs: Sequence[Array], points: Sequence[int], wanted: Array) -> None:
-        """Make known the products of wanted columns with runs of columns, those of which as much is unknown in one go.
+    def add_cross_products(self, runs: Sequence[Array], points: Sequence[int], wanted: Array) -> None:
+        """Cache the products of wanted columns with runs of columns.
 
-        runs : in rising order each, no two overlapping
+        Runs that lack the same columns are accumulated in one pass over the blocks.
+
+        runs : indices, rising in each run; no two runs overlap
         """
         lacking: dict[bytes, tuple[Array, list[Array]]] = {}
         for run in runs:
             for k in points:
                 if (key := _key(run, k)) not in self._cross:
                     every = combined(run, self.E.directions)
-                    self._cross[key] = known = KnownRows(self.E.shape[2], every.width)
-                    if len(run) > WIDE:
-                        known.add(run, every.values(self.wide(run, k)))
+                    self._cross[key] = known = CachedRows(self.E.shape[2], every.width)
+                    if len(run) > MAX_NARROW_GROUP_COLUMNS:
+                        known.add(run, every.values(self.wide_gram_matrix(run, k)))
             unknown = np.max([self._cross[_key(run, k)].place[wanted] < 0 for k in points], axis=0)
             if unknown.any():
                 lacking.setdefault(unknown.tobytes(), (wanted[unknown], []))[1].append(run)
         for new, some in lacking.values():
-            self._add_crossed(sorted(some, key=lambda run: int(run[0])), new, points)
+            self._accumulate_cross_products(sorted(some, key=lambda run: int(run[0])), new, points)
 
-    def _add_crossed(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
-        """Add up products of new columns with runs, at some points, in one go."""
+    def _accumulate_cross_products(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
+        """Accumulate products of new columns with runs at some points, in one pass."""
         columns = np.concatenate(runs)
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
@@ -203,20 +214,22 @@ class GridSums:
             for i, k in enumerate(points):
                 self._cross[_key(run, k)].add(new, total[:, i, start:end])
 
-    def _by_base(self, E: Columns) -> Array:
+    def _products_with_base(self, E: Columns) -> Array:
+        """Return products of columns with base and residual, shape (columns, points, P + 1)."""
         numbers = self.base.shape[1]
         total = np.zeros((E.shape[2], self._points, numbers))
         for blocks in self._parts(E):
             F, levers = E.factors(blocks), E.levers(blocks)
             for axes in self._axes:
-                turned = self._turned_base(axes, blocks)
-                U, points = axes.turned(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
-                alone = _each_alone(U)
+                rotated = self._rotated_base(axes, blocks)
+                U, points = axes.rotated(levers, blocks), slice(axes.points[0], axes.points[-1] + 1)
+                diagonal = _has_diagonal_levers(U)
                 precision = axes.precision[:, blocks].transpose(1, 0, 2)
                 for s, columns, values in F.blocks:
-                    # What the variable in between does, times the base's columns, at each point.
-                    rows = slice(s, s + 1) if alone else EVERY
-                    across = (precision[:, :, rows] * U[:, None, rows, s]) @ turned[:, rows]
+                    # Weighted products of this variable's lever with the base columns, at each
+                    # point.
+                    rows = slice(s, s + 1) if diagonal else WHOLE_AXIS
+                    across = (precision[:, :, rows] * U[:, None, rows, s]) @ rotated[:, rows]
                     product = values @ across.reshape(len(U), -1)
                     total[as_slice(columns), points] += product.reshape(len(values), -1, numbers)
         return total
@@ -224,55 +237,61 @@ class GridSums:
     def _add_products(
         self, total: Array, F: Factors, G: Factors, levers: Array, blocks: slice, points: Sequence[int]
     ) -> None:
-        """Add products of columns F with columns G at some blocks, at some points, to shape (F, points, G)."""
-        for axes, own, at in self._axes_of(points):
-            _add_weighted(total, F, G, axes.turned(levers, blocks), axes.precision[own, blocks], at)
+        """Add products of columns F and G at some blocks to `total`, shape (F, points, G)."""
+        for axes, own, at in self._axes_at(points):
+            _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], at)
 
-    def _axes_of(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
-        """The axes of some points: which of its own these are, and where they stand among those asked for."""
+    def _axes_at(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
+        """Yield the eigenbases of some points, with indices among its own and the wanted points."""
         for axes in self._axes:
             at = [i for i, k in enumerate(points) if k in axes.points]
             if at:
                 yield axes, [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
 
     def _parts(self, E: Columns) -> Iterator[slice]:
-        """The blocks in parts whose columns take little memory."""
+        """Return slices of blocks whose columns stay within the memory limit."""
         return self._slices(max(E.shape[2], 1))
 
     def _slices(self, width: int) -> Iterator[slice]:
-        """All blocks, some at a time; width : columns that are in memory."""
+        """Return slices of blocks; width : number of columns that are in memory at a time."""
         blocks, m = self._shape
-        step = max(self._memory.blocks, self._memory.columns // (8 * m * width))
+        step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
 
 
 def _key(run: Array, k: int) -> tuple[int, int, int]:
-    """Of the products with a run at a point."""
+    """Return the cache key of the products with a run of columns at a grid point."""
     return int(run[0]), int(run[-1]), k
 
 
-def _each_alone(U: Array) -> bool:
-    """Whether each variable in between moves its own row alone; U : shape (n, m, variables)."""
+def _has_diagonal_levers(U: Array) -> bool:
+    """Return whether each intermediate variable changes its own row only; U : levers."""
     return U.shape[1] == U.shape[2] and not U[:, ~np.eye(U.shape[1], dtype=bool)].any()
 
 
 def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
-    """Rows, the columns that act there, and these one by one with a last one of zeros, shape (columns + 1, -1)."""
-    if not _each_alone(U):
-        yield EVERY, np.arange(F.width), F.by_column(U).reshape(F.width + 1, -1)
+    """Yield rows, indices of columns that act there, and these with a last one of zeros."""
+    if not _has_diagonal_levers(U):
+        yield WHOLE_AXIS, np.arange(F.width), F.by_column(U).reshape(F.width + 1, -1)
         return
     for s, columns, values in F.blocks:
         yield slice(s, s + 1), columns, np.concatenate([values * U[:, s, s], np.zeros((1, len(U)))])
 
 
 def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:
-    """Add products at the points of some axes; U : levers in these axes; weight : of the axes, shape (points, n, m)."""
+    """Add weighted products of columns F and G to `total` at the points of one eigenbasis.
+
+    U : levers rotated into the eigenbasis, shape (n, m, variables)
+    weight : precision of each eigenvector, shape (points, n, m)
+    at : slice of the points in `total`
+    """
     W, V = weight.transpose(0, 2, 1), np.ascontiguousarray(U[:, :, [t for t, _, _ in G.blocks]].transpose(2, 1, 0))
     others = [(as_slice(own), factors) for _, own, factors in G.blocks]
     K, n = len(weight), len(U)
     across = np.empty((K, G.width, n))
     for s, columns, values in F.blocks:
-        # What the variable in between does, times the fewer: each column of G, or those of F for each variable of G.
+        # Weighted products of the levers, multiplied first by the fewer: the factors of F or those
+        # of G.
         shares = np.einsum("kin,tin->tkn", W * U[:, :, s].T, V)
         if len(values) * len(others) < G.width:
             product = np.zeros((len(values), K, G.width))
@@ -287,10 +306,12 @@ def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array,
         total[as_slice(columns), at] += product
 
 
-class KnownRows:
-    """Rows of numbers for some of the columns, as far as they are known.
+class CachedRows:
+    """Cache of rows of numbers for those columns for which they were computed.
 
-    place : of each column among the rows, or -1, shape (columns,); count : of known rows; numbers : in each
+    place : index of each column's row, or -1, shape (columns,)
+    count : number of cached rows
+    numbers : length of a row
     """
 
     def __init__(self, columns: int, numbers: int) -> None:
@@ -299,21 +320,26 @@ class KnownRows:
 
     @property
     def known(self) -> Array:
+        """Return the indices of the columns whose rows are cached."""
         return np.flatnonzero(self.place >= 0)
 
     def __getitem__(self, columns: Array) -> Array:
-        """Rows of columns, shape (*columns.shape, numbers). Raises KeyError for one that is not known."""
+        """Return the rows of columns, shape (*columns.shape, numbers).
+
+        Raises KeyError for one that is not cached.
+        """
         place = self.place[columns]
         if place.size and place.min() < 0:
             raise KeyError(f"columns {columns[place < 0]} were not added up")
         return np.asarray(self._rows[place])
 
     def add(self, columns: Array, rows: Array) -> None:
+        """Add the rows of columns that are not cached yet."""
         more = self.count + len(rows)
         if not self.count:
             self._rows = rows
         elif more > len(self._rows):
-            # Room for twice as much: rows are added many times.
+            # The capacity is doubled, since rows are added many times.
             grown = np.empty((max(more, min(2 * len(self._rows), len(self.place))), rows.shape[1]))
             grown[: self.count] = self._rows[: self.count]
             self._rows = grown
@@ -322,9 +348,9 @@ class KnownRows:
         self.place[columns] = np.arange(self.count, more)
         self.count = more
 
-    def widened(self, columns: int) -> KnownRows:
-        """The same of at least as many columns."""
-        more = KnownRows(columns, self.numbers)
+    def widened(self, columns: int) -> CachedRows:
+        """Return the cache for at least as many columns, with the same rows."""
+        more = CachedRows(columns, self.numbers)
         more.place[: len(self.place)] = self.place
         more._rows, more.count = self._rows[: self.count], self.count
         return more

@@ -149,7 +149,7 @@ class Discovery(Result):
         """What the laws and the causes beside them leave of the readings, as of `Fit.left`."""
         columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
         fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
-        return fit.left(fit.x)
+        return fit.residual(fit.x)
 
     def figures(self) -> list[Figure]:
         """A figure of each claimed law."""

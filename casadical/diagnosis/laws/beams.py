@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.laws.forms import FORMS, SLOW, WAVE, Driver, Form
 from casadical.diagnosis.laws.problem import Problem, Rough, Seam, Tried, log_mean, scaled
@@ -179,7 +179,7 @@ class Beam:
         """Laws of short waves from places that some poses alone say; problem : of these."""
         return self.laws(WAVE, self.at_all(self._places(problem, poses)[0]))
 
-    def _places(self, problem: Problem, poses: Array | slice = EVERY) -> tuple[list[Point], int]:
+    def _places(self, problem: Problem, poses: Array | slice = WHOLE_AXIS) -> tuple[list[Point], int]:
         """Of the greatest products of short waves with what is left at some poses; and how many were made."""
         point, pull = self.linear.seen[poses, :3], np.einsum("nij,ni->nj", self._by_point[poses], problem.pulled)
         spread = float(np.sqrt(((point - point.mean(axis=0)) ** 2).sum(axis=1).mean()))

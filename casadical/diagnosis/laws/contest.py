@@ -14,7 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import ArrayColumns
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
@@ -56,7 +56,7 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> 
             return False
     if not found.columns.size:
         return True
-    by_law = held_out(case, NONE, [first.best], first.best.noise, found.seed)
+    by_law = held_out(case, NO_COLUMNS, [first.best], first.best.noise, found.seed)
     by_causes = held_out(case, found.columns, (), found.noise, found.seed)
     return bool(by_law.mean() < by_causes.mean())
 
@@ -67,7 +67,7 @@ def laws_before_causes(found: Diagnosis, poses: int = MOST_POSES) -> Round:
     Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
     """
     for whole, case, ranking in _before_causes(found, poses):
-        first, _ = beside_its_noise(whole, round_of(case, NONE, ranking), poses)
+        first, _ = beside_its_noise(whole, round_of(case, NO_COLUMNS, ranking), poses)
         if first.claimed:
             break
     return first
@@ -81,16 +81,16 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
     for whole, case, ranking in _before_causes(found, MOST_POSES):
         # With their settings refined rivals have still more.
         least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
-        laws = search_laws(case, NONE, least=least - ALIKE)
+        laws = search_laws(case, NO_COLUMNS, least=least - ALIKE)
         if laws and laws[0].score >= least:
-            first, moved = beside_its_noise(whole, _judged(laws, case, NONE, ranking), MOST_POSES)
+            first, moved = beside_its_noise(whole, _judged(laws, case, NO_COLUMNS, ranking), MOST_POSES)
             if first.claimed:
                 return first, moved
     return None
 
 
 def beside_its_noise(
-    case: Case, first: Round, poses: int, chosen: Array = NONE, causes: frozenset[str] = frozenset()
+    case: Case, first: Round, poses: int, chosen: Array = NO_COLUMNS, causes: frozenset[str] = frozenset()
 ) -> tuple[Round, Case]:
     """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
 
@@ -121,11 +121,11 @@ def _before_causes(found: Diagnosis, poses: int) -> Iterator[tuple[Case, Case, R
     does: a law may be hidden in it.
     """
     case, ranking = thinned(found.case, poses), found.rankings[0]
-    yield found.case, case, ranking if case is found.case else rank(case, NONE)
+    yield found.case, case, ranking if case is found.case else rank(case, NO_COLUMNS)
     follows = None if found.effects() else as_noise_follows(found.case, ranking)
     if follows:
         case = thinned(follows, poses)
-        yield follows, case, rank(case, NONE)
+        yield follows, case, rank(case, NO_COLUMNS)
 
 
 def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
@@ -137,7 +137,7 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
     if case.form.stays or not case.observations.plain:
         return None
     variants = {c.label: c.variants for c in case.candidates}
-    groups = [(0.0, NONE)]
+    groups = [(0.0, NO_COLUMNS)]
     # Candidates beside which the form of noise that follows itself is looked for.
     for label in [label for label in ranking.order if label in variants][:3]:
         groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
@@ -160,7 +160,7 @@ def thinned(case: Case, poses: int) -> Case:
 
 def _log_none(case: Case) -> float:
     """Log likelihood without a cause, by the case's form of noise."""
-    return float(np.logaddexp.reduce(case.judged.log_base(NONE), axis=None)) + case.form.log_weight
+    return float(np.logaddexp.reduce(case.judged.log_base(NO_COLUMNS), axis=None)) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:
@@ -249,9 +249,11 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
     for fold in np.unique(folds):
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
-        whole = replace(base, E=ArrayColumns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), held=None)
+        whole = replace(
+            base, E=ArrayColumns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), cause_prior=None
+        )
         fit = new_fit(whole, np.arange(whole.width), noise)
-        errors[test] = lengths(base, fit.without(np.flatnonzero(test)), test)
+        errors[test] = lengths(base, fit.residual_without(np.flatnonzero(test)), test)
     return errors
 
 
@@ -260,8 +262,8 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
     columns: list[Array] = []
     for law in laws:
         known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
-        e = base.with_known(known, np.full(known.shape[2], CHOSEN))
-        e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), held=None)
+        e = base.with_base_columns(known, np.full(known.shape[2], CHOSEN))
+        e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), cause_prior=None)
         columns.append(_best(Problem(e.at(train)), law, train))
     return columns
 

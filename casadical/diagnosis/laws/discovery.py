@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array, Show, silent
-from casadical.core.linear_gaussian.marginals import NONE
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
@@ -75,7 +75,7 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         case = with_law(case if first.form.stays == case.form.stays else case.with_form(first.form), first.best.law)
         columns = case.group((first.best.law,))
     elif not causes:
-        return _concluded(found, rounds, case, [], (), NONE)
+        return _concluded(found, rounds, case, [], (), NO_COLUMNS)
     for _ in range(MOST_ROUNDS):
         show("laws beside what was found")
         other = better_ar_form(case, columns) if case.observations.plain else None
@@ -116,7 +116,7 @@ def _concluded(
     found_values = parameter_values(case, columns, [s.law for s in laws], noise) if laws else {}
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
     named = found.columns
-    before = held_out(case, NONE, (), found.rankings[0].noise[""], found.seed)
+    before = held_out(case, NO_COLUMNS, (), found.rankings[0].noise[""], found.seed)
     errors: dict[Kept, Array] = {"base": before}
     if found.effects():
         errors["causes"] = held_out(case, named, (), found.noise, found.seed)
@@ -125,7 +125,7 @@ def _concluded(
         errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
     shrink = None
     if laws:
-        beside = np.unique(np.concatenate([NONE, *(case.columns[e] for e in causes)])).astype(np.int64)
+        beside = np.unique(np.concatenate([NO_COLUMNS, *(case.columns[e] for e in causes)])).astype(np.int64)
         errors["law"] = held_out(case, beside, laws, noise, found.seed)
         interval = shrink_interval(before, errors["law"], found.seed)
         shrink = float(1 - errors["law"].mean() / before.mean()), interval

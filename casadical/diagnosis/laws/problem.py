@@ -378,7 +378,7 @@ class Problem:
 
     def white(self, columns: Array) -> Array:
         """Columns of laws as they are among the numbers of the evidence, shape (n, 3, ...)."""
-        return columns if self.noise is None else self.noise.white(columns[self.order])
+        return columns if self.noise is None else self.noise.whiten(columns[self.order])
 
     @cached_property
     def log_base(self) -> Array:
@@ -389,7 +389,7 @@ class Problem:
         """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
         every = ArrayColumns(self.white(np.concatenate(columns, axis=2)))
-        judged = self.evidence.marginals.of_others(every, CHOSEN)
+        judged = self.evidence.marginals.with_other_columns(every, CHOSEN)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
         logs: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
         return logs
@@ -422,7 +422,7 @@ class Problem:
         pull = np.einsum("nab,na->nb", screen.W, screen.y)
         if self.noise is None or self.order is None:
             return np.asarray(pull)
-        return self.noise.pulled(pull)[np.argsort(self.order)]
+        return self.noise.whiten_transposed(pull)[np.argsort(self.order)]
 
     def gains(self, seam: Seam, functions: Array) -> Array:
         """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
@@ -435,7 +435,7 @@ class Problem:
         """A place's columns and functions as `Screen.products` takes them."""
         if self.noise is None:
             return columns, functions, None
-        own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.stays))
+        own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))
         columns = columns[self.order]
         return own * columns, functions[:, self.order], (-stays * own)[1:] * columns[:-1]
 

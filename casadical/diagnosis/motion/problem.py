@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import EVERY, Combined, Factors
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Combined, Factors
 from casadical.core.linear_gaussian.noise import serial_noise
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
@@ -75,15 +75,15 @@ class RowColumns:
     def after(self, column: int) -> RowColumns:
         return self.only(np.arange(column, self.made.width))
 
-    def take(self, columns: Array, blocks: Array | slice = EVERY, every: Combined | None = None) -> Array:
+    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
         taken = self.made.only(columns).at(blocks)
         out = taken.columns_at(self.levers(blocks))
         return np.asarray(every.combine(out) if every else out)
 
-    def factors(self, blocks: Array | slice = EVERY) -> Factors:
+    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
         return self.made.at(blocks)
 
-    def levers(self, blocks: Array | slice = EVERY) -> Array:
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
         return np.broadcast_to(np.eye(self.rows), (len(np.arange(self.blocks)[blocks]), self.rows, self.rows))
 
 
@@ -97,7 +97,7 @@ class Following:
 
     def white(self, values: Array, first: Array) -> Array:
         """Rows of blocks as white ones; values : shape (blocks, rows, ...); first : blocks that begin a run."""
-        return serial_noise(self.stays, first[:, None], self.weight / self.sigma).white(values)
+        return serial_noise(self.stays, first[:, None], self.weight / self.sigma).whiten(values)
 
     def row(self, row: int) -> Following:
         """Of one row alone."""

@@ -126,7 +126,7 @@ def unfitted(case: MotionCase, columns: Array) -> Array:
     few, every, P = case.only(columns), np.arange(len(columns)), case.base.shape[2]
     fit, folds, out = new_fit(few.white, every, WHITE, combined=False), folds_of(case), np.array(case.r)
     for k in np.unique(folds[case.of_log]):
-        x = fit.to(np.flatnonzero(folds != k))
+        x = fit.estimate_from(np.flatnonzero(folds != k))
         out[folds == k] = few.left(every, x[:P], x[P:])[folds == k]
     return out
 
@@ -144,12 +144,12 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
     for columns in (chosen, np.union1d(chosen, own)):
         few = case.only(columns)
         fit = new_fit(few.white, np.arange(len(columns)), WHITE, combined=False)
-        others = [fit.to(np.flatnonzero(folds != k)) for k in parts]
+        others = [fit.estimate_from(np.flatnonzero(folds != k)) for k in parts]
         errors.append([
-            float((fit.left(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
+            float((fit.residual(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
             for k, x in zip(parts, others, strict=True)
         ])  # fmt: skip
-        whole.append((fit.left(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
+        whole.append((fit.residual(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
     return tuple(a - b for a, b in zip(*errors, strict=True)), whole[0] - whole[1]
 
 

@@ -30,7 +30,7 @@ def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 
         delta0=mean,
         prior=prior,
         E=ArrayColumns(E),
-        held=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
+        cause_prior=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
         noise=NoiseModel((n, m), components),
         grid=Grid(SIGMAS, ratios, KAPPAS),
         reference=0.1,
@@ -69,10 +69,10 @@ def log_density(model: LinearModel, point: int, sigma: float, chosen: np.ndarray
     J = model.J.reshape(rows, -1)
     E = model.E.take(np.arange(model.width)).reshape(rows, -1)
     C = noise_of(model, point, sigma) + (J * (share * model.prior) ** 2) @ J.T
-    C += (E[:, chosen] * (share * model.widths[chosen]) ** 2) @ E[:, chosen].T
+    C += (E[:, chosen] * (share * model.cause_prior_sigmas[chosen]) ** 2) @ E[:, chosen].T
     C += kappa**2 * E[:, group] @ E[:, group].T
     measured = np.any(np.abs(J) > 0, axis=1)
     density = multivariate_normal((J @ model.delta0)[measured], C[np.ix_(measured, measured)])
-    priors = np.concatenate([model.prior, model.widths[chosen]])
+    priors = np.concatenate([model.prior, model.cause_prior_sigmas[chosen]])
     left_out = -0.5 * measured.sum() * np.log(2 * np.pi) + np.log(model.reference / priors).sum()
     return float(density.logpdf(model.r.ravel()[measured]) - left_out)

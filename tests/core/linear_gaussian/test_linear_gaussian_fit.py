@@ -7,14 +7,14 @@ import pytest
 from models import RATIOS, TWO, noise_of, small_model, without_last_rows
 
 from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.linear_gaussian.model import LinearModel, Memory
+from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
     inverse_of_triangle,
+    marginalised,
     normal_sums,
     reduced,
     root_of_inverse,
-    without_others,
 )
 
 SIGMA, POINT, COLUMNS = 0.1, 1, np.array([0, 2, 5])
@@ -26,7 +26,7 @@ def dense(model: LinearModel, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarra
     rows = (m * blocks[:, None] + np.arange(m)).ravel()
     A = np.concatenate([model.J, model.E.take(COLUMNS)], axis=2).reshape(n * m, -1)[rows]
     W = np.linalg.inv(noise_of(model, POINT, SIGMA)[np.ix_(rows, rows)])
-    P = np.diag(np.concatenate([model.prior, model.widths[COLUMNS]]) ** -2.0)
+    P = np.diag(np.concatenate([model.prior, model.cause_prior_sigmas[COLUMNS]]) ** -2.0)
     mean = np.concatenate([model.delta0, np.zeros(len(COLUMNS))])
     covariance = np.linalg.inv(A.T @ W @ A + P)
     return covariance @ (A.T @ W @ model.r.ravel()[rows] + P @ mean), covariance
@@ -55,7 +55,11 @@ def test_estimates_are_those_of_a_dense_solve(name: str) -> None:
     np.testing.assert_allclose(error, np.sqrt(np.diag(covariance))[4:], rtol=1e-9)
 
 
-MEMORY = {"among observations": Memory(), "among parameters": Memory(rows=0), "columns made again": Memory(kept=0)}
+MEMORY = {
+    "among observations": MemoryLimits(),
+    "among parameters": MemoryLimits(max_observation_rows=0),
+    "columns made again": MemoryLimits(cache_bytes=0),
+}
 
 
 @pytest.mark.parametrize("memory", MEMORY)
@@ -66,10 +70,10 @@ def test_blocks_left_out_are_predicted_by_the_others(name: str, memory: str) -> 
     A = np.concatenate([model.J, model.E.take(COLUMNS)], axis=2)
     for out in (np.array([3]), np.array([0, 5, 11]), np.arange(7)):
         x, _ = dense(model, np.setdiff1d(np.arange(12), out))
-        np.testing.assert_allclose(fit.without(out), (model.r - A @ x)[out], rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(fit.to(np.setdiff1d(np.arange(12), out)), x, rtol=1e-7)
+        np.testing.assert_allclose(fit.residual_without(out), (model.r - A @ x)[out], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(fit.estimate_from(np.setdiff1d(np.arange(12), out)), x, rtol=1e-7)
     alone = [model.r[k] - A[k] @ dense(model, np.setdiff1d(np.arange(12), [k]))[0] for k in range(12)]
-    np.testing.assert_allclose(fit.alone(), alone, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(fit.leave_one_out_residuals(), alone, rtol=1e-7, atol=1e-9)
 
 
 def test_noise_is_made_white_by_its_covariance() -> None:
@@ -92,7 +96,7 @@ def test_noise_is_made_white_by_its_covariance() -> None:
         )
         assert whitening.log_det == pytest.approx(np.linalg.slogdet(C)[1].sum())
         assert axes[k].log_det[0] == pytest.approx(whitening.log_det)
-        by_axes = axes[k].turn * axes[k].precision[0][:, None] @ axes[k].turn.transpose(0, 2, 1)
+        by_axes = axes[k].rotation * axes[k].precision[0][:, None] @ axes[k].rotation.transpose(0, 2, 1)
         np.testing.assert_allclose(by_axes, np.linalg.inv(C), atol=1e-12)
         trace = np.trace(C, axis1=1, axis2=2).sum() / 15
         assert noise.mean_variance(at, 15) == pytest.approx(trace)
@@ -117,7 +121,7 @@ def test_parameters_not_asked_for_are_integrated() -> None:
     A = np.random.default_rng(0).normal(size=(20, 5))
     H, g, kept, rest = A.T @ A, A.T @ np.arange(20.0), np.array([3, 0]), np.array([1, 2, 4])
     P = np.diag([4.0, 1.0, 0.5])
-    own, score = without_others(H, g, kept, np.linalg.inv(H[np.ix_(rest, rest)] + P))
+    own, score = marginalised(H, g, kept, np.linalg.inv(H[np.ix_(rest, rest)] + P))
     whole = H.copy()
     whole[np.ix_(rest, rest)] += P
     covariance = np.linalg.inv(whole)

@@ -8,11 +8,11 @@ from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, 
 from scipy.stats import multivariate_normal
 
 from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
-from casadical.core.linear_gaussian.grid import NEGLIGIBLE
+from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW
 from casadical.core.linear_gaussian.marginals import Marginals
-from casadical.core.linear_gaussian.model import LinearModel, Memory
+from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import serial_noise
-from casadical.core.linear_gaussian.sums import WIDE
+from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS
 
 GROUPS = [np.array([0]), np.array([1, 2]), np.array([5]), np.array([0, 1, 2])]
 
@@ -68,7 +68,7 @@ def assert_densities(model: LinearModel, grids: np.ndarray, groups: list[np.ndar
     expected, counts = np.reshape(expected, grids.shape), np.isfinite(grids)
     assert counts.mean() > 0.15
     np.testing.assert_allclose(grids[counts], expected[counts], rtol=1e-7, atol=1e-6)
-    assert np.all(counts | (expected < expected.max(axis=(2, 3), keepdims=True) - NEGLIGIBLE))
+    assert np.all(counts | (expected < expected.max(axis=(2, 3), keepdims=True) - SIGMA_LOG_LIKELIHOOD_WINDOW))
 
 
 def test_other_columns_take_over_the_base_alone() -> None:
@@ -77,8 +77,8 @@ def test_other_columns_take_over_the_base_alone() -> None:
     first = Marginals(model)
     known = first.log_grids(GROUPS)
     columns = ArrayColumns(0.2 * rng.normal(size=(7, 3, 3)))
-    alone = Marginals(replace(model, E=columns, held=np.full(3, 4.0)))
-    of_others = first.of_others(columns, 4.0)
+    alone = Marginals(replace(model, E=columns, cause_prior=np.full(3, 4.0)))
+    of_others = first.with_other_columns(columns, 4.0)
     for also in (NONE, np.array([2])):
         some = [np.array([0]), np.array([0, 1])]
         np.testing.assert_allclose(of_others.log_grids(some, also), alone.log_grids(some, also), rtol=1e-12)
@@ -92,8 +92,8 @@ def test_columns_in_the_base_without_directions_that_move_nothing() -> None:
     E[:, :, 3], E[:, :, 4] = E[:, :, 2], 0.0
     V = np.array([[1.0, 0, 0, 0], [0, np.sqrt(0.5), np.sqrt(0.5), 0]]).T
     held = np.full(6, 2.0)
-    combined = replace(model, E=ArrayColumns(E, ((np.arange(1, 5), V),)), held=held)
-    as_they_are = replace(model, E=ArrayColumns(E), held=held)
+    combined = replace(model, E=ArrayColumns(E, ((np.arange(1, 5), V),)), cause_prior=held)
+    as_they_are = replace(model, E=ArrayColumns(E), cause_prior=held)
     part, group = np.arange(1, 5), [np.array([5])]
     assert combined.with_base(part).J.shape[2] == 6
     two, four = (Marginals(m.with_base(part)).log_grids(group) for m in (combined, as_they_are))
@@ -129,17 +129,17 @@ def test_what_else_is_known_of_the_noise_is_added() -> None:
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
 def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> None:
     model, rng = small_model(ratios, n=30), np.random.default_rng(2)
-    E = 0.02 * rng.normal(size=(30, 3, WIDE + 2))
-    r = model.r + E @ rng.normal(size=WIDE + 2)
-    model = replace(model, r=r, E=ArrayColumns(E), held=np.full(WIDE + 2, 8.0))
-    groups, chosen = [np.arange(WIDE + 1)], np.array([WIDE + 1])
+    E = 0.02 * rng.normal(size=(30, 3, MAX_NARROW_GROUP_COLUMNS + 2))
+    r = model.r + E @ rng.normal(size=MAX_NARROW_GROUP_COLUMNS + 2)
+    model = replace(model, r=r, E=ArrayColumns(E), cause_prior=np.full(MAX_NARROW_GROUP_COLUMNS + 2, 8.0))
+    groups, chosen = [np.arange(MAX_NARROW_GROUP_COLUMNS + 1)], np.array([MAX_NARROW_GROUP_COLUMNS + 1])
     assert_densities(model, Marginals(model).log_grids(groups, chosen), groups, chosen)
 
 
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
 def test_sums_in_parts_are_those_of_all_blocks(ratios: dict[str, np.ndarray]) -> None:
     model, chosen = small_model(ratios, n=40), np.array([3, 4])
-    parts = replace(model, memory=Memory(columns=1, blocks=7))
+    parts = replace(model, memory=MemoryLimits(column_bytes=1, min_blocks=7))
     expected = Marginals(model).log_grids(GROUPS, chosen)
     np.testing.assert_allclose(Marginals(parts).log_grids(GROUPS, chosen), expected, rtol=1e-9)
 
@@ -150,7 +150,7 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
     whole, chosen = small_model(ratios, n=41), np.array([3, 4])
 
     first, fewer = whole.at(np.arange(40)), ArrayColumns(whole.E.take(np.arange(5)))
-    few = replace(whole, E=fewer, held=whole.widths[:5]).at(np.arange(40))
+    few = replace(whole, E=fewer, cause_prior=whole.cause_prior_sigmas[:5]).at(np.arange(40))
     known = Marginals(few)
     known.log_grids(GROUPS[:2], chosen)
     extended = known.extended(first)
@@ -183,7 +183,7 @@ def test_noise_that_keeps_a_share_is_white_without_it() -> None:
     weight = np.broadcast_to([0.5, 2.0], (5, 2))
     rows = rng.standard_normal((5, 2, 1))
     noise = serial_noise(stays, first[:, None], weight)
-    white = noise.white(rows)
+    white = noise.whiten(rows)
     for row in range(2):
         apart = np.abs(np.subtract.outer(np.arange(5), np.arange(5)))
         same_run = np.equal.outer(np.cumsum(first), np.cumsum(first))
@@ -192,4 +192,4 @@ def test_noise_that_keeps_a_share_is_white_without_it() -> None:
         own = -0.5 * (5 * np.log(2 * np.pi) + log_det + (white[:, row, 0] ** 2).sum())
         assert own == pytest.approx(multivariate_normal.logpdf(rows[:, row, 0], np.zeros(5), covariance))
     other = rng.standard_normal((5, 2))
-    assert (noise.pulled(other) * rows[:, :, 0]).sum() == pytest.approx((other * white[:, :, 0]).sum())
+    assert (noise.whiten_transposed(other) * rows[:, :, 0]).sum() == pytest.approx((other * white[:, :, 0]).sum())
