@@ -29,7 +29,7 @@ from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.identification.accuracy import predicted
-from casadical.measurements.derived_columns import HELD_STILL, derive, last_sense
+from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
@@ -335,7 +335,7 @@ def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Ar
         way = np.diff(values, prepend=values[0])
         way = ((way + np.pi) % (2 * np.pi) - np.pi) * places["radius"] if name == "azimuth" else way
         yield f"the {name}", _cosines(values)
-        yield f"the sense of the last change of {name}", last_sense(way, HELD_STILL)[:, None]
+        yield f"the sense of the last change of {name}", last_sense(way, MIN_WAY_M)[:, None]
     for j in range(n):
         yield f"approach{j + 1}", m.conditions[f"approach{j + 1}"][:, None]
     for k, axis in enumerate("xyz"):

@@ -25,7 +25,7 @@ from casadical.fleet.comparison import CAMPAIGNS, YEAR, weighed
 from casadical.fleet.estimates import readings_of
 from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
 from casadical.identification.remaining_errors import evaluated
-from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
+from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.project.acceptance.budget import covariance_root
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
@@ -155,7 +155,7 @@ class TouchModel:
     @cached_property
     def _poses(self) -> Array:
         """A number for each pose that was touched, on any day, shape (rows / 3,)."""
-        return same_readings(np.concatenate([m.q for m in self.days]), STANDS)
+        return same_readings(np.concatenate([m.q for m in self.days]), STANDSTILL_TOLERANCE)
 
     @cached_property
     def _evaluated(self) -> tuple[Array, Array]:

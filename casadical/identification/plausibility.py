@@ -10,7 +10,7 @@ from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.residuals import HELD
-from casadical.measurements.columns import MOST_TURNS
+from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN
@@ -86,7 +86,7 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
     for i, joint in enumerate(robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
         q, remedy = m.q[:, i], "correct the reading or the limits in the robot file"
-        if joint.kind == "revolute" and np.abs(q).max() > MOST_TURNS * 2 * np.pi:
+        if joint.kind == "revolute" and np.abs(q).max() > MAX_TURNS * 2 * np.pi:
             remedy = "are these degrees? readings of joints that turn are in rad"
         limits = f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
         for far in (np.maximum(0, joint.lower - BEYOND - q), np.maximum(0, q - joint.upper - BEYOND)):

@@ -1,4 +1,4 @@
-"""Measured poses: tables become one immutable, checked object in SI units."""
+"""Measured poses and joint logs: tables become immutable, checked objects in SI units."""
 
 from casadical.core.lazy import attach
 

@@ -1,4 +1,8 @@
-"""Columns of a table by our names, converted to SI; what is missing, no number or in the wrong unit is refused."""
+"""Columns of a table under casadical's names, converted to SI.
+
+Missing columns, cells that are no numbers and values in a wrong unit raise an InputError that
+names file, row and column.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +22,14 @@ from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 @dataclass(frozen=True)
 class Source:
-    """Where one of our columns comes from: times * (a column of the file) + factors * (others) + plus.
+    """How a column of ours is computed: times * (a column of the file) + sum(add * others) + plus.
 
-    plus : in the unit of our name; add : factors of further columns of the file
-    rows : that of so many rows later (earlier: negative), where a logger was ahead or behind
+    name : column of the file
+    times : factor of that column
+    plus : offset in the unit of our column's name
+    add : further columns of the file with their factors
+    rows : number of rows by which the column is shifted: the value is that of so many rows later
+        (earlier if negative), where a logger was ahead or behind
     """
 
     name: str
@@ -32,25 +40,25 @@ class Source:
 
     @classmethod
     def read(cls, given: str | Mapping[str, Any]) -> Source:
-        """From how a file says it: a name, or a table with `from`."""
+        """Return the source that a TOML value describes: a column's name or a table with `from`."""
         table: Mapping[str, Any] = {"from": given} if isinstance(given, str) else given
         return cls(table["from"], **{key: value for key, value in table.items() if key != "from"})
 
     @property
     def table(self) -> str | dict[str, Any]:
-        """How a file says it."""
+        """The TOML value that describes this source; `Source.read` reads it back."""
         usual = Source(self.name)
         more = {k: getattr(self, k) for k in ("times", "plus", "rows", "add") if getattr(self, k) != getattr(usual, k)}
         return {"from": self.name, **more} if more else self.name
 
     @property
     def plain(self) -> bool:
-        """Whether it is the column as it stands."""
+        """Whether the column of the file is used unchanged."""
         return self == Source(self.name)
 
     @property
     def words(self) -> str:
-        """The whole relation: 0.5 x 'A' - 'B' +90, 1 row below."""
+        """The relation in words, such as "0.5 x 'A' - 'B' +90, 1 row below"."""
         terms = [(self.times, self.name), *((factor, name) for name, factor in self.add.items())]
         texts = [
             f"{'-' if factor < 0 else '+'} {'' if abs(factor) == 1 else f'{abs(factor):.6g} x '}'{shown(name)}'"
@@ -63,12 +71,12 @@ class Source:
 
 
 def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
-    """Columns of the file that ours are made of, each with where it is named, for messages."""
+    """Yield every column of the file that the sources use, and where it is named, for messages."""
     return ((name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add))
 
 
-def _made(table: pd.DataFrame, source: Source) -> pd.Series:
-    """A column as its source says; cells that are no numbers stay as they are where nothing is computed."""
+def _column_of_source(table: pd.DataFrame, source: Source) -> pd.Series:
+    """Return the column that a source describes; words stay, so that messages can quote them."""
     if source.plain:
         return table[source.name]
     terms = {source.name: source.times + source.add.get(source.name, 0.0)}
@@ -80,37 +88,46 @@ def _made(table: pd.DataFrame, source: Source) -> pd.Series:
 
 
 def _stem(name: str) -> str:
+    """Return a column's name without its unit."""
     return name.rpartition("_")[0]
 
 
+# Suffixes of the units in which readings of each kind of joint may be given.
 _UNITS = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
-# Least and largest values of columns that the model and effects ask for [their own unit].
-POSSIBLE = {
+# Least and largest allowed values of columns that the model and effects use [unit of the column].
+POSSIBLE_RANGES = {
     "payload_kg": (0.0, 1e5),
-    "temperature_degC": (-273.15, 200.0),  # not kelvin
+    "temperature_degC": (-273.15, 200.0),  # room temperatures in kelvin are refused
     "time_s": (-1e12, 1e12),
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST, LARGEST),
 }
-# More turns than this are refused; joints that all move less [deg] may have been logged in radians.
-MOST_TURNS, RADIANS = 4, 6.3
-_NUMBERS = re.compile(r"warmth_\w+|approach\d+")
-# Columns of an orientation.
+# Readings of revolute joints beyond so many turns from zero are refused.
+MAX_TURNS = 4
+# One turn, rounded up [rad]: numbers that stay below it may be radians, whatever their heading
+# says.
+FULL_TURN_RAD = 6.3
+# Derived conditions that must be numbers where they are logged.
+_NUMERIC_CONDITIONS = re.compile(r"warmth_\w+|approach\d+")
+# Pattern of the columns that describe an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
-_MEASURED = re.compile(f"[xyz]_mm?|distance_mm?|{ORIENTATION}")
-_READING = re.compile(r"q(\d+)_(deg|rad|mm|m)")
-_TILT = "tilt_[xy]_(deg|rad)|gravity_[xyz]"
-# Readings, weights and sets.
-_NO_CONDITIONS = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
+_OBSERVATION_NAME = re.compile(f"[xyz]_mm?|distance_mm?|{ORIENTATION}")
+_READING_NAME = re.compile(r"q(\d+)_(deg|rad|mm|m)")
+_TILT_NAME = "tilt_[xy]_(deg|rad)|gravity_[xyz]"
+# Columns with a meaning of their own (readings, weight, set, target, session), thus no conditions.
+_NO_CONDITION_NAME = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of one table, converted to SI; every error (InputError) says where.
+    """Columns of one table, converted to SI on reading; an InputError names source, row and column.
 
-    table : headers without blanks around them; source : file name or description
-    row : shape (n,): line of the file at which each row stands; left_out : rows that were left out
-    empty : headers of columns without a cell, which are left out; taken : of those that others were made of
+    table : cells under their headings, which have no blanks around them
+    source : file name or description
+    row : line of the file at which each row stands, shape (n,)
+    empty : headings of columns without any cell, which are dropped
+    taken : headings of columns from which others were computed
+    left_out : lines of the file that the user left out
 
     Examples
     --------
@@ -146,12 +163,12 @@ class Columns:
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
-        """Columns of a file. Raises InputError: a header occurs twice."""
+        """Return the columns of a file. Raises InputError: a header occurs twice."""
         return Columns.of_frame(raw.frame, raw.path.name, np.array(raw.line))
 
     @staticmethod
     def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
-        """Columns of a pandas table. Raises InputError: a header occurs twice.
+        """Return the columns of a pandas table. Raises InputError: a header occurs twice.
 
         row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one, from 2
         """
@@ -162,7 +179,7 @@ class Columns:
         return Columns(filled, source, np.arange(len(table)) + 2 if row is None else row, empty)
 
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
-        """With our names where the table's headers differ.
+        """Return the columns under our names, where the table's headings differ from them.
 
         Rows to which a shift of rows gives no value are left out.
 
@@ -176,7 +193,7 @@ class Columns:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")
         # A header that keeps its own name elsewhere in the map is copied, not moved.
-        ours = {name: _made(self.table, source) for name, source in sources.items()}
+        ours = {name: _column_of_source(self.table, source) for name, source in sources.items()}
         if point_from:
             ours["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
         moved = {name for name, s in sources.items() if name in self.table and s.name != name}
@@ -191,7 +208,12 @@ class Columns:
         return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
 
     def without(self, rows: Collection[int], why: str) -> Columns:
-        """Without some rows of the file. Raises InputError: one that is not there; why : where they are named"""
+        """Return the columns without some rows of the file.
+
+        rows : lines of the file
+        why : where the user names them, for the message
+        Raises InputError: a line that is no row of the table.
+        """
         missing = sorted(set(rows) - set(self.row.tolist()))
         if missing:
             raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
@@ -200,7 +222,11 @@ class Columns:
         return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept], left_out=left_out)
 
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
-        """With the column `tool` by the rows of the file of each target. Raises InputError: a row is listed twice."""
+        """Return the columns with a column `tool` that names each row's target.
+
+        rows : lines of the file for each target's name
+        Raises InputError: a row is listed twice.
+        """
         names: dict[int, str] = {}
         for name, listed in rows.items():
             for row in listed:
@@ -211,34 +237,48 @@ class Columns:
 
     @property
     def lost_rows(self) -> tuple[int, ...]:
-        """Rows of the file in which a reading or a position is no number; none where these are no few."""
+        """Lines of the file in which a reading or an observation is no finite number.
+
+        Empty if these are more than half of the rows: then the columns are wrong, not single rows.
+        """
         return self._rows_of(self._needed.apply(pd.to_numeric, errors="coerce").abs() < np.inf)
 
     @property
     def empty_rows(self) -> tuple[int, ...]:
-        """Those of `lost_rows` in which a cell is empty: a lost reading, where a word may be a typing error."""
+        """Lines of the file with an empty cell among readings and observations: lost measurements.
+
+        Words in such cells may be typing errors and do not count. Empty if these are more than half
+        of the rows.
+        """
         return self._rows_of(self._needed.notna())
 
     @property
     def _needed(self) -> pd.DataFrame:
+        """The columns of readings and observations."""
         names = (str(name) for name in self.table)
-        return self.table[[name for name in names if _MEASURED.fullmatch(name) or _READING.fullmatch(name)]]
+        return self.table[
+            [name for name in names if _OBSERVATION_NAME.fullmatch(name) or _READING_NAME.fullmatch(name)]
+        ]
 
     def _rows_of(self, good: pd.DataFrame) -> tuple[int, ...]:
+        """Return the lines of rows that are not all True; none if these are more than half."""
         bad = ~good.all(axis=1).to_numpy(dtype=bool)
         return tuple(int(k) for k in self.row[bad]) if 2 * bad.sum() <= len(bad) else ()
 
     @property
     def names(self) -> str:
-        """All of them, for messages."""
+        """All headings, separated by commas, for messages."""
         return ", ".join(map(str, self.table))
 
     def at(self, k: int) -> str:
-        """Source and row of the table's k-th row, for messages."""
+        """Return source and line of the table's k-th row, for messages."""
         return f"{self.source}: row {self.row[k]}"
 
     def column(self, name: str) -> Array:
-        """A column of numbers, shape (n,) [its own unit]. Raises InputError: it is missing, or no finite numbers."""
+        """Return a column of numbers, shape (n,) [its own unit].
+
+        Raises InputError: it is missing, or holds cells that are no finite numbers or impossible.
+        """
         if name not in self.table:
             raise InputError(f"{self.source}: column {name!r} is missing; there are {self.names}")
         if faults := self._faults(name):
@@ -249,10 +289,10 @@ class Columns:
         return (in_seconds if name == "time_s" else numbers_of)(self.table[name])
 
     def _faults(self, name: str) -> list[Fault]:
-        """Cells of a column that are no numbers, and those that are no possible ones."""
+        """Return a column's faults: cells that are no finite numbers, else values out of range."""
         values = self._values(name)
         faults: list[Fault] = []
-        least, most = POSSIBLE.get(name, (-LARGEST, LARGEST))
+        least, most = POSSIBLE_RANGES.get(name, (-LARGEST, LARGEST))
         with np.errstate(invalid="ignore"):
             far = (values < least) | (values > most)
             if towards := name.startswith("approach"):
@@ -266,9 +306,10 @@ class Columns:
         return faults
 
     def refuse_faults(self, kinds: Sequence[str], observations: str) -> None:
-        """Refuses missing readings, and cells that are no possible numbers, in all columns at once.
+        """Refuse missing readings, and impossible numbers in all columns that are used, at once.
 
-        kinds : revolute or prismatic, of each joint; observations : pattern of what the kinds of measurement read
+        kinds : revolute or prismatic, of each joint
+        observations : pattern of the columns that the kinds of measurement read
         Raises FaultsError: with every fault.
         """
         named = [[f"q{i}{unit}" for unit in _UNITS[kind]] for i, kind in enumerate(kinds, 1)]
@@ -279,9 +320,13 @@ class Columns:
         faults = [Fault(self.source, (), ", ".join(lost), "", what, "", remedy)] if lost else []
         faults += map(self._empty, blank)
         for name in map(str, self.table):
-            asked = name in POSSIBLE or re.fullmatch(f"{_NUMBERS.pattern}|{_READING.pattern}|{_TILT}", name)
+            asked = name in POSSIBLE_RANGES or re.fullmatch(
+                f"{_NUMERIC_CONDITIONS.pattern}|{_READING_NAME.pattern}|{_TILT_NAME}", name
+            )
             mostly = pd.to_numeric(self.table[name], errors="coerce").notna().mean() >= 0.5
-            measured = _MEASURED.fullmatch(name) or not re.fullmatch(f"{_NO_CONDITIONS}|{observations}", name)
+            measured = _OBSERVATION_NAME.fullmatch(name) or not re.fullmatch(
+                f"{_NO_CONDITION_NAME}|{observations}", name
+            )
             if asked or (mostly and measured and name not in self.taken):
                 faults += self._faults(name)
         if faults:
@@ -291,7 +336,7 @@ class Columns:
         return Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number")
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
+        """Return column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
 
         Raises InputError: it is missing, given in two units, or a cell is no finite number.
         """
@@ -308,49 +353,60 @@ class Columns:
         return self.column(stem + present[0]) * to_si[present[0]]
 
     def joints(self, kinds: Sequence[str]) -> Array:
-        """Readings q1_deg (q1_rad, q1_mm, q1_m) and so on, shape (n, joints) [rad or m].
+        """Return the joint readings q1_deg (_rad, _mm, _m) and so on, shape (n, joints) [rad or m].
 
-        Raises InputError: one is missing or too many; kinds : revolute or prismatic, of each joint
+        kinds : revolute or prismatic, of each joint
+        Raises InputError: a column is missing, or there are columns of more joints.
         """
         columns = [self.si(f"q{i}", _UNITS[kind]) for i, kind in enumerate(kinds, 1)]
         for name in map(str, self.table):
-            match = _READING.fullmatch(name)
+            match = _READING_NAME.fullmatch(name)
             if match and not 1 <= int(match[1]) <= len(kinds):
                 raise InputError(f"{self.source}: column {name!r}: this robot has only {len(kinds)} joints")
         return np.stack(columns, axis=1)
 
     def vector(self, prefix: str, units: Sequence[str] = ("_mm", "_m")) -> Array:
-        """Columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad]. Raises InputError as `si` does."""
+        """Return columns PREFIXx_mm, PREFIXy_mm and PREFIXz_mm, shape (n, 3) [m or rad].
+
+        Raises InputError as `si` does.
+        """
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
-        """Numeric columns that hold neither readings nor observations, by name, each of shape (n,) [its own unit].
+        """Return the numeric columns that are neither readings nor observations, shape (n,) each.
 
-        Columns of words (remarks, operators) are left out.
+        Their units are those of their names. Columns of words (remarks, operators) are left out.
 
         observations : patterns of the columns that the kinds of measurement read
         Raises InputError: words among numbers.
         """
-        others = re.compile("|".join([_NO_CONDITIONS, *observations]))
+        others = re.compile("|".join([_NO_CONDITION_NAME, *observations]))
         conditions = {}
         for name in map(str, self.table):
-            if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE):
+            if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE_RANGES):
                 continue  # a heading that one of our columns was made from is no condition
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
             # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
-            if numeric.mean() >= 0.5 or name in POSSIBLE or _NUMBERS.fullmatch(name):
+            if numeric.mean() >= 0.5 or name in POSSIBLE_RANGES or _NUMERIC_CONDITIONS.fullmatch(name):
                 conditions[name] = self.column(name)
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """For each name in the column `tool` where it is, [1 or 0], shape (n,). Raises InputError: an empty cell."""
+        """Return an indicator (1 or 0) per name in the column `tool`, shape (n,); empty without it.
+
+        Raises InputError: an empty cell.
+        """
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """The same of the column `session`, shape (n,) [1 or 0]. Raises InputError: an empty cell."""
+        """Return an indicator (1 or 0) per name in the column `session`, shape (n,); or nothing.
+
+        Raises InputError: an empty cell.
+        """
         return self._named("session", "name the session in every row")
 
     def _named(self, column: str, remedy: str) -> dict[str, Array]:
+        """Return an indicator per name in a column; `remedy` ends the message on an empty cell."""
         if column not in self.table:
             return {}
         names = self.table[column].map(lambda cell: "" if pd.isna(cell) else _name(str(cell)))
@@ -359,29 +415,40 @@ class Columns:
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
-        """Columns that are neither readings, observations nor conditions: those of words, and those without a cell."""
-        used = re.compile("|".join([_NO_CONDITIONS, *observations]))
+        """Return the columns that nothing reads: those of words, and those without any cell."""
+        used = re.compile("|".join([_NO_CONDITION_NAME, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)
 
 
 def _name(cell: str) -> str:
-    """A name in one spelling: 1.0 is 1, as a column of whole numbers with a gap is read; letters are composed."""
+    """Return a name in one spelling: "1.0" becomes "1", and letters are composed (NFC).
+
+    pandas reads whole numbers as floats where a cell of the column is empty.
+    """
     return unicodedata.normalize("NFC", cell).strip().removesuffix(".0")
 
 
 def is_ours(name: str, pattern: str) -> bool:
-    """Whether a column is used under this name; pattern : of those that the kind of measurement reads."""
-    return name in POSSIBLE or bool(re.fullmatch(f"{_NO_CONDITIONS}|{_NUMBERS.pattern}|{_TILT}|{pattern}", name))
+    """Return whether a column is used under this name.
+
+    pattern : of the columns that the kind of measurement reads
+    """
+    return name in POSSIBLE_RANGES or bool(
+        re.fullmatch(f"{_NO_CONDITION_NAME}|{_NUMERIC_CONDITIONS.pattern}|{_TILT_NAME}|{pattern}", name)
+    )
 
 
 def numbers_of(cells: pd.Series) -> Array:
-    """Cells as numbers, shape (n,), NaN where one is none."""
+    """Return cells as numbers, shape (n,), NaN for those that are none."""
     return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
 
 
 def in_seconds(cells: pd.Series) -> Array:
-    """Times as numbers, shape (n,) [their own unit]; dates as seconds since 1970, also of digits: 20261121143005."""
+    """Return times as numbers, shape (n,): dates in seconds since 1970, numbers unchanged.
+
+    Numbers that write a date in digits, such as 20261121143005, count as dates.
+    """
     numbers = numbers_of(cells)
     form, first = "mixed", False
     if np.isfinite(numbers).any():
@@ -397,7 +464,7 @@ def in_seconds(cells: pd.Series) -> Array:
 
 
 def _cell(text: object) -> str:
-    """A cell as a message shows it."""
+    """Return a cell as messages show it."""
     if isinstance(text, float) and np.isnan(text):
         return "an empty cell"
     return repr(text.item() if isinstance(text, np.generic) else text)

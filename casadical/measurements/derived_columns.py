@@ -1,4 +1,4 @@
-"""Columns that effects need and that follow from logged ones: progress, lagged warmth, directions of motion."""
+"""Derived columns that effects use, from readings, time, temperature and order of measuring."""
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,28 +10,36 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.measurements.measurements import Measurements
 
-COLUMN = "time_s"
-# A shorter way between measured points would follow their noise [m].
-HELD_STILL = 0.01
-# Loads of the joints, shape (n, joints), from readings and logged columns (see `Robot.loads`).
+# Logged column of the time at which each pose was measured [s].
+TIME_COLUMN = "time_s"
+# Shorter ways of the measured point are ignored, because their direction is dominated by noise [m].
+MIN_WAY_M = 0.01
+# Function that returns the gravity torques as shares of the joints' peak ones, shape (n, joints),
+# from readings, shape (n, joints) [rad or m], and logged columns (see `Robot.loads`).
 Loads = Callable[[Array, Mapping[str, Array]], Array]
 
 
 def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) -> tuple[Measurements, tuple[str, ...]]:
-    """The measurements with the named columns added, and the names that do not follow from what was logged.
+    """Return the measurements with the named columns added, and the names that cannot be derived.
 
-    Columns: progress, the place in the order of measuring, 0 to 1 (column pose or time_s; else the order of the rows);
-    warmth_600s, temperature_degC behind a first-order lag of 600 s, less its mean [K]; approach2, direction of joint
-    2's last motion, -1 or 1, from the order of the poses where it was not logged; move2, joint 2's way from the pose
-    before, 0 for the first [rad or m]; memory2_300mrad, a state between -1 and 1 that goes to the direction of motion
-    within 0.3 rad of it (Dahl 1968); play2_300mrad, joint 2's reading as what it takes along with a play of 0.3 rad to
-    each side has it (a relay with play is a step of it); heat2_600s, the square of joint 2's load behind a first-order
-    lag of 600 s; head_1500_m200_0mm, the sense of the last turn, -1 or 1, of the head of an instrument that stands at
-    [1.5, -0.2, 0] m and follows the measured point, where that went 10 mm aside or more.
+    A column cannot be derived where a logged column or joint that it needs is missing. Columns:
+
+    progress : place in the order of measuring, 0 to 1 (by column pose or time_s; else by the rows)
+    warmth_600s : temperature_degC through a first-order lag of 600 s, less its mean [K]
+    approach2 : direction of joint 2's last motion, -1 or 1, from the order of the poses
+    move2 : joint 2's change since the pose before, 0 for the first pose [rad or m]
+    memory2_300mrad : hysteresis state of joint 2, -1 to 1, that approaches the direction of motion
+        exponentially over 0.3 rad (Dahl 1968)
+    play2_300mrad : position of a part that joint 2 drives through a play of 0.3 rad to each side
+        [rad or m]; a relay with play is a step function of it
+    heat2_600s : square of joint 2's load through a first-order lag of 600 s
+    head_1500_m200_0mm : sense of the last rotation, -1 or 1, of the head of an instrument that
+        stands at [1.5, -0.2, 0] m in the measuring frame and follows the measured point; motions of
+        the point of less than 10 mm across the beam are ignored
 
     m : campaign with its logged columns
-    names : columns to derive: progress, warmth_600s, approach2, move2, memory2_300mrad, play2_300mrad and their like
-    loads : of a robot, for heat2_600s
+    names : columns to derive, of the forms above with other joints and numbers
+    loads : function that returns the joint loads of the robot, needed for heat columns
 
     Examples
     --------
@@ -50,50 +58,61 @@ def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) ->
 
 
 def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
-    order = np.argsort(next((m.conditions[c] for c in (COLUMN, "pose") if c in m.conditions), m.row), kind="stable")
+    """Return the named column in the order of the rows, shape (n,); None if not derivable."""
+    order = np.argsort(
+        next((m.conditions[c] for c in (TIME_COLUMN, "pose") if c in m.conditions), m.row), kind="stable"
+    )
     if name == "progress":
-        return _back(np.arange(len(m)) / max(1, len(m) - 1), order)
+        return _in_row_order(np.arange(len(m)) / max(1, len(m) - 1), order)
     if lag := re.fullmatch(r"warmth_(\d+)s", name):
         return _warmth(m, float(lag[1]), order)
     if heat := re.fullmatch(r"heat(\d+)_(\d+)s", name):
         return _heat(m, int(heat[1]), float(heat[2]), order, loads)
-    if station := re.fullmatch(rf"head_{_MM}_{_MM}_{_MM}mm", name):
+    if station := re.fullmatch(rf"head_{_INTEGER_MM}_{_INTEGER_MM}_{_INTEGER_MM}mm", name):
         return _head(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
-    for pattern, of_joint in _OF_JOINT.items():
+    for pattern, of_joint in _JOINT_COLUMNS.items():
         if match := re.fullmatch(pattern, name):
             joint, *way = map(int, match.groups())
             known = 1 <= joint <= m.q.shape[1]
-            return _back(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
+            return _in_row_order(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
     return None
 
 
-# A whole number in a name.
-_MM = r"(m?\d+)"
+# Pattern of a whole number of millimetres in a column's name; "m" stands for a minus sign.
+_INTEGER_MM = r"(m?\d+)"
 
 
-def _back(values: Array, order: Array) -> Array:
-    """Values in the order of measuring, in that of the rows."""
+def _in_row_order(values: Array, order: Array) -> Array:
+    """Return values given in the order of measuring, rearranged to the order of the rows."""
     rows = np.empty(len(order))
     rows[order] = values
     return rows
 
 
 def _warmth(m: Measurements, lag: float, order: Array) -> Array | None:
-    if "temperature_degC" not in m.conditions or (lag and COLUMN not in m.conditions):
+    """Return the lagged temperature less its mean, shape (n,) [K]; None if a column is missing.
+
+    lag : time constant of the first-order lag [s]; 0 for none
+    """
+    if "temperature_degC" not in m.conditions or (lag and TIME_COLUMN not in m.conditions):
         return None
     sensor = m.conditions["temperature_degC"]
     if not lag:
         return np.asarray(sensor - sensor.mean())
-    warmth = _back(_behind(sensor[order], m.conditions[COLUMN][order], lag), order)
+    warmth = _in_row_order(_lagged(sensor[order], m.conditions[TIME_COLUMN][order], lag), order)
     return np.asarray(warmth - warmth.mean())
 
 
-def _behind(felt: Array, time: Array, lag: float) -> Array:
-    """Values in the order of measuring behind a first-order lag [s]; at rest before the first."""
+def _lagged(felt: Array, time: Array, lag: float) -> Array:
+    """Return values, in the order of measuring, behind a first-order lag.
+
+    The lag starts in steady state at the first value. time : of each value [s]; lag : its time
+    constant [s]
+    """
     behind = np.empty(len(felt))
     behind[0] = felt[0]
     for k in range(1, len(felt)):
-        # They run straight between two readings: the exact solution of the first-order lag.
+        # Exact solution of the first-order lag for an input that is linear between two readings.
         step = (time[k] - time[k - 1]) / lag
         decay = np.exp(-step)
         slope = (felt[k] - felt[k - 1]) / step if step > 0 else 0.0
@@ -102,28 +121,41 @@ def _behind(felt: Array, time: Array, lag: float) -> Array:
 
 
 def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | None) -> Array | None:
-    """What a motor's current makes in its winding; of joints that take no load in any pose nothing."""
-    if loads is None or COLUMN not in m.conditions or not 1 <= joint <= m.q.shape[1] or not lag:
+    """Return the lagged square of a joint's load, which is proportional to its motor's ohmic heat.
+
+    Loads that are NaN (a joint without a load) count as zero. None is returned if the column
+    cannot be derived.
+    """
+    if loads is None or TIME_COLUMN not in m.conditions or not 1 <= joint <= m.q.shape[1] or not lag:
         return None
     square = np.nan_to_num(loads(m.q, m.conditions)[:, joint - 1]) ** 2
-    return _back(_behind(square[order], m.conditions[COLUMN][order], lag), order)
+    return _in_row_order(_lagged(square[order], m.conditions[TIME_COLUMN][order], lag), order)
 
 
 def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
+    """Return the sense of the last rotation of the instrument's head, shape (n,), -1, 0 or 1.
+
+    station : position of the head in the measuring frame, shape (3,) [m]. None is returned without
+    positions of a single table.
+    """
     if m.position is None or not m.position.any():  # of several tables together
         return None
     beam = m.position[order] - np.array(station)
     turns = np.diff(np.unwrap(np.arctan2(beam[:, 1], beam[:, 0])), prepend=0.0)
     turns[0] = 0.0
-    return _back(last_sense(turns * np.hypot(beam[:, 0], beam[:, 1]), HELD_STILL), order)
+    return _in_row_order(last_sense(turns * np.hypot(beam[:, 0], beam[:, 1]), MIN_WAY_M), order)
 
 
 def _moves(q: Array) -> Array:
+    """Return the change of a joint's reading since the pose before, zero for the first pose."""
     return np.diff(q, prepend=q[0])
 
 
 def last_sense(ways: Array, least: float) -> Array:
-    """Sense of the last way that was longer than the least one, -1, 0 or 1."""
+    """Return the sign of the last way longer than `least` up to each element, -1, 0 or 1.
+
+    It is 0 before the first such way.
+    """
     motion = np.sign(np.where(np.abs(ways) > least, ways, 0.0))
     for k in range(1, len(motion)):
         motion[k] = motion[k] or motion[k - 1]
@@ -131,7 +163,11 @@ def last_sense(ways: Array, least: float) -> Array:
 
 
 def _memory(q: Array, way: float) -> Array:
-    """What is left of each motion fades along those after it; the way before the first pose is not known."""
+    """Return a hysteresis state, -1 to 1, that follows the direction of motion.
+
+    The state decays exponentially towards the direction of each motion over `way` [rad or m]. It
+    begins at zero, because the motion before the first pose is not known.
+    """
     state, states = 0.0, []
     for move in _moves(q):
         state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / way)) if move else state
@@ -140,14 +176,17 @@ def _memory(q: Array, way: float) -> Array:
 
 
 def _play(q: Array, half: float) -> Array:
-    """What follows the joint with play stays where it is until it is taken along; it begins in the middle."""
+    """Return the position of a part that the joint drives through a play of `half` to each side.
+
+    The part stands still until the joint takes it along; at the first pose the play is centred.
+    """
     taken = accumulate(q, lambda state, reading: float(np.clip(state, reading - half, reading + half)))
     return np.array([*taken])
 
 
-# Columns of a joint, in the order of measuring, from its readings and a way [rad].
-# Less is no motion but rounding of the same reading [rad or m].
-_OF_JOINT: Mapping[str, Callable[..., Array]] = {
+# Functions that compute a joint's column from its readings in the order of measuring and from the
+# way in the column's name [rad or m]. Moves below 1e-9 are rounding of one reading, not motion.
+_JOINT_COLUMNS: Mapping[str, Callable[..., Array]] = {
     r"approach(\d+)": lambda q: last_sense(_moves(q), 1e-9),
     r"move(\d+)": _moves,
     r"memory(\d+)_(\d+)mrad": _memory,
@@ -156,19 +195,22 @@ _OF_JOINT: Mapping[str, Callable[..., Array]] = {
 
 
 def clock_faults(m: Measurements) -> tuple[str, ...]:
-    """Sentences about `time_s`, each with rows and values; none without that column, or for rows in another order."""
-    if COLUMN not in m.conditions or len(m) < 3:
+    """Return sentences on faults of `time_s` (jumps and steps back), each with rows and values.
+
+    They are empty without that column, and where the rows are not in the order of measuring.
+    """
+    if TIME_COLUMN not in m.conditions or len(m) < 3:
         return ()
-    time, row = m.conditions[COLUMN], m.row
+    time, row = m.conditions[TIME_COLUMN], m.row
     by_row = np.argsort(row, kind="stable")
     time, row = time[by_row], row[by_row]
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
-    # Where more of the steps go back, the rows are not in the order of measuring.
+    # If more than a tenth of the steps go back, the rows are not in the order of measuring.
     if len(back) > max(1, 0.1 * len(steps)):
         return ()
     usual = float(np.median(np.abs(steps)))
-    # A clock was set where it jumps by more than a week [s] and by 100 times the usual step.
+    # A jump by more than a week and by 100 times the median step [s] means that the clock was set.
     far = np.flatnonzero(steps > max(7 * 86400.0, 100.0 * usual))
     said = []
     for at, what in ((back, "goes back"), (far, "jumps")):
@@ -176,7 +218,8 @@ def clock_faults(m: Measurements) -> tuple[str, ...]:
             where = ", ".join(f"from {time[k]:.10g} to {time[k + 1]:.10g} s at row {row[k + 1]}" for k in at[:3])
             more = f" and {len(at) - 3} times more" if len(at) > 3 else ""
             said.append(
-                f"{m.source}: {COLUMN} {what} {where}{more}: a clock was set or started again; correct the column or "
+                f"{m.source}: {TIME_COLUMN} {what} {where}{more}: a clock was set or started again; "
+                "correct the column or "
                 "leave it out, else what follows time or temperature is judged by it"
             )
     return tuple(said)

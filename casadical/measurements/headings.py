@@ -1,7 +1,8 @@
-"""What a table's own headings mean: joint readings, what was measured, and conditions, with their units.
+"""Meaning of a table's headings: joint readings, observations and conditions, with their units.
 
-Only what is missing under our own names is looked for. A unit comes from the heading, else from a row of units, a
-comment, or the size of the numbers; where none of these tells, a question is left, with the most probable answer first.
+Only quantities that are missing under casadical's own names are searched for. A unit comes from the
+heading, else from a row of units, a comment, or the size of the numbers; where none of these is
+conclusive, a question is returned whose first choice is the most probable answer.
 """
 
 import re
@@ -14,39 +15,54 @@ from itertools import product
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.measurements.columns import RADIANS, Source, in_seconds, numbers_of
-from casadical.measurements.kinds.position import FIRST
+from casadical.measurements.columns import FULL_TURN_RAD, Source, in_seconds, numbers_of
+from casadical.measurements.kinds.position import FIRST_ORIENTATION_COLUMN
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 
+# The unit at the end of a heading, in brackets, behind "in" or behind a comma, slash or underscore.
 _BRACKETS = re.compile(r"[\[({<【]([^\])}>】]*)[\])}>】]|(?:\bin\b|[,/_])\s*([^\s,/_]+)\s*$")
+# A comment or title that states the units of the table.
 _UNIT_LINE = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
-FEW = 10
-# Quaternions and matrices are rounded.
-NEARLY = 1e-2
-_RANK = {"measured": 0, "": 1, "nominal": 2}
-_OTHERS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg", "kg")}
-# Words that say an axis: of a position, and of an orientation.
-_AXES = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
-_TURNS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
-# Three angles as controllers call them: KUKA's A, B, C are about z, y, x, FANUC's W, P, R about x, y, z.
-_LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
-_ROLL, _QUATERNION = ("roll", "pitch", "yaw"), ("qw", "qx", "qy", "qz")
+# Fewer rows do not show by the size of their numbers whether these are radians or metres.
+MIN_ROWS_FOR_UNIT = 10
+# Largest deviation from unit quaternions and orthonormal matrices, which tables hold rounded.
+ROTATION_TOLERANCE = 1e-2
+# Groups of columns with the lowest rank are taken.
+_QUALIFIER_RANK = {"measured": 0, "": 1, "nominal": 2}
+# Quantities that are conditions: our column's name and its unit.
+_CONDITIONS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg", "kg")}
+# Words for the axes of a position.
+_AXIS_WORDS = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
+# Words for the components of an orientation.
+_ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
+# Letters of controllers for three angles: KUKA's A, B, C are about z, y, x, FANUC's W, P, R about
+# x, y, z.
+_ANGLE_LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
+_ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
+_QUATERNION = ("qw", "qx", "qy", "qz")
 _MATRIX = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
 _XYZ = ("x", "y", "z")
-_ENTRIES = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
-# Ways to read three angles rx, ry, rz, with our names for them.
+# Numbers of a rotation matrix's entries, counted from 0 and from 1.
+_MATRIX_ENTRIES = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
+# Possible meanings of three angles rx, ry, rz, with our names for them.
 _TRIPLES = {
     "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
     "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
-    "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL,
+    "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL_PITCH_YAW,
 }
 
 
 @dataclass(frozen=True)
 class Understood:
-    """One column: our name for it, where it comes from, its unit in the file, and how that is known."""
+    """The meaning of one column of a file.
+
+    ours : our name for it
+    source : column of the file and its conversion
+    unit : in the file
+    why : how the meaning or unit was found, in words
+    """
 
     ours: str
     source: Source
@@ -56,10 +72,12 @@ class Understood:
 
 @dataclass(frozen=True)
 class Question:
-    """What the table does not tell.
+    """A question about a table that its headings leave open.
 
-    choices : in words, with the columns that each means; the first is the most probable
-    about : "orientation" or "observation", on which the robot's model may answer; else nothing
+    text : the question
+    choices : possible answers in words, each with the columns that it means; the most probable
+        first
+    about : "orientation" or "observation" if the robot's model may decide it; else empty
     """
 
     text: str
@@ -69,26 +87,37 @@ class Question:
 
 @dataclass(frozen=True)
 class Understanding:
-    """What is understood of a table: columns with other names than ours, and questions on what is open."""
+    """What is understood of a table: the meaning of its columns, and the open questions."""
 
     columns: tuple[Understood, ...] = ()
     questions: tuple[Question, ...] = ()
 
     @property
     def sources(self) -> dict[str, Source]:
-        """Where each of our columns comes from, by the first choices of what is open."""
+        """The source of each of our columns; open questions are answered by their first choice."""
         first = (c for question in self.questions for c in next(iter(question.choices.values())))
         return {c.ours: c.source for c in (*self.columns, *first)}
 
     def answered(self, question: Question, choice: str, why: str = "") -> "Understanding":
-        """With one of a question's choices; why : how that is known, where not as the columns say."""
+        """Return the understanding with one question answered by one of its choices.
+
+        why : how the answer is known; by default as the columns of the choice say
+        """
         chosen = (replace(c, why=why or c.why) for c in question.choices[choice])
         return Understanding((*self.columns, *chosen), tuple(q for q in self.questions if q is not question))
 
 
 @dataclass(frozen=True)
 class _Heading:
-    """quantity : what it says; slot : which part of it (number of a joint, axis); rest : words that tell us nothing"""
+    """A heading, taken apart.
+
+    quantity : such as joint, position or time
+    slot : part of the quantity (number of a joint, axis, entry of a matrix)
+    qualifier : measured, nominal or empty
+    unit : word of the unit, or empty
+    rest : words without a known meaning, which tell groups of columns apart
+    values : cells as numbers, shape (n,)
+    """
 
     name: str
     quantity: str
@@ -99,9 +128,9 @@ class _Heading:
     values: Array = field(compare=False)
 
 
-# Columns with our names for them, and their quantity: angle, length, or nothing of a unit.
+# Headings, our names for them, and their quantity: angle, length, or empty for one without a unit.
 _Parts = Sequence[tuple[Sequence[_Heading], Sequence[str], str]]
-# What may be meant, in words, and the columns of each.
+# Possible meanings: each in words, with the columns that it implies.
 _Options = Sequence[tuple[str, _Parts]]
 
 
@@ -113,16 +142,19 @@ def understand(
     names: Sequence[str] = (),
     kind: str | None = None,
 ) -> Understanding:
-    """The columns of a table with other headings than ours.
+    """Return the meaning of a table's columns whose headings are not casadical's own.
 
-    joints : kind of each ("revolute", "prismatic"); names : of them, as in a URDF; given : our names that are known
-    kind : of measurement, where it is said
+    joints : kind of each joint ("revolute", "prismatic")
+    given : our names whose columns the user has already named
+    names : names of the joints, as in a URDF
+    kind : kind of measurement, where it is declared
     """
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
     headings = _headings(raw, names) if raw.form.header_line else _by_order(raw, len(joints))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
-    # A column "point" names points that are touched, or, beside positions, the points of a tracker.
+    # Only kinds that determine the scale count: a column "point" alone names touched points, but
+    # together with positions it may name the points of a tracker.
     seen = {each.name for each in kinds().values() if each.has_scale and each.matches(ours)}
     columns: list[Understood] = []
     questions: list[Question] = []
@@ -150,13 +182,17 @@ def understand(
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
         options, about = _observations(positions, lengths)
         decide(options, "What was measured?", about)
-    turned = any(re.fullmatch(FIRST, name) for name in ours) or kind not in (None, "pose", "relative_pose")
+    turned = any(re.fullmatch(FIRST_ORIENTATION_COLUMN, name) for name in ours) or kind not in (
+        None,
+        "pose",
+        "relative_pose",
+    )
     if not turned and (not seen or seen & {"position", "relative_pose"}):
         ways = (columns, *(way for q in questions for way in q.choices.values()))
         taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
         free = [h for h in headings if h.name not in taken]
         decide(*_orientation(free, raw, taken))
-    if seen and not without_readings:  # beside our own names only what is said with its unit
+    if seen and not without_readings:  # beside our own names, only headings with a unit count
         headings = [h for h in headings if h.unit]
     columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours)]
     if not raw.form.header_line:
@@ -165,8 +201,8 @@ def understand(
 
 
 def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Temperature and payload, where exactly one heading names them."""
-    for quantity, (name, unit) in _OTHERS.items():
+    """Yield temperature and payload, each if exactly one heading names it."""
+    for quantity, (name, unit) in _CONDITIONS.items():
         named = [h for h in headings if h.quantity == quantity and not h.rest and UNITS.get(h.unit, (unit,))[0] == unit]
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
             factor = UNITS.get(named[0].unit, ("", 1.0))[1]
@@ -174,7 +210,10 @@ def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator
 
 
 def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Time, where one heading names it, or two with its seconds and nanoseconds; dates and stamps count, too."""
+    """Yield the time, if one heading names it or two name its seconds and nanoseconds.
+
+    Dates and time stamps are recognised by their size.
+    """
     named = [h for h in headings if h.quantity == "time" and not h.rest and UNITS.get(h.unit, ("s",))[0] == "s"]
     named = [h for h in named if np.isfinite(h.values).all()]
     fine = [h for h in named if UNITS.get(h.unit, ("", 1.0))[1] == 1e-9]
@@ -182,28 +221,31 @@ def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Unde
     if "time_s" in ours or len(whole) != 1 or len(fine) > 1:
         return
     size = float(np.median(np.abs(whole[0].values)))
-    # Time stamps below these sizes are in seconds, milliseconds and microseconds.
+    # Largest time stamps in seconds, milliseconds and microseconds, with their factors to seconds.
     stamps = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6))
     factor = UNITS[whole[0].unit][1] if whole[0].unit else next((f for most, f in stamps if size < most), 1e-9)
-    if size * factor < 1e10:  # the latest possible one [s]
+    if size * factor < 1e10:  # later than the year 2286 is no time stamp [s]
         add = {h.name: 1e-9 for h in fine if h is not whole[0]}
         yield Understood("time_s", Source(whole[0].name, factor, add=add), whole[0].unit or "s", "heading")
 
 
 def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
-    """A column of names that say which target was measured: few names, each at several poses."""
+    """Yield a column of names that says which target was measured.
+
+    It has few names, each at several poses.
+    """
     for name in raw.header:
         words = set(words_of(name)[0])
         if "tool" not in ours and words & WORDS["target"] and words <= WORDS["target"] | WORDS["dh_joint"]:
             cells = raw.frame[name].dropna().astype(str)
-            # Six poses at least of each target, on average.
+            # A target has at least six poses on average; otherwise the names are remarks.
             if len(cells) == len(raw.frame) and 1 < cells.nunique() <= len(cells) / 6:
                 yield Understood("tool", Source(name), "", "heading")
                 return
 
 
 def words_of(heading: str) -> tuple[list[str], str]:
-    """The words of a heading in lower case, and its unit, as in `UNITS`, or nothing."""
+    """Return the lower-case words of a heading, and its unit's word (a key of `UNITS`) or ""."""
     text = unicodedata.normalize("NFKC", heading).strip()
     unit = ""
     for match in _BRACKETS.finditer(text):
@@ -219,7 +261,7 @@ def words_of(heading: str) -> tuple[list[str], str]:
 
 
 def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
-    """What each heading says that says something; names : of the joints."""
+    """Return the headings that have a known meaning; `names` are the names of the joints."""
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
     headings = []
@@ -231,7 +273,7 @@ def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
         quantity, slot, rest = _meaning(words, said, named)
         cells = raw.frame.iloc[:, k]
         values = in_seconds(cells) if quantity == "time" else numbers_of(cells)
-        if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _OTHERS):
+        if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _CONDITIONS):
             qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
             unit = unit or (below[k] if below[k] in UNITS else "")
             headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
@@ -241,8 +283,10 @@ def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
 def _meaning(
     words: Sequence[str], said: set[str], named: Sequence[tuple[Sequence[str], str]]
 ) -> tuple[str, str, Collection[str]]:
-    """Quantity, slot and what is left of the words; no quantity where they mean nothing here.
+    """Return quantity, slot and unexplained words of a heading; the quantity may be empty.
 
+    words : all words of the heading
+    said : those that are neither "measured" nor "nominal"
     named : words of the joints' names, with their numbers
     """
     starts = range(len(words))
@@ -253,48 +297,56 @@ def _meaning(
     numbers = [w for w in words if w.isdecimal()]
     joint = said & WORDS["joint"]
     rest = said - WORDS["filler"] - WORDS["joint"] - {*numbers}
-    axis = said & {*_AXES, *_TURNS}
+    axis = said & {*_AXIS_WORDS, *_ROTATION_WORDS}
     if re.fullmatch(r"[0-3]{2}|[1-4]{2}", "".join(numbers)) and said & WORDS["matrix"] and not axis:
         return "matrix", "".join(numbers), rest - WORDS["rotation"] - WORDS["matrix"] | said & {"t"}
     if joint and len(numbers) == 1 and not axis:
-        # The word is kept apart: A1 .. A6 and J1 .. J6 in one table are two groups.
+        # The joint's word stays in the rest: A1 .. A6 and J1 .. J6 in one table are two groups.
         return "joint", str(int(numbers[0])), rest | joint
-    if len(said) == 1 and (letter := min(said)) in _LETTERS:
-        return ("abc" if letter in "abc" else "wpr"), _LETTERS[letter], ()
+    if len(said) == 1 and (letter := min(said)) in _ANGLE_LETTERS:
+        return ("abc" if letter in "abc" else "wpr"), _ANGLE_LETTERS[letter], ()
     if len(axis) == 1:
         (word,) = axis
-        if word in _TURNS or said & WORDS["rotation"]:
-            return "turn", {**_AXES, **_TURNS}[word], rest - axis - WORDS["rotation"] | {*numbers}
-        return "position", _AXES[word], (rest - axis) | {*numbers}
-    for slot in _ROLL:
+        if word in _ROTATION_WORDS or said & WORDS["rotation"]:
+            return "turn", {**_AXIS_WORDS, **_ROTATION_WORDS}[word], rest - axis - WORDS["rotation"] | {*numbers}
+        return "position", _AXIS_WORDS[word], (rest - axis) | {*numbers}
+    for slot in _ROLL_PITCH_YAW:
         if rest & WORDS[slot]:
             return "roll", slot, rest - WORDS[slot] - WORDS["rotation"]
-    for kind in ("time", *_OTHERS, "distance"):
+    for kind in ("time", *_CONDITIONS, "distance"):
         if rest & WORDS[kind] and not numbers:
             return kind, "", rest - WORDS[kind]
     return "", "", ()
 
 
 def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
-    """Columns of a quantity with all slots, of the words that are expected most; nominal ones are none."""
+    """Return the groups of columns that fill all slots of a quantity, only those of the best rank.
+
+    Measured ones rank before unqualified ones, and those with unexplained words last; nominal
+    columns are excluded.
+    """
     groups: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
     for h in headings:
         if h.quantity == quantity and h.qualifier != "nominal":
             groups.setdefault((h.qualifier, h.rest), {}).setdefault(h.slot, h)
     return _best(
-        (_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
+        (_QUALIFIER_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
         for (qualifier, rest), members in groups.items()
         if all(slot in members for slot in slots)
     )
 
 
 def _best(ranked: Iterable[tuple[int, list[_Heading]]]) -> list[list[_Heading]]:
+    """Return the groups of the lowest rank."""
     groups = list(ranked)
     return [members for rank, members in groups if rank == min(rank for rank, _ in groups)]
 
 
 def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> list[list[_Heading]]:
-    """The readings of all joints, in their order; order : joint of each number, where a column names it."""
+    """Return the groups of columns that are the readings of all joints, in the joints' order.
+
+    order : joint of each number, where a column of the table names it (see `_names_in_cells`)
+    """
     groups: dict[tuple[str, frozenset[str]], dict[int, _Heading]] = {}
     for h in headings:
         if h.quantity == "joint":
@@ -302,16 +354,20 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
             groups.setdefault((h.qualifier, h.rest), {}).setdefault(number, h)
     ranked = []
     for (qualifier, rest), members in groups.items():
-        # Of 0 to n one more joint than the robot has is counted, or the first column only counts.
+        # With numbers 0 to n and no n + 1, column 0 is not a joint of this robot (a row counter,
+        # say).
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
         if all(i in members for i in range(first, first + n)):
-            rank = _RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
+            rank = _QUALIFIER_RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
             ranked.append((rank, [members[i] for i in range(first, first + n)]))
     return _best(ranked)
 
 
 def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
-    """The joint of each number, where columns as `name[0]` hold the joints' names (ROS JointState)."""
+    """Return the joint (from 1) of each column number where columns `name[0]` hold joint names.
+
+    ROS writes JointState messages in this way.
+    """
     joint_of = {}
     for heading in raw.header:
         numbers = re.findall(r"\d+", heading)
@@ -323,7 +379,7 @@ def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
 
 
 def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
-    """Columns of numbers whose headings differ in a number only, 1 to n or 0 to n - 1."""
+    """Return groups of numeric columns that differ only in a number, 1 to n or 0 to n - 1."""
     groups: dict[str, dict[int, _Heading]] = {}
     for name in raw.header:
         numbers = re.findall(r"\d+", name)
@@ -335,7 +391,7 @@ def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_
 
 
 def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
-    """The readings of turning joints, and those of sliding ones."""
+    """Return the readings of revolute and of prismatic joints as separate parts, with our names."""
     return [
         (
             [h for h, kind in zip(group, joints, strict=True) if kind == each],
@@ -349,9 +405,9 @@ def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
 def _observations(
     positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]]
 ) -> tuple[_Options, str]:
-    """What may have been measured, and what a question on it is about.
+    """Return the possible observations, and what a question about them concerns.
 
-    Coordinates that nobody says are measured give way to a length that is, and the reverse.
+    If only positions or only lengths are marked as measured, the others are dropped.
     """
     said = [any(g[0].qualifier == "measured" for g in groups) for groups in (positions, lengths)]
     if positions and lengths and said[0] != said[1]:
@@ -362,13 +418,16 @@ def _observations(
 
 
 def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
-    """How the tool's orientation may be said, with a question, and what that is about."""
+    """Return the possible meanings of the orientation, the question, and what it concerns."""
     which = "Which columns are the orientation?"
     triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
     sure = [
         ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], _QUATERNION, ""),
-        *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], _MATRIX, "") for e in _ENTRIES),
-        *((_groups(headings, quantity, _ROLL), _ROLL, "angle") for quantity in ("roll", "abc", "wpr")),
+        *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], _MATRIX, "") for e in _MATRIX_ENTRIES),
+        *(
+            (_groups(headings, quantity, _ROLL_PITCH_YAW), _ROLL_PITCH_YAW, "angle")
+            for quantity in ("roll", "abc", "wpr")
+        ),
         ([g for g in triples if g[0].rest & WORDS["vector"]], _TRIPLES["a rotation vector"], "angle"),
     ]
     for groups, names, quantity in sure:
@@ -388,27 +447,34 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
 
 
 def _finite(group: Sequence[_Heading]) -> Array:
+    """Return the rows of a group's columns that are finite, shape (rows, columns)."""
     values = np.column_stack([h.values for h in group])
     return np.asarray(values[np.isfinite(values).all(axis=1)])
 
 
 def _is_unit(group: Sequence[_Heading]) -> bool:
-    """Whether four columns are unit quaternions."""
-    return bool((np.abs(np.linalg.norm(_finite(group), axis=1) - 1) < NEARLY).all())
+    """Return whether four columns are unit quaternions."""
+    return bool((np.abs(np.linalg.norm(_finite(group), axis=1) - 1) < ROTATION_TOLERANCE).all())
 
 
 def _is_rotation(group: Sequence[_Heading]) -> bool:
-    """Whether nine columns are matrices of rotations."""
+    """Return whether nine columns are rotation matrices, row by row."""
     R = _finite(group).reshape(-1, 3, 3)
-    return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < NEARLY).all())
+    return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < ROTATION_TOLERANCE).all())
 
 
 def _listed(group: Iterable[_Heading]) -> str:
+    """Return the names of headings, separated by commas."""
     return ", ".join(h.name for h in group)
 
 
 def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[str, list[Understood]]:
-    """What may be meant in which unit, in words: of one option that nobody asks about, the units alone."""
+    """Return each possible meaning, with its units, in words, and the columns that it implies.
+
+    stated : unit of lengths and angles, where a comment states it
+    asked : the question, if it is asked even for a single option; without it the choices of a
+        single option are its units
+    """
     choices: dict[str, list[Understood]] = {}
     for label, parts in options:
         units = [_by_unit(members, names, quantity, stated) for members, names, quantity in parts if members]
@@ -422,7 +488,10 @@ def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[s
 def _by_unit(
     members: Sequence[_Heading], names: Sequence[str], quantity: str, stated: Mapping[str, str]
 ) -> list[tuple[str, list[Understood]]]:
-    """Columns with our names and units; where nothing tells the unit, for each of two, the most probable first."""
+    """Return the columns under our names for each possible unit, the most probable unit first.
+
+    There is one entry, with an empty unit, where the unit is known or the quantity has none.
+    """
     if not quantity:
         return [("", [Understood(n, Source(h.name), "", "heading") for h, n in zip(members, names, strict=True)])]
     ours = ("deg", "rad") if quantity == "angle" else ("mm", "m")
@@ -449,21 +518,21 @@ def _by_unit(
 
 
 def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
-    """The unit that the size of the numbers shows, and whether it is sure."""
+    """Return the unit that the size of the numbers suggests, and whether it is certain."""
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return ("deg" if quantity == "angle" else "mm"), False
     if quantity == "angle":
         largest = float(np.abs(values).max())
-        return ("deg", True) if largest > RADIANS + 1 else ("rad", len(values) >= FEW)
-    # Quantiles: single wild numbers say nothing of the unit.
+        return ("deg", True) if largest > FULL_TURN_RAD + 1 else ("rad", len(values) >= MIN_ROWS_FOR_UNIT)
+    # Quantiles, because single outliers say nothing of the unit.
     spread = float(np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0)))
-    # Positions of a robot spread over more than 30 mm, and over less than 10 m.
-    return ("m", len(values) >= FEW) if spread < 10.0 else ("mm", spread > 30.0)
+    # The positions of a robot spread over more than 30 mm and less than 10 m.
+    return ("m", len(values) >= MIN_ROWS_FOR_UNIT) if spread < 10.0 else ("mm", spread > 30.0)
 
 
 def _stated_units(lines: Sequence[str]) -> dict[str, str]:
-    """Units that comments and titles state, for lengths and angles."""
+    """Return the units that comments and titles state for lengths and angles."""
     units: dict[str, str] = {}
     for line in lines:
         match = _UNIT_LINE.search(unicodedata.normalize("NFKC", line))
@@ -476,7 +545,11 @@ def _stated_units(lines: Sequence[str]) -> dict[str, str]:
 
 
 def _by_order(raw: RawTable, n: int) -> list[_Heading]:
-    """A table without headings: readings, positions, and perhaps a matrix; a first column that counts is left aside."""
+    """Return headings for a table without any: readings, positions, and possibly a rotation matrix.
+
+    A first column that counts the rows is skipped; the list is empty if the number of columns
+    differs.
+    """
     values = [numbers_of(raw.frame[name]) for name in raw.header]
     slots = [("joint", str(i)) for i in range(1, n + 1)] + [("position", c) for c in _XYZ]
     matrix = [("matrix", f"{i}{j}") for i in range(3) for j in range(3)]

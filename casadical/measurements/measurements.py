@@ -1,6 +1,6 @@
-"""One immutable, checked object in SI that holds measured poses of one kind (see `casadical.measurements.kinds`).
+"""Measured poses of one kind as one immutable, checked object in SI units, and their noise model.
 
-The noise of measured positions: the instrument's, and the repeatability of the joints.
+The kinds of measurement are in `casadical.measurements.kinds`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from casadical.measurements.kinds.registry import find_kind
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of a campaign.
+    """Noise of a campaign: that of the instrument, and the repeatability of the joints.
 
-    sigma : of a measured coordinate, one sigma [m]
-    repeatability : of how a joint repeats its reading, one sigma [rad or m]
+    sigma : standard deviation of a measured coordinate [m]
+    repeatability : standard deviation with which a joint repeats its reading [rad or m]
     Raises InputError: a sigma that is not positive, or a negative repeatability.
 
     Examples
@@ -41,16 +41,19 @@ class Noise:
             )
 
 
+# Names of the sets into which poses are split: identification, training, choice of the model,
+# report.
 SETS = ("identify", "train", "choose", "report")
 
-# Readings closer than this [rad or m] in every joint count as the same pose.
-SAME_READING = 1e-6
-# Readings of a robot that stands still, while one target after another is measured, differ by less [rad or m].
-STANDS = 5e-4
-# Readings that follow each other without a gap are one reading over no more than so many gaps.
-LONGEST = 20
+# Poses whose readings differ by less in every joint count as the same pose [rad or m].
+SAME_READING_TOLERANCE = 1e-6
+# Readings of a robot that stands still while several targets are measured differ by less [rad or
+# m].
+STANDSTILL_TOLERANCE = 5e-4
+# Sorted readings without a gap form one cell no wider than this [multiple of the gap's width].
+MAX_CELL_WIDTH = 20
 
-# Fields of `Measurements` that hold what was observed.
+# Names of the fields of `Measurements` that hold observations.
 FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 
 
@@ -58,24 +61,30 @@ FIELDS = ("position", "orientation", "distance", "target", "other", "label")
 class Measurements(Shown):
     """Poses of one robot and what was observed at them, all of one kind; SI units.
 
-    q : shape (n, joints) [rad or m]: joint readings
-    kind : what was observed: position, pose, distance, pair_distance, contact, or that of a plug-in
-    position : shape (n, 3) [m]: of kinds position and pose
-    orientation : shape (n, 3, 3): of kind pose
+    q : joint readings, shape (n, joints) [rad or m]
+    kind : what was observed: position, pose, distance, pair_distance, contact, or another
+        registered kind
+    position : measured point in the measuring frame, shape (n, 3) [m]: of kinds position and pose
+    orientation : of the tool in the measuring frame, shape (n, 3, 3): of kind pose
     distance : shape (n,) [m]: of kinds distance and pair_distance
-    target : shape (n, 3) [m]: known far end of a distance; None where it is to be identified
-    other : shape (n, joints) [rad or m]: readings at the other end of a pair distance
-    label : shape (n,): which unknown point is touched, of kind contact
+    target : given anchor of a distance in the measuring frame, shape (n, 3) [m]; None where it is
+        identified
+    other : readings at the other end of a pair distance, shape (n, joints) [rad or m]
+    label : name of the unknown point that is touched, shape (n,), of kind contact
     extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
-    separations : for kind contact, (label, label, distance [m]) between touched points that are known, with one sigma
-        of `separation_sigma` [m]
+    separations : given distances (label, label, distance [m]) between touched points
+    separation_sigma : standard deviation of these distances [m]
     conditions : logged columns by name, each of shape (n,)
-    sigma, sigma_angle : one sigma of a coordinate [m] and of an angle [rad]; None: estimated from the fit
-    datasheet : largest error of a point that the instrument's data sheet states [m]; None: not known
-    weight : shape (n,): factor on each pose's residual
-    row : shape (n,): line of the source at which each pose stands; source : file name or description
-    unused : columns that were left out: of words, or without a cell
-    copies, lost : lines that were left out, as they repeat another to the last digit, or lack a reading or position
+    sigma, sigma_angle : standard deviation of a coordinate [m] and of an angle [rad]; None:
+        estimated from the fit
+    datasheet : largest error of a point that the instrument's data sheet states [m]; None: not
+        given
+    weight : factor on each pose's residual, shape (n,)
+    row : line of the source at which each pose stands, shape (n,)
+    source : file name or description
+    unused : columns that nothing reads: those of words, or without a cell
+    copies : lines that were dropped because they repeat another one to the last digit
+    lost : lines that were dropped because a reading or an observation is missing
     Raises InputError: arrays that do not fit the kind or each other.
 
     Examples
@@ -135,7 +144,7 @@ class Measurements(Shown):
         _refuse_malformed(self)
 
     def _repr_html_(self) -> str:
-        """For a notebook: ranges of readings, positions and logged columns."""
+        """Return HTML for a notebook: ranges of readings, positions and logged columns."""
         columns = [(f"q{k + 1} [rad or m]", column) for k, column in enumerate(self.q.T)]
         if self.position is not None:
             columns += [(f"{axis} [mm]", 1e3 * column) for axis, column in zip("xyz", self.position.T, strict=True)]
@@ -149,22 +158,24 @@ class Measurements(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What was observed, by name, fields and extras alike; see `kinds.base.MeasurementKind`."""
+        """The observed arrays by name, from fields and extras; see `MeasurementKind.arrays`."""
         return {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
 
     @property
     def residuals(self) -> int:
-        """How many numbers were observed, poses of weight zero left aside."""
+        """The number of observed numbers, without poses of weight zero."""
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
-        """The same poses as kind position, whatever else was observed left out. Raises InputError: no positions."""
+        """Return the same poses as kind position, without other observations.
+
+        Raises InputError: no positions."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
     @property
     def copies_in_words(self) -> str:
-        """Which rows were left out as copies; empty if there are none."""
+        """A sentence on the rows that were dropped as copies; empty if there are none."""
         if not self.copies:
             return ""
         few = ", ".join(map(str, self.copies[:10])) + (" ..." if len(self.copies) > 10 else "")
@@ -176,7 +187,7 @@ class Measurements(Shown):
         )
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
-        """The poses chosen by mask, slice or indices."""
+        """Return the poses chosen by a mask, a slice or indices."""
         index = np.atleast_1d(np.arange(len(self))[which])
         kept = self.separations
         if self.label is not None:
@@ -192,12 +203,18 @@ class Measurements(Shown):
         )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
-        """Logged columns, shape (n, k), SI; one that was not logged takes its declared value, of shape (k,) [SI]."""
+        """Return logged columns, shape (n, k) [SI]; a missing one takes its declared value.
+
+        declared : value of each named column, shape (k,) [SI]
+        """
         columns = [self.conditions.get(n, np.full(len(self), declared[k])) for k, n in enumerate(names)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
     def split(self, sizes: Mapping[str, float], seed: int = 0) -> dict[str, Measurements]:
-        """Disjoint, seeded, named sets; a size below 1 is a share, from 1 on a number of poses.
+        """Return disjoint, seeded, named sets of poses.
+
+        sizes : of each set: below 1 a share of the poses, from 1 on their number
+
 
         Poses at the same joint readings (replicates, several targets at one stop) stay together, so that no pose is
         ever in two sets; a set may hold some more or less than its size for that. A pair distance whose ends fall in
@@ -207,7 +224,7 @@ class Measurements(Shown):
         """
         ends = np.concatenate([self.q] if self.other is None else [self.q, self.other])
         several = sum(name.startswith("tool_") for name in self.conditions) > 1
-        reading = same_readings(ends, STANDS if several else SAME_READING)
+        reading = same_readings(ends, STANDSTILL_TOLERANCE if several else SAME_READING_TOLERANCE)
         near, far = reading[: len(self)], reading[-len(self) :]
         counts = np.array([s * len(self) if s < 1 else s for s in sizes.values()])
         edges = np.cumsum([0.0, *counts]).round().astype(int)
@@ -219,7 +236,7 @@ class Measurements(Shown):
             )
         copies = np.bincount(near, minlength=int(reading.max()) + 1)
         order = np.random.default_rng(seed).permutation(len(copies))
-        # The place of each reading's first pose in the shuffled row decides on its set.
+        # The place of each reading's first pose in the shuffled order decides on its set.
         first = np.empty(len(copies), dtype=int)
         first[order] = np.cumsum(copies[order]) - copies[order]
         home = np.searchsorted(edges, first, side="right") - 1
@@ -233,12 +250,16 @@ class Measurements(Shown):
         return {name: self[own] for name, own in members.items()}
 
     def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
-        """Contact poses with known distances (label, label, distance [m]) between touched points, sigma [m] each."""
+        """Return the poses with given distances between touched points.
+
+        known : (label, label, distance [m]) of each pair; sigma : standard deviation of a distance
+            [m]
+        """
         return replace(self, separations=tuple(known), separation_sigma=sigma)
 
 
 def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: str = "table") -> Measurements:
-    """Poses to predict at, every position zero.
+    """Return poses without measurements, for predictions: kind position, every position zero.
 
     q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,)
     """
@@ -246,11 +267,15 @@ def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: 
     return Measurements(q=q, kind="position", position=zero, conditions=dict(conditions or {}), source=source)
 
 
-def same_readings(q: Array, within: float = SAME_READING) -> Array:
-    """A number for each distinct reading, shape (n,): joint by joint, a new cell begins behind each gap.
+def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
+    """Return a number for each pose, shape (n,), that is equal for poses of the same readings.
 
-    within : gaps below it [rad or m] are none. Where readings are so many that there are no gaps, a cell ends where it
-    is `LONGEST` times as wide.
+    Each joint's sorted readings are cut into cells at the gaps; poses in the same cells are the
+    same.
+
+    q : readings, shape (n, joints) [rad or m]
+    within : smaller differences are no gaps [rad or m]; where readings are so dense that there are
+        no gaps, a cell ends at `MAX_CELL_WIDTH` times this width
     """
     cells = np.empty(q.shape, dtype=int)
     for j, column in enumerate(q.T):
@@ -258,13 +283,15 @@ def same_readings(q: Array, within: float = SAME_READING) -> Array:
         values = column[order]
         begins = np.diff(values, prepend=values[0]) > within
         first = np.maximum.accumulate(np.where(begins, np.arange(len(values)), 0))
-        piece = np.floor((values - values[first]) / (LONGEST * within))
+        piece = np.floor((values - values[first]) / (MAX_CELL_WIDTH * within))
         cells[order, j] = np.cumsum(begins | (np.diff(piece, prepend=0.0) > 0))
     return np.asarray(np.unique(cells, axis=0, return_inverse=True)[1].ravel())
 
 
 def _refuse_malformed(m: Measurements) -> None:
-    """Raises InputError that names source, entry, row and value."""
+    """Check shapes and values of all arrays.
+
+    Raises InputError that names source, entry, row and value."""
     if m.q.ndim != 2:
         raise InputError(f"{m.source}: q has shape {m.q.shape}; it must be (poses, joints)")
     arrays = m.arrays
@@ -294,6 +321,7 @@ def _refuse_malformed(m: Measurements) -> None:
 
 
 def _refuse_weights(m: Measurements) -> None:
+    """Check sigmas and weights. Raises InputError."""
     for name in ("sigma", "sigma_angle", "separation_sigma", "datasheet"):
         size = getattr(m, name)
         if size is not None and not 0 < size < np.inf:
@@ -311,6 +339,7 @@ def _refuse_weights(m: Measurements) -> None:
 
 
 def _refuse_separations(m: Measurements) -> None:
+    """Check the given distances between touched points. Raises InputError."""
     present = set() if m.label is None else {str(name) for name in m.label}
     if m.separations and not find_kind(m.kind).places:
         first, second, _ = m.separations[0]

@@ -1,4 +1,7 @@
-"""The reader of tables: the content of a file, checked for its form only, not for the meaning of its columns."""
+"""Reader of table files: the content as text and numbers.
+
+Only the form is checked here (size, headings, cells per row), not the meaning of the columns.
+"""
 
 import csv
 import io
@@ -16,6 +19,7 @@ from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MOST_CELLS, MOST_NUMBERS, archive_of, foreign, read_bytes, text_fault, unpacked
 from casadical.measurements import table_form
 
+# A longer heading or more columns show that the file is no table of measurements.
 MAX_HEADING_CHARACTERS = 1000
 MAX_COLUMNS = 2000
 
@@ -24,10 +28,14 @@ MAX_COLUMNS = 2000
 class RawTable:
     """A table as it stands in a file.
 
-    path : of the file; header : names of the columns, without blanks around them
-    cells : of each row as text, numbers with decimal points; none where it was not kept, and of a file without text
-    frame : the rows, numbers where a column holds nothing else; line : of the file at which each begins
-    form : how the file writes its table; comments : lines that are comments, as they stand
+    path : of the file
+    header : names of the columns, without blanks around them
+    cells : text of each row's cells, numbers with decimal points; empty if it was not asked for,
+        and for files without text
+    frame : the rows, numbers where a column holds nothing else
+    line : line of the file at which each row begins
+    form : how the file writes its table
+    comments : lines that are comments, unchanged
     """
 
     path: Path
@@ -43,7 +51,7 @@ class RawTable:
 
 
 def _refuse_header(header: Sequence[str], path: Path) -> None:
-    """Raises InputError for too many headings, and for a long one or control characters in one."""
+    """Check the headings. Raises InputError: too many, too long, or control characters in one."""
     if len(header) > MAX_COLUMNS:
         raise InputError(f"{path}: has {len(header)} columns; at most {MAX_COLUMNS} are read")
     for k, name in enumerate(header, 1):
@@ -57,17 +65,18 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
 
 
 def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool = True) -> RawTable:
-    """Read a table: text in any usual encoding, separator and decimal sign, .xlsx (openpyxl) or .parquet (pyarrow).
+    """Read a table: text in any usual encoding, separator and decimal sign, .xlsx or .parquet.
 
-    The file may be gzipped. Comments, titles above the headings, a row of units, repeated headings and
-    blank lines are no rows.
+    Reading .xlsx needs openpyxl, reading .parquet pyarrow. The file may be gzipped. Comments,
+    titles above the headings, a row of units, repeated headings and blank lines are no rows.
 
-    data : the content, where it was read already
+    data : content of the file, if it was read already
     keep_text : whether the text of the cells is needed; without it, plain numbers under one line of
         headings are read in a tenth of the time
 
-    Raises InputError that names the file, and the row where one is wrong: no such file, neither text nor a workbook,
-    a name twice in the header, no rows, too many numbers, or a row with more cells than the header.
+    Raises InputError that names the file, and the row where one is wrong: no such file, neither
+    text nor a workbook, a name twice in the header, no rows, too many numbers, or a row with more
+    cells than the header.
     """
     path = Path(path)
     packed = read_bytes(path) if data is None else data
@@ -99,19 +108,24 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
 
 
 def refuse_many(path: str | Path, numbers: int, most: int = MOST_NUMBERS, remedy: str = "") -> None:
-    """Raises InputError for more numbers than memory should hold."""
+    """Check the size of a table.
+
+    Raises InputError: more numbers than `most`, the limit for memory.
+
+    remedy : what the message ends with
+    """
     if numbers > most:
         raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{remedy}")
 
 
 def plain_headings(line: bytes) -> tuple[str, ...]:
-    """Return the headings of a line in ASCII, commas between them and nothing quoted; none of another line."""
+    """Return the headings of a line of ASCII text with commas and no quotes; else none."""
     usual = line.isascii() and re.fullmatch(rb"[^\n\"]*[A-Za-z][^\n\"]*,[^\n\"]*", line.strip())
     return tuple(word.strip() for word in line.decode().split(",")) if usual else ()
 
 
 def _plain(path: Path, data: bytes) -> RawTable | None:
-    """Read plain numbers under one line of headings; return None for another text."""
+    """Return a table of plain numbers under one line of headings; None for any other text."""
     header = plain_headings(data[: data.find(b"\n") + 1])
     blank = b"\n\n" in data or b"\n\r" in data or b"\r\r" in data  # rows are counted by their lines
     if not (all(header) and 0 < len(header) == len({*header}) <= MAX_COLUMNS) or blank:
@@ -130,7 +144,10 @@ def _plain(path: Path, data: bytes) -> RawTable | None:
 
 
 def _parquet(path: Path, data: bytes) -> RawTable:
-    """Read a Parquet file; its rows count as in a text, from 2 on. Raises InputError for whatever Arrow raises."""
+    """Return the table of a Parquet file. Raises InputError: it is unreadable.
+
+    Its rows are numbered as in a text file, from 2 on.
+    """
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
     with foreign(f"{path}: not a readable table", "write it again"), parquet.ParquetFile(io.BytesIO(data)) as file:
         refuse_many(path, file.metadata.num_rows * len(file.schema_arrow.names))
@@ -146,7 +163,10 @@ def _parquet(path: Path, data: bytes) -> RawTable:
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
-    """The sheet of a workbook with the most numbers, as CSV with the sheet's rows as lines."""
+    """Return the sheet of a workbook with the most numbers: its CSV text, "workbook" and its name.
+
+    The lines of the CSV are the rows of the sheet.
+    """
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
     content, best, cells = archive_of(data, str(path)), ("", "", -1), 0
@@ -156,7 +176,7 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
                 if name.endswith(".xml"):
                     _refuse_cells(path, len(re.findall(rb"<(?:\w+:)?(?:row|c)[\s/>]", archive.read(name))))
         for sheet in openpyxl.load_workbook(content, read_only=True, data_only=True).worksheets:
-            sheet.reset_dimensions()  # what it says of its size need not be true
+            sheet.reset_dimensions()  # the size that a sheet declares may be wrong
             out, numbers = io.StringIO(newline=""), 0
             rows = csv.writer(out)
             for row in sheet.iter_rows(values_only=True):
@@ -169,19 +189,20 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
 
 
 def _refuse_cells(path: Path, cells: int) -> None:
+    """Check the number of cells of a workbook. Raises InputError: too many."""
     if cells > MOST_CELLS:
         raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
 
 
 def _cell(value: Any) -> str:
-    """Return a cell as text; that of a formula that failed is empty."""
+    """Return a cell of a workbook as text; that of a formula that failed is empty."""
     if value is None or value in ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A"):
         return ""
     return " ".join(str(int(value) if isinstance(value, float) and value.is_integer() else value).split())
 
 
 def _table_of(path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str) -> RawTable:
-    """Return headings and rows out of all records. Raises InputError."""
+    """Return the table of all records: headings, units, rows and comments. Raises InputError."""
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     comments = [(line, cells) for line, cells in records if table_form.commented(cells)]
@@ -231,7 +252,10 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
 def _headings(
     rest: list[table_form.Record], comments: list[table_form.Record]
 ) -> tuple[int, table_form.Record | None, table_form.Record | None]:
-    """Index of the first row of the table, the record of its headings or None, and that of its units or None."""
+    """Return the index of the table's first row, and the records of its headings and units.
+
+    A record is None where there are no headings or no row of units.
+    """
     first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
     if first is None:
         return 1, rest[0], None
@@ -261,12 +285,16 @@ def _headings(
 
 
 def _names_in(cells: Sequence[str]) -> int:
+    """Return how many cells are names; 0 for a row of units."""
     words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
     return 0 if table_form.is_units(cells) else words
 
 
 def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Headings under the headings of groups, which stand in the first column of each group."""
+    """Return headings, those that occur twice preceded by the heading of their group.
+
+    groups : cells above, where a group's heading stands over its first column
+    """
     headings, group = [], ""
     for k, name in enumerate(names):
         group = (groups[k].strip() if k < len(groups) else "") or group
@@ -275,7 +303,7 @@ def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
 
 
 def refuse_repeated_names(names: Iterable[str], source: str) -> None:
-    """Raises InputError where two columns have the same name; those without one are left out."""
+    """Check that no two columns have the same name; empty names may repeat. Raises InputError."""
     seen: set[str] = set()
     for name in names:
         if name and name in seen:

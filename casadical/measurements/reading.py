@@ -1,4 +1,4 @@
-"""Measurements from CSV files and pandas tables."""
+"""Readers of measured poses: `Measurements` from table files and pandas tables."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,7 +9,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import GRAVITY
-from casadical.measurements.columns import MOST_TURNS, RADIANS, Columns, Source
+from casadical.measurements.columns import FULL_TURN_RAD, MAX_TURNS, Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
@@ -26,14 +26,15 @@ def read_measurements(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Read measurements from a table in a file (see `casadical.measurements.raw_table`).
+    """Return the measurements in a table file (see `casadical.measurements.raw_table`).
 
     path : table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
     joints : number of joints, or the kind of each ("revolute", "prismatic")
     kind : what was observed; by default what the columns say
     columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
     point_from : columns that together name the touched point, of kind contact
-    sigma_mm, sigma_deg : one sigma of a measured coordinate [mm] and angle [deg]; None: estimated from the fit
+    sigma_mm, sigma_deg : standard deviation of a measured coordinate [mm] and angle [deg]; None:
+        estimated from the fit
     Raises InputError: a table that cannot be used; it names the file, row and column where something is wrong.
 
     Examples
@@ -50,7 +51,7 @@ def read_measurements(
 def _sources(
     raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], kind: str | None
 ) -> dict[str, str | Source]:
-    """What each of our columns is made of: as `columns` says, and what it leaves open as the headings say.
+    """Return the source of each of our columns: as `columns` says, else as the headings say.
 
     Raises InputError where the headings leave a question.
     """
@@ -60,7 +61,7 @@ def _sources(
 
 
 def refuse_open(raw: RawTable, meaning: Understanding) -> None:
-    """Raises InputError where the headings of a table leave a question."""
+    """Check that a table's headings leave no question. Raises InputError with the first one."""
     for question in meaning.questions:
         first = next(iter(question.choices.values()))
         line = ", ".join(f'{c.ours} = "{c.source.name}"' for c in first)
@@ -80,7 +81,7 @@ def from_table(
     sigma_deg: float | None = None,
     source: str = "table",
 ) -> Measurements:
-    """Measurements from a pandas table; arguments and errors as of `read_measurements`.
+    """Return the measurements in a pandas table; arguments and errors as of `read_measurements`.
 
     table : with the columns of docs/measurements.md; source : what messages call it
     Raises InputError: the table names no usable poses; row and column are named.
@@ -102,7 +103,10 @@ def from_columns(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Return measurements from columns under our names; arguments as of `read_measurements`. Raises InputError."""
+    """Return the measurements in columns under our names; arguments as of `read_measurements`.
+
+    Raises InputError.
+    """
     source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
     patterns = [k.pattern for k in kinds().values()]
@@ -131,7 +135,10 @@ def from_columns(
 
 
 def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
-    """Of each joint. Raises InputError."""
+    """Return the kind of each joint, revolute or prismatic. Raises InputError.
+
+    joints : their number, if all are revolute, or their kinds
+    """
     kinds = ["revolute"] * joints if isinstance(joints, int) else list(joints)
     if not kinds or set(kinds) - {"revolute", "prismatic"}:
         raise InputError(f"{source}: joints {joints!r}; allowed: their number, or 'revolute' or 'prismatic' for each")
@@ -139,17 +146,20 @@ def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
 
 
 def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Array) -> None:
-    """Raises InputError where readings, shape (n, joints), are in another unit than their columns say; row : of each"""
+    """Check that revolute readings are in the unit of their columns' names. Raises InputError.
+
+    q : shape (n, joints) [rad or m]; row : line of each pose
+    """
     source, names = columns.source, columns.table
     turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]
     if not turning:
         return
     ends = np.array([[column.min(), column.max()] for column in (q[:, i] for i in turning)])
-    if np.abs(ends).max() > MOST_TURNS * 2 * np.pi:
+    if np.abs(ends).max() > MAX_TURNS * 2 * np.pi:
         k, i = divmod(int(np.argmax(np.abs(q[:, turning]))), len(turning))
         name, largest = f"q{turning[i] + 1}", q[k, turning[i]]
         unit, said = ("rad", largest) if f"{name}_rad" in names else ("deg", np.rad2deg(largest))
-        remedy = f"at most {MOST_TURNS} are allowed: correct the reading"
+        remedy = f"at most {MAX_TURNS} are allowed: correct the reading"
         if unit == "rad":
             remedy = f"are the columns in degrees? name them {name}_deg"
         turns = abs(largest) / (2 * np.pi)
@@ -157,16 +167,17 @@ def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Ar
             f"{source}: row {row[k]}, column '{name}_{unit}': {said:.6g} {unit} is {turns:.1f} turns; {remedy}"
         )
     widest = float(np.rad2deg(np.ptp(ends, axis=1).max()))
-    if all(f"q{i + 1}_deg" in names for i in turning) and len(q) >= 10 and widest < RADIANS:
+    if all(f"q{i + 1}_deg" in names for i in turning) and len(q) >= 10 and widest < FULL_TURN_RAD:
         remedy = "are the columns in radians? name them q1_rad, ..." if widest else "measure poses that differ"
         raise InputError(f"{source}: no joint moves by more than {widest:.2f} deg over {len(q)} poses; {remedy}")
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:
-    """Logged columns, and the direction of gravity in the base frame where two tilts were logged.
+    """Return the conditions with the direction of gravity in the base frame.
 
-    A base that is level, turned by tilt_x about its x axis, then by tilt_y about the new y axis. Raises InputError for
-    an accelerometer that reads nothing.
+    Where two tilts were logged, it follows from them: the base, level at first, is rotated by
+    tilt_x about its x axis, then by tilt_y about the new y axis.
+    Raises InputError: an accelerometer whose three values are zero.
     """
     tilts = [f"tilt_{c}_{unit}" for unit in ("deg", "rad") for c in "xy"]
     given = [name for name in tilts if name in conditions]
@@ -182,14 +193,17 @@ def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Ar
 
 
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
-    """Poses that are planned but not measured: readings and conditions, every position zero. Raises InputError."""
+    """Return planned poses that are not measured: readings and conditions, every position zero.
+
+    Raises InputError.
+    """
     positions = [f"{c}{unit}" for c in "xyz" for unit in ("_mm", "_m")]
     table = columns.table.drop(columns=positions, errors="ignore")
     return from_columns(replace(columns, table=table.assign(x_m=0.0, y_m=0.0, z_m=0.0)), joints, "position")
 
 
 def _without_copies(m: Measurements) -> Measurements:
-    """Count a row that was copied whole once: it is no second measurement."""
+    """Return the measurements without rows that repeat another one exactly: copies, not repeats."""
     hashes = _hashes(_numbers(m))
     alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
     if not len(alike):
@@ -202,7 +216,7 @@ def _without_copies(m: Measurements) -> Measurements:
 
 
 def _numbers(m: Measurements) -> list[Array]:
-    """Readings and what was observed, each of shape (n, ...); of names a number for each."""
+    """Return readings and observations, each of shape (n, k); names are replaced by hashes."""
     names = {
         name: pd.util.hash_array(v.astype(str).astype(object)) >> 11
         for name, v in m.arrays.items()
@@ -212,7 +226,7 @@ def _numbers(m: Measurements) -> list[Array]:
 
 
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
-    """Raises InputError where a table repeats rows of another one of its kind: a pose counts once."""
+    """Check that no table repeats rows of another one of its kind. Raises InputError."""
     rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []
     if not rows or len(np.unique(np.concatenate(rows))) == sum(map(len, rows)):
         return
@@ -221,7 +235,8 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
         alike = (m.kind, *m.arrays, m.q.shape[1])
         for shape, others, other in seen:
             shared = np.isin(hashes, others).sum() if shape == alike else 0
-            # Of the rows of a table, the share from which on it is taken for a copy of another one.
+            # If half of the rows of the smaller table are shared, it is a copy; fewer may be
+            # chance.
             if shared >= 0.5 * min(len(hashes), len(others)):
                 raise InputError(
                     f"{m.source}: {shared} of its {len(hashes)} poses are in {other.source}, too; a pose counts once: "
@@ -231,7 +246,7 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
 
 
 def _hashes(numbers: Sequence[Array]) -> Array:
-    """Return a number for each row of some arrays, the same for equal rows, shape (n,)."""
+    """Return a hash of each row over all arrays, shape (n,), equal for equal rows."""
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
     for column in (column for values in numbers for column in values.T):
         hashes = hashes * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0

@@ -1,7 +1,7 @@
-"""How a text file writes its table: encoding, separator, decimal sign, comments, line of the headings, row of units.
+"""Form of a text table: encoding, separator, decimal sign, comments, headings and row of units.
 
-Nothing is asked of the user here. What the text does not show (units, meaning of the columns) is left to
-`casadical.measurements.headings`.
+The form is recognised from the text alone, without questions to the user. What the text does not
+show (units, meaning of the columns) is decided in `casadical.measurements.headings`.
 """
 
 import codecs
@@ -16,34 +16,41 @@ from dataclasses import dataclass
 
 from casadical.measurements.vocabulary import UNITS, hits
 
+# Separators of cells that are tried, in this order.
 SEPARATORS = (",", ";", "\t", "|", " ")
+# A line that begins with one of these is a comment.
 COMMENTS = ("#", "//", "%", "!")
-_MARKS = {
+_BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF32_LE: "utf-32",
     codecs.BOM_UTF32_BE: "utf-32",
     codecs.BOM_UTF16_LE: "utf-16",
     codecs.BOM_UTF16_BE: "utf-16",
 }
-# A number of more characters is cut to those of a double; a whole one would else be no number of an array.
-MOST_FIGURES = 40
-# So many lines are looked at to tell how a table is written, within so many characters, comments included.
-SAMPLE, MOST_LOOKED = 200, 1_000_000
-_POINT = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
-_COMMA = re.compile(r"[+-]?(\d*,\d+|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.IGNORECASE)
-_THOUSANDS = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
+# A longer number is rounded to a double: pandas reads longer whole numbers as Python objects.
+MAX_NUMBER_CHARACTERS = 40
+# The separator is recognised from so many lines, comments excluded ...
+SAMPLE_LINES = 200
+# ... that stand within so many characters, comments included.
+MAX_SAMPLE_CHARACTERS = 1_000_000
+# Numbers with a decimal point, with a decimal comma, and with commas between thousands.
+_POINT_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_COMMA_NUMBER = re.compile(r"[+-]?(\d*,\d+|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.IGNORECASE)
+_THOUSANDS_NUMBER = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
+# Number of a line, and its cells.
 Record = tuple[int, list[str]]
 
 
 @dataclass(frozen=True)
 class Form:
-    """How a table is written.
+    """How a file writes its table.
 
-    encoding, separator, decimal : of the text; header_line : line of the file with the headings, 0 where there is none
-    units : of each column, from a row of units below the headings; empty without one
+    encoding, separator, decimal : of the text
+    header_line : line of the file with the headings, 0 where there is none
+    units : unit of each column, from a row of units below the headings; empty without one
     skipped : lines that are no rows of the table (comments, titles, repeated headings), with their text
-    sheet : of a workbook
+    sheet : name of a workbook's sheet
     """
 
     encoding: str = "utf-8"
@@ -56,7 +63,7 @@ class Form:
 
     @property
     def words(self) -> str:
-        """In one line."""
+        """The form in one line."""
         separators = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks", "|": "vertical bars"}
         parts = [f"sheet {self.sheet!r}"] if self.sheet else [self.encoding, separators[self.separator]]
         if not self.sheet:
@@ -70,12 +77,13 @@ class Form:
 
 
 def decoded(data: bytes) -> tuple[str, str]:
-    """Return the text of a file and its encoding. Raises UnicodeDecodeError where none fits.
+    """Return the text of a file and its encoding. Raises UnicodeDecodeError: no encoding fits.
 
-    A text that is not Unicode is read in the encoding that finds most known headings. (charset-normalizer
-    takes "q1 [°]" in cp1252 for big5: it needs longer texts than headings are.)
+    A text that is not Unicode is read in the encoding that finds most known words of headings.
+    charset-normalizer is not used: it takes "q1 [°]" in cp1252 for big5, because it needs longer
+    texts.
     """
-    name = next((name for mark, name in _MARKS.items() if data.startswith(mark)), "utf-8")
+    name = next((name for mark, name in _BYTE_ORDER_MARKS.items() if data.startswith(mark)), "utf-8")
     if name == "utf-8" and b"\0" in data[:1000]:
         name = "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
     try:
@@ -93,13 +101,13 @@ def decoded(data: bytes) -> tuple[str, str]:
 
 
 def records_of(text: str, separator: str) -> list[Record]:
-    """Cells of every line that is not blank, with its number; a quoted cell may go over several lines.
+    """Return number and cells of every line that is not blank; quoted cells may span several lines.
 
     Raises csv.Error, with its row, for a quote that is never closed.
     """
     if separator == " ":
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    loose = separator != "\t"  # csv counts tabs as blanks
+    loose = separator != "\t"  # csv would skip tabs as initial blanks
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator, skipinitialspace=loose)
     records, line = [], 1
     try:
@@ -113,22 +121,25 @@ def records_of(text: str, separator: str) -> list[Record]:
 
 
 def clean(cell: str) -> str:
-    """A cell without blanks around it, its digits and signs as in ASCII."""
+    """Return a cell without blanks around it, its digits and signs in ASCII."""
     return cell.strip() if cell.isascii() else unicodedata.normalize("NFKC", cell).replace("−", "-").strip()
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number, with a decimal point or a decimal comma."""
+    """Return whether a cell is a number, with a decimal point or a decimal comma."""
     text = clean(cell)
-    return bool(_POINT.fullmatch(text) or _COMMA.fullmatch(text) or _THOUSANDS.fullmatch(text))
+    return bool(_POINT_NUMBER.fullmatch(text) or _COMMA_NUMBER.fullmatch(text) or _THOUSANDS_NUMBER.fullmatch(text))
 
 
 def separator_of(text: str) -> str:
-    """The separator with which most cells are numbers in rows of one width; of a text without rows, of its headings."""
-    if len(text) > MOST_LOOKED:
-        text = text[:MOST_LOOKED].rpartition("\n")[0] or text
+    """Return the separator that gives the most numbers in rows of one width.
+
+    For a text without rows it is the most frequent separator of the first line.
+    """
+    if len(text) > MAX_SAMPLE_CHARACTERS:
+        text = text[:MAX_SAMPLE_CHARACTERS].rpartition("\n")[0] or text
     sample = "\n".join(line for line in text.splitlines() if not line.startswith(COMMENTS))
-    lines = sample.splitlines()[:SAMPLE]
+    lines = sample.splitlines()[:SAMPLE_LINES]
     best, most = ",", 0
     for separator in SEPARATORS:
         try:
@@ -141,7 +152,7 @@ def separator_of(text: str) -> str:
             continue
         width = widths.most_common(1)[0][0]
         count = sum(numbers for w, numbers in numeric if w == width)
-        # Blanks stand in words too.
+        # Blanks also separate words, so they must win clearly.
         if count > most * (2 if separator == " " else 1):
             best, most = separator, count
     if not most and lines:
@@ -150,43 +161,43 @@ def separator_of(text: str) -> str:
 
 
 def decimal_of(rows: Sequence[Record]) -> str:
-    """ "," where numbers have decimal commas, else "."; thousands may be set off by the other one."""
-    cells = [clean(cell) for _, row in rows[:SAMPLE] for cell in row if "," in cell]
-    commas = [c for c in cells if _COMMA.fullmatch(c)]
-    return "," if commas and not any("." in c and _THOUSANDS.fullmatch(c) for c in cells) else "."
+    """Return "," where numbers have decimal commas, else "."; the other separates thousands."""
+    cells = [clean(cell) for _, row in rows[:SAMPLE_LINES] for cell in row if "," in cell]
+    commas = [c for c in cells if _COMMA_NUMBER.fullmatch(c)]
+    return "," if commas and not any("." in c and _THOUSANDS_NUMBER.fullmatch(c) for c in cells) else "."
 
 
 def as_plain_number(cell: str, decimal: str) -> str:
-    """A number with a decimal point and nothing else; a cell that is no number as it stands."""
-    if len(cell) < MOST_FIGURES and _POINT.fullmatch(cell):
+    """Return a number with a decimal point and no separators; other cells stay unchanged."""
+    if len(cell) < MAX_NUMBER_CHARACTERS and _POINT_NUMBER.fullmatch(cell):
         return cell
     text = clean(cell)
-    if decimal == "," and _COMMA.fullmatch(text):
+    if decimal == "," and _COMMA_NUMBER.fullmatch(text):
         text = text.replace(".", "").replace(",", ".")
-    elif decimal == "." and "," in text and _THOUSANDS.fullmatch(text):
+    elif decimal == "." and "," in text and _THOUSANDS_NUMBER.fullmatch(text):
         text = text.replace(",", "")
-    elif not _POINT.fullmatch(text):
+    elif not _POINT_NUMBER.fullmatch(text):
         return cell
-    return text if len(text) < MOST_FIGURES else repr(float(text))
+    return text if len(text) < MAX_NUMBER_CHARACTERS else repr(float(text))
 
 
 def is_data(cells: Sequence[str]) -> bool:
-    """Whether at least half of the cells that are filled are numbers."""
+    """Return whether at least half of the cells that are filled are numbers (of two or more)."""
     filled = [cell for cell in cells if cell.strip()]
     return len(filled) > 1 and 2 * sum(map(is_number, filled)) >= len(filled)
 
 
 def is_units(cells: Sequence[str]) -> bool:
-    """Whether the cells are units and nothing else."""
+    """Return whether the cells are units and nothing else."""
     filled = [unit_word(cell) for cell in cells if cell.strip()]
     return any(word in UNITS for word in filled) and all(word in UNITS or word in ("", "-") for word in filled)
 
 
 def unit_word(cell: str) -> str:
-    """A unit without brackets, in lower case."""
+    """Return a unit without brackets, in lower case."""
     return clean(cell).strip("[](){}<>【】").strip().casefold()
 
 
 def commented(cells: Sequence[str]) -> bool:
-    """Whether a record is a comment."""
+    """Return whether a record is a comment."""
     return bool(cells) and cells[0].lstrip().startswith(COMMENTS)

@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify
 from casadical.identification.prior import Prior
-from casadical.measurements.columns import POSSIBLE, Columns
+from casadical.measurements.columns import POSSIBLE_RANGES, Columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
@@ -56,7 +56,7 @@ def circumstances_of(payloads: str | None, every_payload: bool, both_approaches:
         numbers = tuple(float(word) for word in payloads.split(",")) if payloads else ()
     except ValueError:
         raise InputError(f"--payloads {payloads}: allowed: numbers by commas, such as 0,120") from None
-    least, most = POSSIBLE["payload_kg"]
+    least, most = POSSIBLE_RANGES["payload_kg"]
     for number in numbers:
         if not least <= number <= most:
             raise InputError(f"--payloads {payloads}: {number:g} kg is not possible; allowed: {least:g} to {most:g}")

@@ -18,7 +18,7 @@ from casadical.core.transforms import frame
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.placement import median_error, place_frames, rigid
 from casadical.identification.plausibility import check_against
-from casadical.measurements.measurements import STANDS, Measurements, same_readings
+from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings
 from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
@@ -111,7 +111,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
     """Return the rows of each group of equal readings, and the cluster of each of these rows."""
-    reading = same_readings(m.q, STANDS)
+    reading = same_readings(m.q, STANDSTILL_TOLERANCE)
     order = np.argsort(reading, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(reading[order])) + 1)
     assert m.position is not None

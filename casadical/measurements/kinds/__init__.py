@@ -1,1 +1,1 @@
-"""Kinds of measurement, one a file: columns, checks, residual and error; `registry` lists them."""
+"""Kinds of measurement, one or more a file: columns, checks, residual and error; see `registry`."""

@@ -1,4 +1,4 @@
-"""What a kind of measurement is: how it is read, what its residual is in CasADi, and its error in numbers."""
+"""Base class of a kind of measurement: how it is read, its residual in CasADi, and its error."""
 
 import re
 from abc import ABC, abstractmethod
@@ -13,19 +13,21 @@ from casadical.measurements.columns import Columns
 
 # Observed arrays by name, the first dimension of each over the poses.
 Arrays = Mapping[str, Array]
-# Tool positions, shape (n, 3) [m], at other readings of the same poses, shape (n, joints).
+# Function that returns positions of the measured point in the measuring frame, shape (n, 3) [m], at
+# other readings of the same poses, shape (n, joints) [rad or m].
 PositionsAt = Callable[[Array], Array]
 
 
 class PoseExpression:
-    """What a residual may use at one pose, as CasADi expressions in metres and radians.
+    """CasADi expressions of which the residual of one pose is built, in metres and radians.
 
-    model : readings -> (position, orientation), under this pose's conditions
+    model : readings -> (position, orientation) in the measuring frame, under this pose's conditions
     q : joint readings
-    point : shape (3,): departure of the unknown point from its start, where the kind has one
+    point : deviation of the unknown point from its start, shape (3,) [m], where the kind has one
 
-    Its fields: `p`, the measured point of the model, shape (3,), and `R`, its orientation, shape (3, 3); `joints`,
-    their number; `observed`, what the residual took of the pose's observed numbers, by name.
+    Its fields: `p`, the measured point of the model in the measuring frame, shape (3,), and `R`,
+    its orientation, shape (3, 3); `joints`, their number; `observed`, the symbols of the pose's
+    observed numbers that the residual has taken, by name.
 
     Examples
     --------
@@ -48,25 +50,31 @@ class PoseExpression:
         self.observed: dict[str, Symbolic] = {}
 
     def take(self, name: str, size: int) -> Symbolic:
-        """An observed array at this pose, as a column of numbers, a matrix row by row."""
+        """Return a new symbol for an observed array at this pose: a column, a matrix row by row."""
         self.observed[name] = ca.SX.sym(name, size)
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
-        """The measured point at other readings, under the same conditions, shape (3,) [m]."""
+        """Return the measured point at other readings, shape (3,) [m]."""
         return self.pose_at(q)[0]
 
     def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """The measured point and its orientation at other readings, shapes (3,) [m] and (3, 3); else as it is here."""
+        """Return measured point and orientation at other readings, shapes (3,) [m] and (3, 3).
+
+        All but the readings is as at this pose.
+        """
         p, R = self._model(q)
         return p, R
 
     def from_point(self) -> Symbolic:
-        """The measured point less the unknown point that is identified too, shape (3,) [m]."""
+        """Return the measured point less the unknown point, shape (3,) [m]."""
         return self.p - self.unknown_point()
 
     def unknown_point(self) -> Symbolic:
-        """The unknown point that is identified too, for kinds with one, shape (3,) [m]; of a plane see `Plane`."""
+        """Return the unknown point that is identified too, in the measuring frame, shape (3,) [m].
+
+        For kinds with one; how it describes a plane is said at `Plane`.
+        """
         assert self.point is not None
         return self.take("point", 3) + self.point
 
@@ -76,13 +84,14 @@ class MeasurementKind(ABC):
 
     name : as in problem.toml
     columns, unknown : its row of the table in docs/measurements.md
-    pattern : of the columns that it reads, which are no conditions; signs : patterns, each of a column of such a table
-    fill : columns that a table of poses to be measured leaves empty for it
+    pattern : of the columns that it reads, which are no conditions
+    signs : patterns, each of a column by which a table of this kind is recognised
+    fill : columns that are left empty for it in a table of poses to be measured
     arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
-    lengths, angles : numbers that are observed at a pose [m] and [rad], at least one and at most six together
-    places : whether its unknown points are places, between which distances may be known
+    lengths, angles : numbers that are observed at a pose [m] and [rad], together one to six
+    places : whether its unknown points are places, between which distances may be given
     touches : whether the tool touches what is measured, so that poses must hold it there
-    has_scale : whether it determines the scale: not where robots of one shape and any size fit alike
+    has_scale : whether it determines the scale; if not, similar robots of any size fit equally well
 
     Examples
     --------
@@ -123,59 +132,68 @@ class MeasurementKind(ABC):
 
     @property
     def numbers(self) -> int:
-        """How many numbers are observed at a pose."""
+        """The number of observed numbers at a pose."""
         return self.lengths + self.angles
 
     def matches(self, names: Set[str]) -> bool:
-        """Whether a table with these columns is of this kind where problem.toml does not say: by `signs`, if any."""
+        """Return whether a table with these columns is of this kind, by `signs`, if it has any.
+
+        It is asked where problem.toml does not declare the kind.
+        """
         return bool(self.signs) and all(any(re.fullmatch(sign, name) for name in names) for sign in self.signs)
 
     @abstractmethod
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """The arrays of a table by name, optional ones too, a row per pose [SI].
+        """Return the arrays of a table by name, optional ones too, one row per pose [SI].
 
-        Under `counted` is 0 for rows at which nothing was measured, else 1.
+        The entry `counted` is 0 for rows at which nothing was measured, else 1.
 
-        q : shape (n, joints) [rad or m]: joint readings
+        q : joint readings, shape (n, joints) [rad or m]
         Raises InputError: a column is missing, or holds what cannot be measured.
         """
 
     @abstractmethod
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Model less measurement at a pose: `lengths` numbers [m], then `angles` numbers [rad]."""
+        """Return model less measurement at a pose: `lengths` numbers [m], `angles` [rad]."""
 
     @abstractmethod
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        """Error of each pose that reports tell, shape (n,) [m].
+        """Return the error of each pose that reports quote, shape (n,) [m].
 
-        p : shape (n, 3) [m]: positions of the model; positions_at : the same at other readings, shape (n, joints)
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        positions_at : function that returns them at other readings, shape (n, joints)
         """
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Whether something at rest was measured; without it the base's pose is not identifiable.
+        """Return whether something fixed was measured, so that the base is identifiable.
 
-        By default all but poses that are relative to others.
+        By default this is true of all but poses that are relative to others.
         """
         return "other" not in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        """Name of the unknown point that each pose refers to (see `read`); none where the kind has no such points."""
+        """Return the name of each pose's unknown point; empty for kinds without any."""
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        """A first estimate of each pose's unknown point, shape (n, 3) [m]; p : positions of the model, alike"""
+        """Return a first estimate of each pose's unknown point, shape (n, 3) [m].
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
 
     def grown(self, points: Array, origin: Array) -> Array:
-        """How unknown points, shape (K, 3) [m], move where everything grows about a place, for kinds without scale.
+        """Return how unknown points change with a scale of everything about a place, (K, 3) [m].
 
-        By their own distance from it, by default; origin : shape (3,) [m]: the place that stays
+        For kinds without scale. By default it is their vector from that place.
+
+        points : shape (K, 3) [m]; origin : the place that stays, shape (3,) [m]
         """
         return points - origin
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """What is wrong with the lengths, in words, where they must be in another unit; else nothing.
+        """Return a sentence if the lengths must be in another unit, else an empty text.
 
-        p : shape (n, 3) [m]: positions of the nominal model; reach : of the robot [m]
+        p : positions of the nominal model, shape (n, 3) [m]; reach : of the robot [m]
         """
         return ""

@@ -1,4 +1,4 @@
-"""Poses that hold the tool at one point, whose place is unknown; the base of all kinds with named unknown points."""
+"""Contact of the tool with unknown points, and the base class of kinds with such points."""
 
 from collections.abc import Iterator, Sequence
 from typing import ClassVar
@@ -12,38 +12,47 @@ from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpre
 
 
 class OfPoints(MeasurementKind):
-    """A kind whose poses refer to unknown points by their labels.
+    """Base class of kinds whose poses refer to unknown points by their labels.
 
-    known : array that says where the points are, so that none is unknown; alone : name of the one without a label
+    known : name of the array that gives the points, if there is one; then none is unknown
+    alone : name of the one point where there are no labels
     """
 
     known: ClassVar[str] = ""
     alone: ClassVar[str] = ""
 
     def at_rest(self, arrays: Arrays) -> bool:
+        """Return whether the points are given; unknown points move with the base."""
         return self.known in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
+        """Return the label of each pose's unknown point; empty if the points are given."""
         return () if self.known in arrays else list(self._labels(arrays))
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
+        """Return a first estimate of each pose's unknown point, shape (n, 3) [m]."""
         starts = np.empty_like(p)
         for own in each_label(self._labels(arrays)):
             starts[own] = self.start({name: values[own] for name, values in arrays.items()}, p[own])
         return starts
 
     def start(self, arrays: Arrays, p: Array) -> Array:
-        """Of one point, shape (3,) [m], by its own poses; p : shape (n, 3) [m]: positions of the model"""
+        """Return a first estimate of one point from its poses, shape (3,) [m]; here their mean.
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         return np.asarray(sum(p) / len(p))
 
     def _labels(self, arrays: Arrays) -> Array:
+        """Return the label of each pose; the same one for all if there is no column of labels."""
         return arrays["label"] if "label" in arrays else np.full(len(arrays[self.arrays[0]]), self.alone)
 
 
 class Contact(OfPoints):
     """Contact of the measured point with points that are identified too, by their labels.
 
-    The reported error is the distance from the mean of all poses at the same point, which is all that can be known.
+    The reported error is the distance from the mean of all poses at the same point, because the
+    true points are not known.
     """
 
     name = "contact"
@@ -58,7 +67,10 @@ class Contact(OfPoints):
     touches = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Labels of the points. Raises InputError: an empty label, or no point that is touched twice."""
+        """Return the labels of the points.
+
+        Raises InputError: an empty label, or no point that is touched twice.
+        """
         label = labels_of(columns, "point", "it says which point each pose touches")
         names, counts = np.unique(label.astype(str), return_counts=True)
         if counts.max() < 2:
@@ -69,14 +81,20 @@ class Contact(OfPoints):
         return {"label": label}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the measured point less the unknown point, three numbers [m]."""
         return pose.from_point()
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the distance of each pose from the mean of its point's poses, shape (n,) [m]."""
         return np.asarray(np.linalg.norm(p - self.point_starts(arrays, p), axis=1))
 
 
 def labels_of(columns: Columns, name: str, meaning: str) -> Array:
-    """A column of names, shape (n,). Raises InputError: it is missing, or a cell is empty; meaning : what it says."""
+    """Return a column of names, shape (n,).
+
+    meaning : what the column says, for the message
+    Raises InputError: it is missing, or a cell is empty.
+    """
     if name not in columns.table:
         raise InputError(f"{columns.source}: column {name!r} is missing; {meaning}")
     empty = columns.table[name].isna().to_numpy()
@@ -85,8 +103,12 @@ def labels_of(columns: Columns, name: str, meaning: str) -> Array:
     return np.asarray(columns.table[name].astype(str).to_numpy(dtype=object))
 
 
-def touched_often(columns: Columns, name: str, fewest: int, meaning: str, remedy: str) -> Array:
-    """Names as of `labels_of`. Raises InputError also where a thing is touched less than `fewest` times."""
+def labels_touched_often(columns: Columns, name: str, fewest: int, meaning: str, remedy: str) -> Array:
+    """Return a column of names as `labels_of` does, after a check that each has enough touches.
+
+    remedy : what the message ends with
+    Raises InputError also where something is touched less than `fewest` times.
+    """
     label = labels_of(columns, name, meaning)
     for own in each_label(label):
         if len(own) < fewest:
@@ -96,7 +118,7 @@ def touched_often(columns: Columns, name: str, fewest: int, meaning: str, remedy
 
 
 def each_label(label: Array) -> Iterator[Array]:
-    """The poses of each label, as their numbers."""
+    """Yield the indices of the poses of each label."""
     _, group = np.unique(label.astype(str), return_inverse=True)
     for k in range(int(group.max()) + 1):
         yield np.flatnonzero(group.ravel() == k)

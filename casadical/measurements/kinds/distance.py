@@ -1,4 +1,4 @@
-"""Measured distances from the tool to a point at rest, or between its positions at two poses."""
+"""Distances from the tool to a fixed point (an anchor), or between its positions at two poses."""
 
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ from casadical.measurements.kinds.contact import OfPoints, labels_of
 
 
 class Distance(OfPoints):
-    """Distance to a point, which is known or identified too."""
+    """Distance from the measured point to an anchor, which is given or identified too."""
 
     name = "distance"
     columns = (
@@ -30,7 +30,7 @@ class Distance(OfPoints):
     alone = "far end"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Distances [m], their far ends where these are known, and the far ends' names where there are any."""
+        """Return distances [m], and the anchors' given positions and names, if there are any."""
         arrays = {"distance": positive_lengths(columns, "distance")}
         if any(str(name).startswith("to_x") for name in columns.table):
             arrays["target"] = columns.vector("to_")
@@ -39,30 +39,39 @@ class Distance(OfPoints):
         return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the model's distance less the measured one, one number [m]."""
         line = pose.p - pose.take("target", 3) if pose.point is None else pose.from_point()
         return ca.norm_2(line) - pose.take("distance", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the absolute errors of the distances, shape (n,) [m]."""
         return distance_errors(arrays, p, arrays["target"] if "target" in arrays else self.point_starts(arrays, p))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
+        """Return the anchor that fits the measured distances best, shape (3,) [m]."""
         return _far_end(arrays["distance"], p)
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        """Return a sentence if the distances must be in another unit.
+
+        For an unknown anchor this is decided by how much distances to it can differ.
+        """
         if "target" in arrays:
             return distance_fault(arrays, p, arrays["target"], reach)
-        # To an unknown point: by how far apart two ends of distances to it can be.
+        # For an unknown anchor, two distances differ by no more than the tool moves.
         moved = float(np.linalg.norm(np.ptp(p, axis=0)))
         distance = arrays["distance"]
         return _fault(distance, reach, np.ptp(distance) > 20 * reach, distance.max() < 0.02 * moved)
 
 
 def _far_end(distance: Array, p: Array) -> Array:
-    """The far end that distances from p, shape (n, 3) [m], fit best, shape (3,) [m].
+    """Return the anchor that fits the distances from p best, in the frame of p, shape (3,) [m].
 
-    First |p|^2 - L^2 = 2 p.P - |P|^2 by least squares, which takes |P| as one more unknown; then Gauss-Newton steps of
-    the distances themselves, as long as they help. Of points in a plane they tell how far it is from the plane, not on
-    which side.
+    First |p|^2 - L^2 = 2 p.P - |P|^2 is solved by least squares, with |P|^2 as one more unknown;
+    then Gauss-Newton steps on the distances follow, as long as they reduce the residuals. If all p
+    lie in a plane, only the anchor's distance from that plane is determined, not its side.
+
+    distance : shape (n,) [m]; p : positions of the measured point, shape (n, 3) [m]
     """
     centre = p.mean(axis=0)
     local = p - centre
@@ -70,10 +79,10 @@ def _far_end(distance: Array, p: Array) -> Array:
     *start, square = np.linalg.lstsq(A, (local**2).sum(axis=1) - distance**2, rcond=None)[0]
     P = np.array(start)
     spread, axes = np.linalg.svd(local, full_matrices=False)[1:]
-    # Points whose third spread is less than this share of their second lie in a plane.
+    # If the third singular value is below this share of the second, the points lie in a plane.
     if len(axes) == 3 and spread[2] < 1e-6 * spread[1]:
         P += np.sqrt(max(square - P @ P, 0.0)) * axes[2]
-    # A pose as near to a far end as this has the same place [m].
+    # A pose closer to the anchor than this coincides with it [m].
     if np.linalg.norm(P - local, axis=1).min() < 1e-6:  # too few poses: a length of zero has no direction
         P = np.array([0.0, 0.0, distance.mean()])
     left = distance - np.linalg.norm(P - local, axis=1)
@@ -81,7 +90,7 @@ def _far_end(distance: Array, p: Array) -> Array:
         line = P - local
         step = np.linalg.lstsq(line / np.linalg.norm(line, axis=1)[:, None], left, rcond=None)[0]
         after = distance - np.linalg.norm(P + step - local, axis=1)
-        # Each step must reduce the sum of squares by this share.
+        # Iteration stops when a step reduces the sum of squares by less than this share.
         if not after @ after < (1 - 1e-6) * (left @ left):
             break
         P, left = P + step, after
@@ -89,7 +98,9 @@ def _far_end(distance: Array, p: Array) -> Array:
 
 
 def positive_lengths(columns: Columns, name: str) -> Array:
-    """Column distance_mm or distance_m, or of another name, shape (n,) [m]. Raises InputError."""
+    """Return the column NAME_mm or NAME_m, shape (n,) [m].
+
+    Raises InputError: a length is not positive."""
     lengths = columns.si(name, ("_mm", "_m"))
     if (lengths <= 0).any():
         row = int(np.argmax(lengths <= 0))
@@ -101,18 +112,25 @@ def positive_lengths(columns: Columns, name: str) -> Array:
 
 
 def distance_errors(arrays: Arrays, p: Array, far: Array) -> Array:
-    """Absolute differences, shape (n,) [m], of distances from p to far, both of shape (n, 3) [m], to measured ones."""
+    """Return |distance from p to far - measured distance|, shape (n,) [m].
+
+    p, far : points in the measuring frame, shape (n, 3) [m]
+    """
     return np.asarray(np.abs(np.linalg.norm(p - far, axis=1) - arrays["distance"]))
 
 
 def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
-    """As of `MeasurementKind.unit_fault`, by the distances from p to far, both of shape (n, 3) [m]."""
+    """Return a sentence if measured distances must be in another unit, else an empty text.
+
+    They are compared with the distances from p to far, both of shape (n, 3) [m].
+    """
     distance = arrays["distance"]
     ratio = np.median(distance) / max(float(np.median(np.linalg.norm(p - far, axis=1))), 1e-3)
     return _fault(distance, reach, ratio > 100, ratio < 0.01)
 
 
 def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> str:
+    """Return the sentence about distances in another unit; empty if they fit."""
     if not (too_long or too_short):
         return ""
     used, other = ("metres", "mm") if too_long else ("millimetres", "m")
@@ -123,7 +141,7 @@ def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> st
 
 
 class PairDistance(MeasurementKind):
-    """Distance to where the measured point is at another pose of the table, under the same conditions."""
+    """Distance between the measured point at two poses of the table, under the same conditions."""
 
     name = "pair_distance"
     columns = "`distance_mm` (or `_m`) to where the tool is at another pose: `pose` and `other_pose`"
@@ -134,21 +152,30 @@ class PairDistance(MeasurementKind):
     lengths = 1
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Distances [m], and readings at their other ends. Raises InputError: a pose that is not in the table."""
+        """Return distances [m], and the readings at their other ends.
+
+        Raises InputError: a pose that is not in the table.
+        """
         return {"distance": positive_lengths(columns, "distance"), "other": q[other_poses(columns)]}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the model's distance less the measured one, one number [m]."""
         return ca.norm_2(pose.p - pose.position_at(pose.take("other", pose.joints))) - pose.take("distance", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the absolute errors of the distances, shape (n,) [m]."""
         return distance_errors(arrays, p, positions_at(arrays["other"]))
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        """Return a sentence if the distances must be in another unit."""
         return distance_fault(arrays, p, positions_at(arrays["other"]), reach)
 
 
 def other_poses(columns: Columns) -> Array:
-    """Which row is the pose in `other_pose`, shape (n,). Raises InputError: it is in no row, in two, or the same."""
+    """Return the index of the row whose `pose` is in each row's `other_pose`, shape (n,).
+
+    Raises InputError: the pose is in no row, in two, or the same.
+    """
     pose, other = columns.column("pose"), columns.column("other_pose")
     where = {float(p): k for k, p in enumerate(pose)}
     if len(where) < len(pose):

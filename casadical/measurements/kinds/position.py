@@ -1,4 +1,4 @@
-"""Measured positions of the tool, and orientations, in the measuring frame or from those of another pose."""
+"""Measured positions and orientations of the tool, absolute or relative to another pose."""
 
 from itertools import pairwise
 from typing import ClassVar
@@ -15,7 +15,7 @@ from casadical.measurements.kinds.distance import other_poses
 
 
 class Position(MeasurementKind):
-    """Position of the measured point."""
+    """Position of the measured point in the measuring frame."""
 
     name = "position"
     columns = "`x_mm, y_mm, z_mm` (or `_m`)"
@@ -26,15 +26,19 @@ class Position(MeasurementKind):
     lengths = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Return the positions, shape (n, 3) [m]."""
         return {"position": columns.vector("")}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the model's position less the measured one, three numbers [m]."""
         return pose.p - pose.take("position", 3)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the distance of the model's positions from the measured ones, shape (n,) [m]."""
         return np.asarray(np.linalg.norm(p - arrays["position"], axis=1))
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        """Return a sentence if positions spread over far more or less than the robot can move."""
         measured, moved = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (arrays["position"], p))
         if measured > 20 * reach:
             return (
@@ -50,9 +54,11 @@ class Position(MeasurementKind):
 
 
 class PositionCovariance(Position):
-    """Position of the measured point; `whitening` makes its noise alike in all directions and at all poses.
+    """Position of the measured point, each with its own covariance.
 
-    A covariance C = L L' counts through L^-1 (model - measurement), in units of the typical sigma, which `sigma` gives.
+    With the Cholesky factor C = L L', the residual is s L^-1 (model - measurement), where s is the
+    typical standard deviation of a coordinate. So its noise has the same size in all directions and
+    at all poses.
     """
 
     name = "position_covariance"
@@ -63,6 +69,10 @@ class PositionCovariance(Position):
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Return positions, shape (n, 3) [m], and whitening matrices, shape (n, 3, 3).
+
+        Raises InputError: a covariance that is not positive definite.
+        """
         entries = ("xx", "xy", "xz", "yy", "yz", "zz")
         xx, xy, xz, yy, yz, zz = (1e-6 * columns.column(f"cov_{entry}_mm2") for entry in entries)
         covariance = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
@@ -76,26 +86,35 @@ class PositionCovariance(Position):
         return {**super().read(columns, q), "whitening": whitening(covariance)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        left = super().residual(pose)
-        return ca.reshape(pose.take("whitening", 9), 3, 3).T @ left
+        """Return the whitened difference of model and measurement, three numbers [m]."""
+        residual = super().residual(pose)
+        return ca.reshape(pose.take("whitening", 9), 3, 3).T @ residual
 
 
 def whitening(covariance: Array) -> Array:
-    """What makes noise of covariances, shape (n, 3, 3) [m^2], white with their typical sigma; of the same shape."""
+    """Return matrices that whiten noise of these covariances, shape (n, 3, 3).
+
+    Whitened noise has the typical standard deviation of a coordinate (`typical_sigma`).
+
+    covariance : shape (n, 3, 3) [m^2]
+    """
     return np.asarray(typical_sigma(covariance) * whitening_of(covariance).W)
 
 
 def typical_sigma(covariance: Array) -> float:
-    """Root of the mean variance of a coordinate [m]; covariance : shape (n, 3, 3) [m^2]."""
+    """Return the root of the mean variance of a coordinate [m].
+
+    covariance : shape (n, 3, 3) [m^2]
+    """
     return float(np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / 3))
 
 
-# The first column of each way to say an orientation.
-FIRST = "(rx|rotvec_x|roll)_(deg|rad)|R00|qw"
+# Pattern of the first column of each representation of an orientation.
+FIRST_ORIENTATION_COLUMN = "(rx|rotvec_x|roll)_(deg|rad)|R00|qw"
 
 
 class Pose(Position):
-    """Position and orientation; the reported error is that of the position."""
+    """Pose in the measuring frame; the reported error is that of the position."""
 
     name = "pose"
     columns = (
@@ -105,27 +124,35 @@ class Pose(Position):
     )
     fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|{ORIENTATION}"
-    signs = ("x_mm?", FIRST)
+    signs = ("x_mm?", FIRST_ORIENTATION_COLUMN)
     arrays = ("position", "orientation")
     angles = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Return positions, shape (n, 3) [m], and orientations, shape (n, 3, 3)."""
         return {**super().read(columns, q), "orientation": orientations(columns)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the residuals of position, three [m], and of orientation, three [rad]."""
         return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
 
 
 def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:
-    """Rotation vector, shape (3,) [rad], from an orientation as measured, its nine numbers row by row, to R, (3, 3)."""
+    """Return the rotation vector from a measured orientation to R, shape (3,) [rad].
+
+    measured : nine numbers, row by row; R : shape (3, 3). It is exact to second order in the angle.
+    """
     # CasADi fills by columns, so this is the transpose of the measured orientation.
     E = ca.reshape(measured, 3, 3) @ R
-    # sin(angle) times the axis: smooth, and the rotation vector itself to third order.
+    # sin(angle) times the axis: it is smooth and differs from the rotation vector in third order.
     return 0.5 * ca.vertcat(E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1])
 
 
 def orientations(columns: Columns) -> Array:
-    """Rotation matrices, shape (n, 3, 3). Raises InputError."""
+    """Return rotation matrices from whichever orientation columns there are, shape (n, 3, 3).
+
+    Raises InputError: a quaternion that is not a unit one, or a matrix that is no rotation.
+    """
     if "R00" in columns.table:
         R = np.stack([columns.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
     elif "qw" in columns.table:
@@ -151,7 +178,10 @@ def orientations(columns: Columns) -> Array:
 
 
 def _from_angles(columns: Columns) -> Array:
-    """Rotation matrices, shape (n, 3, 3), of three angles as their names say. Raises InputError."""
+    """Return rotation matrices of three angles, shape (n, 3, 3), by the names of their columns.
+
+    Raises InputError.
+    """
     from scipy.spatial.transform import Rotation
 
     units, names = ("_deg", "_rad"), {str(name).rpartition("_")[0] for name in columns.table}
@@ -165,9 +195,9 @@ def _from_angles(columns: Columns) -> Array:
 
 
 class RelativePose(MeasurementKind):
-    """Position and orientation of the tool in its own frame at another pose, or at that of the row before.
+    """Pose of the tool in the tool's own frame at another pose, or at that of the row before.
 
-    The reported error is that of the way between the two.
+    The reported error is that of the distance between the two.
     """
 
     name = "relative_pose"
@@ -184,7 +214,10 @@ class RelativePose(MeasurementKind):
     angles = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Shifts [m], turns, readings at the other end. Raises InputError: a first row that begins elsewhere."""
+        """Return shifts [m], rotations, the other poses' readings, and which rows count.
+
+        Raises InputError: a first row with a shift or rotation, though no row is before it.
+        """
         arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}
         if "other_pose" in columns.table:
             return arrays | {"other": q[other_poses(columns)]}
@@ -201,10 +234,12 @@ class RelativePose(MeasurementKind):
         return arrays | {"other": q[before], "counted": (~begins).astype(float)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the residuals of the shift, three [m], and of the rotation, three [rad]."""
         p, R = pose.pose_at(pose.take("other", pose.joints))
         shift = R.T @ (pose.p - p) - pose.take("shift", 3)
         return ca.vertcat(shift, turned_off(R.T @ pose.R, pose.take("turn", 9)))
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the absolute errors of the distance between the two poses, shape (n,) [m]."""
         way = np.linalg.norm(p - positions_at(arrays["other"]), axis=1)
         return np.asarray(np.abs(way - np.linalg.norm(arrays["shift"], axis=1)))

@@ -1,4 +1,4 @@
-"""All kinds of measurement."""
+"""Registry of all kinds of measurement by their names."""
 
 from collections.abc import Mapping
 from functools import cache
@@ -34,14 +34,17 @@ def kinds() -> Mapping[str, MeasurementKind]:
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
-    """The kind of a name. Raises InputError that lists those that exist; source : where the name stands."""
+    """Return the kind of this name. Raises InputError that lists the kinds that exist.
+
+    source : where the name stands, for the message
+    """
     if name not in kinds():
         raise InputError(f"{source}: kind {name!r} is not known; allowed: {', '.join(kinds())}")
     return kinds()[name]
 
 
 def kind_of(columns: Columns) -> MeasurementKind:
-    """The kind that a table's columns show. Raises InputError where they show none."""
+    """Return the kind that a table's columns show. Raises InputError where they show none."""
     names = set(map(str, columns.table))
     for kind in kinds().values():
         if kind.matches(names):

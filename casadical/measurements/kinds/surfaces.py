@@ -1,4 +1,4 @@
-"""Poses that touch a surface whose place is unknown, a plane or a ball of known radius; readings along one axis."""
+"""Contact with unknown surfaces (planes, balls of given radius), and readings of gauges."""
 
 from typing import ClassVar
 
@@ -9,20 +9,21 @@ from casadical.core.basics import Array, InputError
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, PoseExpression, PositionsAt
-from casadical.measurements.kinds.contact import OfPoints, each_label, labels_of, touched_often
+from casadical.measurements.kinds.contact import OfPoints, each_label, labels_of, labels_touched_often
 from casadical.measurements.kinds.distance import Distance, positive_lengths
 
-# Three touches define a plane; from so many on they tell of the robot.
-PLANE_TOUCHES = 4
+# Three touches determine the plane itself; only a fourth one carries information on the robot.
+MIN_TOUCHES_PER_PLANE = 4
 
 
 class Plane(OfPoints):
     """Contact of the measured point with planes that are identified too, by their labels.
 
-    A plane of unit normal n at the distance d >= 0 from the frame's origin is the unknown point (1 m + d) n, which has
-    a direction wherever the plane lies. The reported error is the distance from the plane that fits all its poses best.
+    A plane of unit normal n at the distance d >= 0 from the frame's origin is the unknown point
+    (lever + d) n, which has a direction wherever the plane lies. The reported error is the distance
+    from the plane that fits all its poses best.
 
-    lever : of the unknown point, in place of 1 m
+    lever : length that is added to the distance [m]
     """
 
     name = "plane"
@@ -39,45 +40,57 @@ class Plane(OfPoints):
     lever = 1.0
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Labels of the planes. Raises InputError: an empty label, or a plane that is touched too few times."""
-        remedy = f"three touches only say where the plane is: touch it at {PLANE_TOUCHES} poses at least"
-        label = touched_often(columns, "plane", PLANE_TOUCHES, "it says which plane each pose touches", remedy)
+        """Return the labels of the planes.
+
+        Raises InputError: an empty label, or a plane that is touched too few times.
+        """
+        remedy = f"three touches only say where the plane is: touch it at {MIN_TOUCHES_PER_PLANE} poses at least"
+        label = labels_touched_often(
+            columns, "plane", MIN_TOUCHES_PER_PLANE, "it says which plane each pose touches", remedy
+        )
         return {"label": label}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the signed distance of the measured point from its plane, one number [m]."""
         point = pose.unknown_point()
         length = ca.norm_2(point)
         return ca.dot(pose.p, point) / length - (length - self.lever)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the distance of each pose from its label's best plane, shape (n,) [m]."""
         return np.asarray(np.abs(self.heights(arrays, p)))
 
     def heights(self, arrays: Arrays, p: Array) -> Array:
-        """Distances from the best plane of each label, signed, shape (n,) [m]; p : shape (n, 3) [m]"""
+        """Return the signed distances from the best plane of each label, shape (n,) [m].
+
+        p : positions in the measuring frame, shape (n, 3) [m]
+        """
         point = self.point_starts(arrays, p)
         length = np.linalg.norm(point, axis=1)
         return np.asarray((p * point).sum(axis=1) / length - (length - self.lever))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
+        """Return the unknown point that describes the best plane through p, shape (3,) [m]."""
         middle = p.mean(axis=0)
         normal = np.linalg.svd(p - middle)[2][2]
         d = float(normal @ middle)
         return np.asarray((1 + abs(d)) * (normal if d >= 0 else -normal))
 
     def grown(self, points: Array, origin: Array) -> Array:
+        """Return how the planes' unknown points change with a scale of everything about a place."""
         length = np.linalg.norm(points, axis=1, keepdims=True)
         normal = points / length
         return np.asarray((length - 1 - normal @ origin[:, None]) * normal)
 
 
-# Four touches define the centre of a ball and its radius; from so many on they tell of the robot.
-BALL_TOUCHES = 5
+# Required touches of a ball: one more than the four that determine a centre and a radius.
+MIN_TOUCHES_PER_SPHERE = 5
 
 
 class Sphere(Distance):
     """Contact of the measured point with balls whose centres are identified too, by their labels.
 
-    It is the distance to the centre, which is as long as the radius.
+    It is a distance to the centre that equals the given radius.
     """
 
     name = "sphere"
@@ -93,37 +106,42 @@ class Sphere(Distance):
     touches = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Radii as distances [m], labels. Raises InputError: no radius, or a ball that is touched too few times."""
+        """Return the radii as distances [m], and the labels.
+
+        Raises InputError: no radius, or a ball that is touched too few times.
+        """
         if not {"radius_mm", "radius_m"} & set(columns.table):
             raise InputError(
                 f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the robot unless its radius "
                 "is known: the ball's and the tip's together, from the data sheet or by a calliper"
             )
         radius = positive_lengths(columns, "radius")
-        remedy = f"touch it at {BALL_TOUCHES} poses at least, all around"
-        label = touched_often(columns, "sphere", BALL_TOUCHES, "it says which ball each pose touches", remedy)
+        remedy = f"touch it at {MIN_TOUCHES_PER_SPHERE} poses at least, all around"
+        label = labels_touched_often(
+            columns, "sphere", MIN_TOUCHES_PER_SPHERE, "it says which ball each pose touches", remedy
+        )
         return {"distance": radius, "label": label}
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
+        """Return a sentence if a radius must be in another unit."""
         longest = float(arrays["distance"].max())
-        # Radii beyond so many reaches of the robot are in another unit.
+        # A radius beyond 20 reaches of the robot must be in another unit.
         if longest < 20.0 * reach:
             return ""
         return f"a radius of {longest:.4g} m does not fit the robot, which reaches {reach:.3g} m; is it radius_mm?"
 
 
-# Direction and zero of a gauge take three numbers; from so many readings on they tell of the robot.
-DIAL_READINGS = 4
+# Three readings determine axis and zero of a gauge; only a fourth carries information on the robot.
+MIN_READINGS_PER_DIAL = 4
 
 
 class Dial(Plane):
-    """How far the measured point is along a gauge's axis, which is known or, with its zero, identified too.
+    """Reading of a gauge (dial, height probe, displacement sensor) along an axis.
 
-    The gauge of a dial, a height probe or a displacement sensor.
-
-    Along a known axis a reading is the coordinate in the measuring frame; a zero elsewhere moves the base, where that
-    is unknown. Of an unknown axis n, with its zero at the distance d from the frame's origin, (10 m + d) n is the
-    unknown point. The reported error is that of the reading.
+    Along a given axis a reading is the coordinate in the measuring frame; an offset of its zero
+    moves the base, if that is unknown. An unknown axis n, with its zero at the distance d from the
+    frame's origin, is described by the unknown point (10 m + d) n. The reported error is that of
+    the reading.
     """
 
     name = "dial"
@@ -142,12 +160,12 @@ class Dial(Plane):
     alone = "dial"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Readings [m], and their axes or the gauges' names. Raises InputError."""
+        """Return the readings [m], and their given axes or the gauges' names. Raises InputError."""
         arrays = {"reading": columns.si("reading", ("_mm", "_m"))}
         if any(str(name).startswith("along_") for name in columns.table):
             axis = np.stack([columns.column(f"along_{c}") for c in "xyz"], axis=1)
             length = np.linalg.norm(axis, axis=1)
-            # Known directions whose length is off one by more than this are refused.
+            # Given directions must be unit vectors within this tolerance.
             if (np.abs(length - 1) > 1e-2).any():
                 row = int(np.argmax(np.abs(length - 1)))
                 raise InputError(
@@ -158,30 +176,35 @@ class Dial(Plane):
         if "dial" in columns.table:
             arrays["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
         for own in each_label(self._labels(arrays)):
-            if len(own) < DIAL_READINGS:
+            if len(own) < MIN_READINGS_PER_DIAL:
                 raise InputError(
                     f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one gauge; its axis and zero "
-                    f"take three: give {DIAL_READINGS} at least, or its axis in along_x, along_y, along_z"
+                    f"take three: give {MIN_READINGS_PER_DIAL} at least, or its axis in along_x, along_y, along_z"
                 )
         return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the model's reading less the measured one, one number [m]."""
         along = ca.dot(pose.p, pose.take("axis", 3)) if pose.point is None else super().residual(pose)
         return along - pose.take("reading", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
+        """Return the absolute errors of the readings, shape (n,) [m]."""
         along = (p * arrays["axis"]).sum(axis=1) if "axis" in arrays else self.heights(arrays, p)
         return np.asarray(np.abs(along - arrays["reading"]))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
+        """Return the unknown point of the axis that fits the readings best, shape (3,) [m]."""
         n, d = _axis(p, arrays["reading"])
         return np.asarray((self.lever + d) * n)
 
 
 def _axis(p: Array, reading: Array) -> tuple[Array, float]:
-    """Unit vector n and distance d of n.p - d = reading, by least squares with n of length one, shape (n, 3) and (n,).
+    """Return unit vector n and distance d [m] that solve n.p - d = reading by least squares.
 
-    Source: the secular equation of least squares on a sphere (Golub and Van Loan 2013, 6.2.1), solved by bisection.
+    p : shape (n, 3) [m]; reading : shape (n,) [m]
+    Source: the secular equation of least squares on a sphere (Golub and Van Loan 2013, 6.2.1),
+    solved by bisection.
     """
     local, left = p - p.mean(axis=0), reading - reading.mean()
     value, V = np.linalg.eigh(local.T @ local)

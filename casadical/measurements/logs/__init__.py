@@ -1,1 +1,1 @@
-"""Joint logs: what a controller wrote while the arm moved, from the files of several systems, as one checked object."""
+"""Joint logs: what a controller recorded while the arm moved, from files of several systems."""

@@ -1,4 +1,4 @@
-"""What a log's columns are: channel, joint and unit of each, from headings in the words of several systems."""
+"""Meaning of a log's columns: channel, joint and unit, from headings of several systems."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -14,13 +14,14 @@ from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, WORDS
 
-_OURS = re.compile(
+_CANONICAL_NAME = re.compile(
     r"(command_v|command|q|v|torque|current|temperature)(\d+)_(rad_s|deg_s|m_s|mm_s|rad|deg|mm|m|Nm|N|A|mA|abs|degC)"
 )
-# Factor of a unit to SI; nothing tells the unit of an empty one.
-FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
-LENGTHS = ("m", "mm", "m_s", "mm_s", "N")
-# Words of headings, by what they say. Of the first that is found in a heading the column is; an empty name: of nothing.
+# Factors of units to SI; a unit that is not listed has the factor 1.
+SI_FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
+LENGTH_UNITS = ("m", "mm", "m_s", "mm_s", "N")
+# Words of headings by channel. A column belongs to the first channel of which its heading has a
+# word; the empty channel collects quantities that are not used.
 _QUANTITIES: Mapping[str, frozenset[str]] = {
     "": WORDS["log_others"],
     "temperature": WORDS["temperature"] | WORDS["log_temperature"],
@@ -28,16 +29,20 @@ _QUANTITIES: Mapping[str, frozenset[str]] = {
 }
 _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
 _FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
-NAMES = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
+NAMING_ADVICE = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
 
 
 @dataclass(frozen=True, eq=False)
 class Logged:
-    """A log as a file has it, before its joints are put in order.
+    """A log as it stands in a file, before its joints are put in the robot's order.
 
-    time : shape (n,) [s]; channels : channel -> joint -> column, shape (n,), in the unit of `units`
-    units : of channel and joint; empty where nothing tells it
-    scalars : voltage, payload, run; row : of the source; source : its name; notes : sentences
+    time : shape (n,) [s]
+    channels : channel -> joint -> column, shape (n,), in the unit of `units`
+    units : of channel and joint; empty if it is unknown
+    row : line of the source, shape (n,)
+    source : its name
+    scalars : voltage, payload and run, shape (n,) each
+    notes : sentences on how the file was read
     """
 
     time: Array
@@ -50,8 +55,9 @@ class Logged:
 
 
 def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ()) -> Logged:
-    """The log in a table; names : of the robot's joints; listed : of the joints in columns of lists.
+    """Return the log in a table.
 
+    names : of the robot's joints; listed : of the joints in columns whose cells are lists
     Raises InputError: no time, or lists of other lengths than the names.
     """
     source, frame = raw.path.name, raw.frame
@@ -81,12 +87,17 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
                 channels.setdefault(channel, {})[joint] = values
                 units[channel, joint] = unit or _si_name(below.get(heading, ""))
     if not channels:
-        raise InputError(f"{source}: no column holds what joints did; there are {', '.join(raw.header[:40])}. {NAMES}")
+        raise InputError(
+            f"{source}: no column holds what joints did; there are {', '.join(raw.header[:40])}. {NAMING_ADVICE}"
+        )
     return Logged(_time(raw), channels, units, np.asarray(raw.line), source, scalars)
 
 
 def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
-    """Columns of lists, in JSON or as Parquet has them, shape (n, k); None of others. Raises InputError."""
+    """Return a column of lists (JSON or Parquet) as an array, shape (n, k); None for others.
+
+    Raises InputError.
+    """
     first = cells.iloc[0]
     if isinstance(first, str) and first.lstrip().startswith("["):
         rows = json_of(f"[{','.join(map(str, cells))}]", raw.path.name, list)
@@ -113,8 +124,8 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
 
 
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
-    """Channel, joint (a number or a name) and unit of a column; no channel where it is none of a joint."""
-    if ours := _OURS.fullmatch(heading.strip()):
+    """Return channel, joint (a number or a name) and unit of a column; all empty if it has none."""
+    if ours := _CANONICAL_NAME.fullmatch(heading.strip()):
         return {"command_v": "command_speed", "q": "position", "v": "speed"}.get(ours[1], ours[1]), ours[2], ours[3]
     words, unit = words_of(heading)
     joint, rest = _joint(words, names)
@@ -123,7 +134,7 @@ def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
 
 
 def _channel(words: Sequence[str]) -> str:
-    """What the words of a heading say that is logged; empty where it is nothing of a joint."""
+    """Return the channel that the words of a heading name; empty if they name none."""
     said = {*words}
     channel = next((name for name, telling in _QUANTITIES.items() if said & telling), "")
     if said & _COMMANDED:
@@ -132,7 +143,7 @@ def _channel(words: Sequence[str]) -> str:
 
 
 def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
-    """The joint that the words of a heading name, and the other words."""
+    """Return the joint that the words of a heading name, and the other words."""
     for name in sorted(names, key=len, reverse=True):
         part = words_of(name)[0]
         at = next((k for k in range(len(words) - len(part) + 1) if list(words[k : k + len(part)]) == part), None)
@@ -144,19 +155,18 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
 
 
 def is_number(word: str) -> bool:
-    """Whether a word may be the number of a joint: one of thousands of digits is a word."""
-    # A joint's number has 9 digits at most.
+    """Return whether a word may be the number of a joint: at most 9 digits."""
     return word.isdecimal() and len(word) <= 9
 
 
 def _si_name(unit: str) -> str:
-    """A unit of the vocabulary as our columns name it."""
+    """Return the suffix of our columns for a unit of the vocabulary; empty if there is none."""
     ours, factor = UNITS.get(unit, ("", 1.0))
     return {("deg", 1.0): "deg", ("rad", 1.0): "rad", ("mm", 1.0): "mm", ("mm", 1e3): "m"}.get((ours, factor), "")
 
 
 def _time(raw: RawTable) -> Array:
-    """The time of each row [s]. Raises InputError: no column of it."""
+    """Return the time of each row [s]. Raises InputError: no column of it."""
     frame = raw.frame
     if "time_s" in frame:
         return numbers_of(frame["time_s"])
@@ -176,6 +186,9 @@ def _time(raw: RawTable) -> Array:
 
 
 def stamp_factor(stamps: Array) -> float:
-    """Seconds of a unit of time stamps: those with which rows come at 2 Hz to 20 kHz."""
+    """Return the factor from time stamps to seconds, by the median time between rows.
+
+    It is the largest of 1, 1e-3, 1e-6 and 1e-9 with which rows come at 2 Hz or faster.
+    """
     step = float(np.nanmedian(np.abs(np.diff(stamps)))) if len(stamps) > 1 else 0.0
     return next((factor for factor in (1.0, 1e-3, 1e-6, 1e-9) if step * factor <= 0.5), 1e-9)

@@ -1,4 +1,7 @@
-"""What a log says of itself: rate, jitter, lost and repeated samples, quanta, delays; and what is wrong with it."""
+"""Quality of a joint log: rate, jitter, lost and repeated samples, encoder quanta and delays.
+
+Faults in units, signs and order of the joints are detected too.
+"""
 
 import re
 from collections.abc import Iterator
@@ -8,23 +11,27 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
-from casadical.measurements.columns import MOST_TURNS
+from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.logs.log import JointLog
 
-DEGREES = float(np.rad2deg(1.0))
-# Steps longer than so many usual ones are gaps.
-GAP = 1.5
-# A joint that covers fewer quanta tells little; below STILL [rad or m] it does not move.
-FEW = 50.0
-STILL = 1e-4
-# A joint that never moves faster [rad/s or m/s] tells nothing that follows speed.
-TOO_SLOW = 0.02
-# How far beyond its range an angle may be before another unit is asked for [rad].
-BEYOND = 0.3
+DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
+# A time step longer than so many median ones is a gap.
+MIN_GAP_STEPS = 1.5
+# A joint that covers fewer encoder quanta shows little but its hysteresis.
+MIN_QUANTA_COVERED = 50.0
+# A joint that moves by less does not move [rad or m].
+MIN_MOVEMENT = 1e-4
+# A joint that never moves faster shows no effect that depends on speed [rad/s or m/s].
+MIN_SPEED = 0.02
+# Tolerance beyond a joint's range for readings in a correct unit [rad].
+RANGE_MARGIN_RAD = 0.3
 
 
 def quantum(column: Array) -> float:
-    """The step in which a column's numbers come, 0 where none is seen; shape (n,), in its unit."""
+    """Return the quantization step of a column, in its unit; 0 if none is seen.
+
+    column : shape (n,)
+    """
     levels = np.unique(column[np.isfinite(column)])
     steps = np.diff(levels)
     steps = steps[steps > 1e-9 * max(float(np.abs(levels).max(initial=0.0)), 1e-12)]
@@ -32,17 +39,18 @@ def quantum(column: Array) -> float:
         return 0.0
     least = float(np.median(steps[steps < 1.5 * steps.min()]))
     near = steps[steps < 20 * least] / least
-    # By chance a third of all numbers are so near to whole ones.
+    # By chance, 30 % of all numbers are within 0.15 of a whole one.
     enough = len(near) >= 8 or len(column) >= 10 * len(levels)
     return least if enough and np.mean(np.abs(near - near.round()) < 0.15) > 0.9 else 0.0
 
 
 def found_in(log: JointLog) -> tuple[str, ...]:
-    """Sentences on a log, with numbers: what was understood first, then what is odd and what would help."""
+    """Return sentences on a log: what was understood, then what is unusual and what would help."""
     return (*_understood(log), *_clock(log), *_readings(log), *_between(log))
 
 
 def _understood(log: JointLog) -> Iterator[str]:
+    """Yield sentences on channels and joints, and on what missing channels leave undetermined."""
     units = {"rad": "rad"} | {unit: unit for k in range(len(log.joints)) for unit in (log.unit("position", k),)}
     known = [name.replace("_", " ") for name in log.arrays]
     if log.current_unsigned:
@@ -62,15 +70,16 @@ def _understood(log: JointLog) -> Iterator[str]:
 
 
 def _clock(log: JointLog) -> Iterator[str]:
+    """Yield sentences on runs, sampling rate, gaps and repeated rows."""
     runs, steps = list(log.runs()), np.diff(log.time)[np.diff(log.run) == 0]
     seconds = [float(run.time[-1] - run.time[0]) for run in runs]
-    usual = steps[steps < GAP * log.step]
+    usual = steps[steps < MIN_GAP_STEPS * log.step]
     spread = f"{min(seconds):.1f} to {max(seconds):.1f} s" if len(runs) > 1 else f"{seconds[0]:.1f} s"
     yield (
         f"{len(runs)} run{'s' if len(runs) > 1 else ''} of {spread} at {1 / log.step:.2f} Hz; steps differ by "
         f"{1e3 * float(np.std(usual)):.2g} ms (one sigma)"
     )
-    gaps = steps[steps >= GAP * log.step]
+    gaps = steps[steps >= MIN_GAP_STEPS * log.step]
     if len(gaps):
         lost = int(np.sum(np.round(gaps / log.step) - 1))
         share = 100 * lost / (lost + len(log))
@@ -89,21 +98,24 @@ def _clock(log: JointLog) -> Iterator[str]:
 
 
 def repeated_rows(log: JointLog) -> Array:
-    """Rows whose readings are all those of the row before, though the joints move through them, shape (n,) [bool]."""
+    """Return a mask of rows that repeat the sample before while joints move, shape (n,)."""
     q, same = log.position, np.zeros(len(log), dtype=bool)
     inner = slice(1, -1)
     measured = [values for values in (q, log.speed, log.current, log.torque) if values is not None]
     same[inner] = np.all([((v[1:-1] == v[:-2]) | np.isnan(v[1:-1])).all(axis=1) for v in measured], axis=0)
     steps = np.maximum([quantum(column) for column in q.T], 1e-9)
     with np.errstate(invalid="ignore"):
-        # In a motion by four quanta a row, positions that stand are repeated.
+        # If a joint moves by more than four quanta over two rows, equal positions are repeated
+        # samples.
         moving = (np.abs(q[2:] - q[:-2]) > 4.0 * steps).any(axis=1)
-    same[inner] &= moving & (log.run[2:] == log.run[:-2]) & (log.time[2:] - log.time[:-2] < 2 * GAP * log.step)
+    same[inner] &= (
+        moving & (log.run[2:] == log.run[:-2]) & (log.time[2:] - log.time[:-2] < 2 * MIN_GAP_STEPS * log.step)
+    )
     return same
 
 
 def _readings(log: JointLog) -> Iterator[str]:
-    """On the encoders, and on joints that tell little."""
+    """Yield sentences on encoder quanta, and on joints whose motion carries little information."""
     steps = np.array([quantum(column) for column in log.position.T])
     for kind, unit in (("revolute", "mrad"), ("prismatic", "mm")):
         own = [f"{1e3 * steps[k]:.4g}" if steps[k] else "none" for k, each in enumerate(log.kinds) if each == kind]
@@ -115,21 +127,22 @@ def _readings(log: JointLog) -> Iterator[str]:
         column = log.position[:, k]
         covered = float(np.nanmax(column) - np.nanmin(column))
         unit = "mrad" if log.kinds[k] == "revolute" else "mm"
-        # A joint moves if it covers three quanta, or STILL where no quantum is seen.
-        if covered <= max(3.0 * steps[k], STILL):
+        # A joint moves if it covers three quanta, or MIN_MOVEMENT where no quantum is seen.
+        if covered <= max(3.0 * steps[k], MIN_MOVEMENT):
             yield (
                 f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it holds is told, no "
                 "friction, inertia, play or delay. Move it to and fro, fast and slowly"
             )
-        elif covered < FEW * steps[k]:
+        elif covered < MIN_QUANTA_COVERED * steps[k]:
             yield (
                 f"{name} moves by {covered / steps[k]:.0f} steps of its encoder ({1e3 * covered:.3g} {unit}): too "
-                f"little to tell more than its hysteresis. Move it by {1e3 * FEW * steps[k]:.0f} {unit} or more"
+                f"little to tell more than its hysteresis. "
+                f"Move it by {1e3 * MIN_QUANTA_COVERED * steps[k]:.0f} {unit} or more"
             )
-        elif (fastest := _fastest(log, k)) < TOO_SLOW:
+        elif (fastest := _fastest(log, k)) < MIN_SPEED:
             yield (
                 f"{name} moves at {1e3 * fastest:.2g} {unit}/s at most: too slow to tell viscous friction, lag or "
-                f"inertia; dry friction and load are told. Move it at {1e3 * 10 * TOO_SLOW:.0f} {unit}/s or more"
+                f"inertia; dry friction and load are told. Move it at {1e3 * 10 * MIN_SPEED:.0f} {unit}/s or more"
             )
         for channel in ("torque", "current"):
             values = getattr(log, channel)
@@ -144,7 +157,7 @@ def _readings(log: JointLog) -> Iterator[str]:
 
 
 def _fastest(log: JointLog, k: int) -> float:
-    """The greatest speed of a joint over some rows [rad/s or m/s]."""
+    """Return the 99 % quantile of a joint's speed over 0.1 s [rad/s or m/s]."""
     rows = max(1, min(len(log) - 1, round(0.1 / max(log.step, 1e-9))))
     q, t = log.position[:, k], log.time
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -154,7 +167,7 @@ def _fastest(log: JointLog, k: int) -> float:
 
 
 def _between(log: JointLog) -> Iterator[str]:
-    """What the channels of a joint say of each other: delays, signs, order."""
+    """Yield sentences on how channels agree: delays, units, signs, order of the joints."""
     if log.speed is not None and (fitted := _speed_delay(log)) is not None:
         delay, scale = fitted
         if abs(delay) > 0.25 * log.step:
@@ -193,7 +206,7 @@ def _between(log: JointLog) -> Iterator[str]:
 
 
 def _alike(log: JointLog) -> Array:
-    """Correlations of commands (rows) and readings (columns), shape (joints, joints); NaN of joints at rest."""
+    """Return correlations of commands and readings, (joints, joints); NaN for joints at rest."""
     assert log.command is not None
     good = np.isfinite(log.command).all(axis=1) & np.isfinite(log.position).all(axis=1)
     out = np.full((len(log.joints),) * 2, np.nan)
@@ -201,15 +214,16 @@ def _alike(log: JointLog) -> Array:
         return out
     c, q = (values[good] - values[good].mean(axis=0) for values in (log.command, log.position))
     sizes = [np.sqrt((values**2).mean(axis=0)) for values in (c, q)]
-    moves = np.outer(sizes[0] > STILL, sizes[1] > STILL)
+    moves = np.outer(sizes[0] > MIN_MOVEMENT, sizes[1] > MIN_MOVEMENT)
     np.divide(c.T @ q / len(c), np.outer(*sizes), out=out, where=moves)
     return out
 
 
 def _speed_delay(log: JointLog) -> tuple[float, float] | None:
-    """How much later than the slope of the position the speed is [s], and its scale; None where nothing moves.
+    """Return the delay [s] of the speed behind the slope of the position, and its scale.
 
-    To first order v(t) = scale (q'(t) - delay q''(t)); both by least squares over all joints.
+    To first order v(t) = scale (q'(t) - delay q''(t)); both by least squares over all joints. None
+    is returned where nothing moves.
     """
     assert log.speed is not None
     whole = np.zeros((2, 2))
@@ -231,14 +245,17 @@ def _speed_delay(log: JointLog) -> tuple[float, float] | None:
 
 
 def with_signs(log: JointLog) -> JointLog:
-    """A torque or current that is never negative, though joints move both ways, is taken as unsigned."""
+    """Return the log with a torque or current that is never negative marked as an unsigned current.
+
+    This applies if at least two joints move both ways while it comes near to zero.
+    """
     for channel in ("torque", "current"):
         values = getattr(log, channel)
         if values is None or (channel == "current" and log.current_unsigned) or np.nanmin(values) < 0:
             continue
         turned = np.diff(log.position, axis=0)
         fro = (turned > 0).any(axis=0) & (turned < 0).any(axis=0)
-        # A load that never changes its sign is no size: sizes come near to zero.
+        # Absolute values come near to zero; a load that never changes its sign need not.
         seen = np.nan_to_num(values)
         sizes = seen.min(axis=0) < 0.1 * seen.max(axis=0)
         both = int((fro & sizes).sum())
@@ -255,34 +272,42 @@ def with_signs(log: JointLog) -> JointLog:
 
 
 def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
-    """Raises InputError where angles are in another unit than their columns say, all along or from some row on."""
+    """Check that angles are in the unit of their columns' names, in all rows. Raises InputError."""
     for k, name in enumerate(log.joints):
         if log.kinds[k] != "revolute":
             continue
         column = log.position[:, k]
         top = int(np.nanargmax(np.abs(column)))
         largest, known = abs(float(column[top])), f"{log.source}: row {log.row[top]}, position of {name}"
-        beyond = largest > MOST_TURNS * 2 * np.pi
+        beyond = largest > MAX_TURNS * 2 * np.pi
         if robot and not beyond:
             lower, upper = (float(ends[k]) for ends in robot.limits)
-            inside = (lower - BEYOND <= np.deg2rad(column)) & (np.deg2rad(column) <= upper + BEYOND)
+            inside = (lower - RANGE_MARGIN_RAD <= np.deg2rad(column)) & (np.deg2rad(column) <= upper + RANGE_MARGIN_RAD)
             reach = max(abs(lower), abs(upper))
-            beyond = largest > 2 * reach + BEYOND and largest > np.pi and bool(inside[np.isfinite(column)].all())
+            beyond = (
+                largest > 2 * reach + RANGE_MARGIN_RAD and largest > np.pi and bool(inside[np.isfinite(column)].all())
+            )
         if beyond:
             raise InputError(f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
         _refuse_change(log, k)
-        if log.command is not None and np.nanstd(column) > STILL and np.nanstd(log.command[:, k]) > STILL:
+        if log.command is not None and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(log.command[:, k]) > MIN_MOVEMENT:
             ratio = float(np.nanstd(log.command[:, k]) / np.nanstd(column))
-            for factor, words in ((DEGREES, ("commands", "readings")), (1 / DEGREES, ("readings", "commands"))):
+            for factor, words in (
+                (DEGREES_PER_RADIAN, ("commands", "readings")),
+                (1 / DEGREES_PER_RADIAN, ("readings", "commands")),
+            ):
                 if abs(ratio / factor - 1) < 0.15:
                     raise InputError(
-                        f"{log.source}: {words[0]} of {name} are {DEGREES:.1f} times its {words[1]}: degrees called "
-                        f"radians; name the columns of the {words[0]} with _deg"
+                        f"{log.source}: {words[0]} of {name} are {DEGREES_PER_RADIAN:.1f} times its {words[1]}: "
+                        f"degrees called radians; name the columns of the {words[0]} with _deg"
                     )
 
 
 def refuse_frozen(log: JointLog) -> None:
-    """Raises InputError where readings are one number in every row: of all joints, or of one whose commands move."""
+    """Check that some joint moves, and that no joint is constant while its commands move.
+
+    Raises InputError.
+    """
     still = np.flatnonzero(np.nanmin(log.position, axis=0) == np.nanmax(log.position, axis=0))
     if len(still) == len(log.joints):
         raise InputError(
@@ -290,7 +315,7 @@ def refuse_frozen(log: JointLog) -> None:
         )
     for k in still:
         commands = np.zeros(0) if log.command is None else log.command[np.isfinite(log.command[:, k]), k]
-        # A joint whose readings stay at one number while its commands move by more [rad or m] was not measured.
+        # Commands that move by more, while the reading is constant, show a dead encoder [rad or m].
         if len(commands) and np.ptp(commands) > 0.1:
             unit, value = log.unit("position", int(k)), float(np.nanmax(log.position[:, k]))
             raise InputError(
@@ -301,13 +326,16 @@ def refuse_frozen(log: JointLog) -> None:
 
 
 def _refuse_change(log: JointLog, k: int) -> None:
-    """Raises InputError where a joint's readings change from radians to degrees between two rows."""
+    """Check that a joint's readings do not change from radians to degrees between two rows.
+
+    Raises InputError.
+    """
     column = log.position[:, k]
     before, after = np.abs(column[:-1]), np.abs(column[1:])
     small = np.minimum(before, after)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.maximum(before, after) / small
-    at = np.flatnonzero((small > 0.02) & (np.abs(ratio / DEGREES - 1) < 0.1))
+    at = np.flatnonzero((small > 0.02) & (np.abs(ratio / DEGREES_PER_RADIAN - 1) < 0.1))
     if len(at):
         row = int(at[0])
         raise InputError(

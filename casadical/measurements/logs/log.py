@@ -1,4 +1,7 @@
-"""One immutable, checked object in SI that holds what a controller logged of every joint while the arm moved."""
+"""Joint log: what a controller recorded of every joint while the arm moved.
+
+It is one immutable, checked object in SI units.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
-from casadical.measurements.columns import POSSIBLE
+from casadical.measurements.columns import POSSIBLE_RANGES
 
-# What is logged of each joint, with its unit for revolute and for prismatic joints.
+# Channels that are logged for each joint, with their units for revolute and for prismatic joints.
 CHANNELS = {
     "command": ("rad", "m"),
     "command_speed": ("rad/s", "m/s"),
@@ -33,16 +36,23 @@ class JointLog(Shown):
     """What was logged of an arm in motion, row by row; SI units, NaN where a cell is missing.
 
     time : shape (n,) [s]: grows within a run, and may begin again in the next one
-    joints : names, in the order of the columns of what follows, each of shape (n, joints)
-    position : as the encoders read [rad or m]; command : as sent to the drives; speed, command_speed [rad/s or m/s]
-    torque : of the drive, as the controller says [N m or N]; current : of the motor [A]; temperature [degC]
+    joints : names, in the order of the columns of the channels, each of shape (n, joints)
+    position : as the encoders read [rad or m]
+    command : position as sent to the drives [rad or m]
+    speed, command_speed : measured and commanded speed [rad/s or m/s]
+    torque : of the drive, as the controller reports it [N m or N]
+    current : of the motor [A]
+    temperature : [degC]
     current_unsigned : whether the current is an absolute value, or a raw one of unknown sign
-    signs_lost : channel (torque, current) whose heading promises a sign that its numbers do not have; or empty
-    voltage : shape (n,) [V]; payload : shape (n,) [kg]; run : shape (n,): number of each row's run, whose rows stand
-        together
+    signs_lost : channel (torque, current) whose heading promises a sign that its numbers lack; or
+        empty
+    voltage : shape (n,) [V]
+    payload : shape (n,) [kg]
+    run : number of each row's run, shape (n,); the rows of a run are contiguous
     kinds : of each joint, revolute or prismatic; all revolute where none are given
-    row : shape (n,): line of the source, for messages; source : file name or description
-    findings : sentences: what was understood, and what is odd
+    row : line of the source, shape (n,), for messages
+    source : file name or description
+    findings : sentences: what was understood, and what is unusual
     Raises InputError: arrays that do not fit each other, a time that does not grow, or nothing to diagnose.
     """
 
@@ -102,33 +112,36 @@ class JointLog(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What was logged, by name: channels of shape (n, joints), voltage and payload of shape (n,)."""
+        """The logged arrays by name: channels (n, joints), voltage and payload (n,)."""
         names = (*CHANNELS, "voltage", "payload")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def unit(self, channel: str, joint: int) -> str:
-        """Unit of a channel of the joint with this index, 0-based."""
+        """Return the unit of a channel for the joint with this index, 0-based."""
         return CHANNELS[channel][self.kinds[joint] == "prismatic"]
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> JointLog:
-        """The rows chosen by mask, slice or indices."""
+        """Return the rows chosen by a mask, a slice or indices."""
         given: dict[str, Any] = {name: values[which] for name, values in self.arrays.items()}
         return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
 
     def runs(self) -> Iterator[JointLog]:
-        """The log run by run, those of two rows and more, without a copy of its numbers."""
+        """Return the runs of two rows and more as logs that share the numbers of this one."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1), len(self)]
         return (self[start:end] for start, end in pairwise(ends) if end > start + 1)
 
     @cached_property
     def step(self) -> float:
-        """The usual time between two rows [s]."""
+        """The median time between two rows of a run [s]."""
         steps = np.diff(self.time)[np.diff(self.run) == 0]
         return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _refuse_malformed(log: JointLog) -> None:
-    """Raises InputError for what no arm can have logged; FaultsError where single cells are to blame."""
+    """Check shapes, values, times and runs.
+
+    Raises InputError for what no arm can have logged; FaultsError where single cells are to blame.
+    """
     n, joints = len(log.time), len(log.joints)
     if n < 2 or not joints:
         raise InputError(f"{log.source}: {n} rows of {joints} joints; at least two rows of one joint are needed")
@@ -164,11 +177,11 @@ def _refuse_malformed(log: JointLog) -> None:
 
 
 def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
-    """The cells of a channel that cannot be, joint by joint."""
+    """Yield a fault for the impossible cells of a channel, joint by joint."""
     for k, column in enumerate(values.T if values.ndim == 2 else [values]):
         label = f"{name} {log.joints[k]}" if values.ndim == 2 else name
         limited = {"payload": "payload_kg", "temperature": "temperature_degC"}.get(name, "")
-        least, most = POSSIBLE.get(limited, (-LARGEST, LARGEST))
+        least, most = POSSIBLE_RANGES.get(limited, (-LARGEST, LARGEST))
         wrong, allowed = (column < least) | (column > most), f"{least:g} to {most:g}" if limited else "finite numbers"
         if name == "time":
             wrong |= np.isnan(column)

@@ -1,4 +1,4 @@
-"""Logs from files: the contract's tables, and those of other systems, as one `JointLog`."""
+"""Readers of joint logs: tables in casadical's form and files of other systems."""
 
 import gzip
 import re
@@ -12,17 +12,25 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
-from casadical.measurements.columns import RADIANS
+from casadical.measurements.columns import FULL_TURN_RAD
 from casadical.measurements.headings import words_of
-from casadical.measurements.logs.columns import FACTORS, LENGTHS, NAMES, Logged, is_number, logged, meaning
+from casadical.measurements.logs.columns import (
+    LENGTH_UNITS,
+    NAMING_ADVICE,
+    SI_FACTORS,
+    Logged,
+    is_number,
+    logged,
+    meaning,
+)
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
-from casadical.measurements.logs.systems import BAGS, STATE, STATES, bag, lerobot, sage
+from casadical.measurements.logs.systems import BAG_SUFFIXES, LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, lerobot, sage
 from casadical.measurements.raw_table import plain_headings, read_table
 from casadical.measurements.vocabulary import WORDS
 
-# Channels in units of angle or length.
-_OF_MOTION = ("position", "command", "speed", "command_speed")
+# Channels whose unit contains an angle or a length.
+_MOTION_CHANNELS = ("position", "command", "speed", "command_speed")
 
 
 def read_log(
@@ -32,14 +40,14 @@ def read_log(
     unit: Literal["deg", "rad", "percent"] | None = None,
     effort: Literal["torque", "current"] | None = None,
 ) -> JointLog:
-    """A joint log from a file of a controller, a simulator or a recorder.
+    """Return the joint log in a file of a controller, a simulator or a recorder.
 
     path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of
         SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
     robot : its joints, by their names or their order, are those of the log; others are left out
     unit : of angles whose unit the file does not say; percent: of half a joint's range about its middle
     effort : what stands in the field effort, torque by default; both as [drive] of the robot says where None
-    Returns the log in SI; its findings say what was understood, and what is odd.
+    Returns the log in SI; its findings say what was understood, and what is unusual.
     Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
     """
     path = Path(path)
@@ -57,12 +65,17 @@ def read_log(
 
 
 def is_log(path: str | Path) -> bool:
-    """Whether a file holds a log of joints in motion: by its form, or its headings: a time, joints, what moved them.
+    """Return whether a file is a log of joints in motion, by its form or its headings.
 
-    A time and joints alone are a log, too, of which is said what it lacks.
+    A table is one if it has a time, joint positions, and commands, torques or currents; one with a
+    time and motion alone counts too, so that the reader can say what it lacks.
     """
     path = Path(path)
-    if path.name == STATE or path.suffix.lower() in BAGS or any((path / n).exists() for n in (STATE, "metadata.yaml")):
+    if (
+        path.name == SAGE_STATE_FILE
+        or path.suffix.lower() in BAG_SUFFIXES
+        or any((path / n).exists() for n in (SAGE_STATE_FILE, "metadata.yaml"))
+    ):
         return True
     try:
         headings = _plain_headings(path) or read_table(path, keep_text=False).header
@@ -70,7 +83,9 @@ def is_log(path: str | Path) -> bool:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
         return False
-    channels = {meaning(heading, ())[0] for heading in headings} | {STATES.get(heading, "") for heading in headings}
+    channels = {meaning(heading, ())[0] for heading in headings} | {
+        LEROBOT_CHANNELS.get(heading, "") for heading in headings
+    }
     timed = [heading for heading in headings if {*words_of(heading)[0]} & WORDS["time"]]
     motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
     driven = bool(channels & {"command", "torque", "current"})
@@ -78,7 +93,7 @@ def is_log(path: str | Path) -> bool:
 
 
 def _plain_headings(path: Path) -> tuple[str, ...]:
-    """Of a text with one line of headings above plain numbers, of which little is read; empty of another table."""
+    """Return the headings of a table of plain numbers by its first lines; empty for others."""
     if not path.is_file() or path.suffix.lower() not in (".csv", ".gz"):
         return ()
     try:
@@ -91,24 +106,29 @@ def _plain_headings(path: Path) -> tuple[str, ...]:
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
-    """What the file holds, by its form."""
-    if path.suffix.lower() in BAGS or (path / "metadata.yaml").exists():
+    """Return the log of a file as it stands, by the file's form."""
+    if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists():
         return bag(path)
-    if path.name == STATE or (path / STATE).exists():
-        return sage(path.parent if path.name == STATE else path)
+    if path.name == SAGE_STATE_FILE or (path / SAGE_STATE_FILE).exists():
+        return sage(path.parent if path.name == SAGE_STATE_FILE else path)
     if path.is_dir():
-        raise InputError(f"{path}: a folder without {STATE} (SAGE) and metadata.yaml (ROS 2); name the file of the log")
+        raise InputError(
+            f"{path}: a folder without {SAGE_STATE_FILE} (SAGE) and metadata.yaml (ROS 2); name the file of the log"
+        )
     table = read_table(path, keep_text=False)
-    if STATES.keys() & {*table.header}:
+    if LEROBOT_CHANNELS.keys() & {*table.header}:
         return lerobot(path, table, unit)
     return logged(table, names)
 
 
 def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
-    """The log with its joints in the robot's order, in SI, its runs numbered. Raises InputError without positions."""
+    """Return the log with its joints in the robot's order, in SI, its runs numbered.
+
+    Raises InputError without positions.
+    """
     if "position" not in log.channels:
         there = ", ".join(log.channels)
-        raise InputError(f"{log.source}: no column holds the positions of joints; there are {there}. {NAMES}")
+        raise InputError(f"{log.source}: no column holds the positions of joints; there are {there}. {NAMING_ADVICE}")
     keys, names, notes = _joints(log, robot)
     kinds = _kinds(log, keys, robot)
     time, run, kept, odd = _clock(log)
@@ -118,7 +138,8 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             none = np.full(len(log.time), np.nan)
             arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
             lost = np.isnan(arrays[channel]).all(axis=0)
-            # What drives the joints of a robot is judged of all of them or of none.
+            # The diagnosis needs commands, torques and currents of all joints of a robot, or of
+            # none.
             driven = channel in ("command", "torque", "current")
             apart = robot is not None and driven and bool(lost.any())
             if apart and not lost.all():
@@ -134,7 +155,7 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
 
 
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
-    """Keys of the columns of each joint, the joints' names, and sentences about those left out."""
+    """Return the keys of the joints' columns, the joints' names, sentences on dropped joints."""
     there = list(log.channels["position"])
     numbered = all(is_number(key) for key in there)
     if numbered:
@@ -154,7 +175,7 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
 
 
 def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
-    """The log's name of each of the robot's joints; fewer where one is not there."""
+    """Return the log's name of each of the robot's joints; fewer where one is not there."""
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]+|joint", "", name.casefold())
@@ -165,13 +186,14 @@ def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
 
 
 def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ...]:
+    """Return the kind of each joint, by the robot, else by the unit of its position."""
     if robot:
         return tuple(joint.kind for joint in robot.joints)
-    return tuple("prismatic" if log.units["position", key] in LENGTHS else "revolute" for key in keys)
+    return tuple("prismatic" if log.units["position", key] in LENGTH_UNITS else "revolute" for key in keys)
 
 
 def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Time and run of the rows that are kept, their indices, and sentences about the others."""
+    """Return time and run of the rows that are used, their indices, and sentences on the others."""
     run = log.scalars.get("run")
     numbers = np.zeros(len(log.time)) if run is None else run
     if not np.isfinite(numbers).all() or not np.isfinite(log.time).all():
@@ -226,24 +248,27 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
 def _into_si(
     log: Logged, keys: Sequence[str], arrays: dict[str, Any], kinds: Sequence[str], given: str | None, robot: Arm | None
 ) -> tuple[str, ...]:
-    """Changes the arrays to SI, column by column; sentences about units that no heading tells."""
+    """Convert the arrays to SI in place; return sentences on units that no heading states."""
     guessed: dict[str, list[str]] = {}
     for channel, values in arrays.items():
         for k, key in enumerate(keys):
             unit = log.units.get((channel, key), "")
-            if not unit and channel in _OF_MOTION and kinds[k] == "revolute":
+            if not unit and channel in _MOTION_CHANNELS and kinds[k] == "revolute":
                 unit = given or _angle_unit(log, channel, keys)
                 if not given:
                     guessed.setdefault(unit, []).append(f"{channel} {key}")
-            if unit == "percent" and channel in _OF_MOTION:
+            if unit == "percent" and channel in _MOTION_CHANNELS:
                 values[:, k] = _of_range(values[:, k], robot, k, channel, log.source)
             else:
-                values[:, k] *= FACTORS.get(unit, 1.0)
+                values[:, k] *= SI_FACTORS.get(unit, 1.0)
     return tuple(f"no heading tells the unit of {', '.join(c)}: by their size read as {u}" for u, c in guessed.items())
 
 
 def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: str) -> Array:
-    """Per cent of half the range of joint k, about its middle, as angles; a gripper's are of the whole range."""
+    """Return percentages of half the range of joint k, about its middle, as angles [rad].
+
+    A gripper's are percentages of the whole range.
+    """
     if robot is None:
         raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')
     lower, upper = (ends[k] for ends in robot.limits)
@@ -255,7 +280,7 @@ def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: st
 
 
 def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
-    """deg where positions are greater than any in radians, else rad; commands and speeds go with them."""
+    """Return "deg" if positions (for commands: commands) exceed any in radians, else "rad"."""
     base = "command" if channel.startswith("command") and "command" in log.channels else "position"
     sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]
-    return "deg" if max(sizes, default=0.0) > RADIANS + 1 else "rad"
+    return "deg" if max(sizes, default=0.0) > FULL_TURN_RAD + 1 else "rad"

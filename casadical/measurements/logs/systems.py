@@ -1,4 +1,7 @@
-"""Logs of other systems: SAGE's folders, LeRobot's datasets, ROS bags; streams of their own times become one."""
+"""Logs of other systems: SAGE's folders, LeRobot's datasets and ROS bags.
+
+Streams with their own time stamps are merged into one log.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,26 +16,32 @@ from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
 
-STATE, CONTROL = "state_motor.csv", "control.csv"
-# Columns of LeRobot's datasets.
-STATES = {"action": "command", "observation.state": "position"}
-BAGS = (".db3", ".mcap", ".bag")
-_TOLD = ("command", "desired", "target", "reference", "goal", "leader", "action")
+SAGE_STATE_FILE, SAGE_CONTROL_FILE = "state_motor.csv", "control.csv"
+# Files of a folder of SAGE, and columns of LeRobot's datasets with their channels.
+LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
+BAG_SUFFIXES = (".db3", ".mcap", ".bag")
+_COMMANDED_TOPIC_WORDS = ("command", "desired", "target", "reference", "goal", "leader", "action")
 
 
 def sage(folder: Path) -> Logged:
-    """A folder of SAGE: states, commands and the list of joints. Raises InputError."""
+    """Return the log in a folder of SAGE: states, commands and the list of joints.
+
+    Raises InputError."""
     names = [clean(line) for line in read_text(folder / "joint_list.txt").splitlines() if line.strip()]
-    states = logged(read_table(folder / STATE), listed=names)
-    if not (folder / CONTROL).exists():
+    states = logged(read_table(folder / SAGE_STATE_FILE), listed=names)
+    if not (folder / SAGE_CONTROL_FILE).exists():
         return states
-    control = logged(read_table(folder / CONTROL), listed=names)
+    control = logged(read_table(folder / SAGE_CONTROL_FILE), listed=names)
     commands = replace(control, channels={"command": control.channels.get("position", {})})
     return replace(joined([states, commands]), source=folder.name)
 
 
 def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
-    """A Parquet file of a LeRobot dataset; unit : of angles. Raises InputError where it is not given and not sure."""
+    """Return the log in a Parquet file of a LeRobot dataset.
+
+    unit : of angles
+    Raises InputError where the unit is not given and the numbers do not show it.
+    """
     about = next((up / "meta" / "info.json" for up in path.parents[:4] if (up / "meta" / "info.json").exists()), None)
     names: Sequence[str] = ()
     if about:
@@ -64,7 +73,9 @@ class _Stream:
 
 
 def bag(path: Path) -> Logged:
-    """The joint states of a ROS bag or an MCAP file, and the commands in it. Raises InputError."""
+    """Return the joint states of a ROS bag or an MCAP file, and the commands in it.
+
+    Raises InputError."""
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
     for file in (f for f in path.iterdir() if f.exists() and not f.is_dir()) if path.is_dir() else (path,):
@@ -93,7 +104,8 @@ def bag(path: Path) -> Logged:
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    commanded = any(word in topic.casefold() for word in _TOLD)
+    """Yield joint names, channel and values of a JointState message."""
+    commanded = any(word in topic.casefold() for word in _COMMANDED_TOPIC_WORDS)
     for field, channel in {"position": "position", "velocity": "speed", "effort": "torque"}.items():
         if not commanded or channel != "torque":
             name = {"position": "command", "speed": "command_speed"}[channel] if commanded else channel
@@ -101,7 +113,9 @@ def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
 
 
 def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    # Trajectories of a controller: fields of what was commanded and of what was measured, with our channels.
+    """Yield joint names, channel and values of a JointTrajectoryControllerState message."""
+    # Names of the message's fields in ROS 1 and 2: what was commanded, what was measured; our
+    # channels.
     channels = (
         (("reference", "desired"), ("command", "command_speed", "")),
         (("feedback", "actual"), ("position", "speed", "torque")),
@@ -113,10 +127,12 @@ def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
                 yield tuple(message.joint_names), name, getattr(point, values, ())
 
 
+# Readers of the ROS messages that are used, by message type.
 _READERS = {"JointState": _states, "JointTrajectoryControllerState": _controller}
 
 
 def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, message: Any, received: int) -> None:
+    """Append a message's stamp and values to the stream of its topic and joints."""
     stamp = message.header.stamp
     for k, (names, channel, values) in enumerate(_READERS[kind](topic, message)):
         stream = streams.setdefault((topic, *names), _Stream(topic, names, [], [], {}))
@@ -128,7 +144,7 @@ def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, messag
 
 
 def _of_stream(stream: _Stream, path: Path) -> Logged:
-    """A topic's messages as columns, timed by their stamps, or as they were received where these are not set."""
+    """Return a topic's messages as a log, timed by their stamps, else by their receipt."""
     stamps, received = np.array(stream.stamps), np.array(stream.received)
     notes = []
     if stamped := bool((stamps > 0).all()):
@@ -154,7 +170,7 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
 
 
 def joined(logs: Sequence[Logged]) -> Logged:
-    """Streams of their own times as one, at the times of the first; each row has what the others said last.
+    """Return several streams as one, at the times of the first, with the others' last values.
 
     Raises InputError if they do not overlap.
     """

@@ -26,7 +26,7 @@ from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.remaining_errors import evaluated
-from casadical.measurements.measurements import STANDS, Measurements, same_readings, unmeasured
+from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
 # Degrees of freedom of a noise that a data sheet states: it is known to 25 % (JCGM 100:2008, G.4.2).
@@ -163,7 +163,7 @@ def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float
     for m in sets:
         if m.position is None:
             continue
-        reading, left = same_readings(m.q, STANDS), 1e-3 * residual_mm(robot, m)
+        reading, left = same_readings(m.q, STANDSTILL_TOLERANCE), 1e-3 * residual_mm(robot, m)
         counts = np.bincount(reading)
         means = np.stack([np.bincount(reading, left[:, i]) for i in range(3)], axis=1) / counts[:, None]
         square += float(((left - means[reading]) ** 2).sum())

@@ -13,7 +13,7 @@ from casadical.core.parts import GRAVITY
 from casadical.identification.identifiability import CONFOUNDED
 from casadical.identification.identification import undeclared
 from casadical.identification.plausibility import check_against
-from casadical.measurements.columns import RADIANS
+from casadical.measurements.columns import FULL_TURN_RAD
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.information import Outlook
@@ -124,7 +124,7 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
             findings.append(Finding("warning", "coverage", f"{m.source}: {text}"))
         elif c.share < 0.25:
             text = f"joint {c.joint} covers {c.low:.0f} .. {c.high:.0f} {c.unit}, {100 * c.share:.0f} % of its range"
-            doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= RADIANS else ""
+            doubt = "; are these radians?" if c.unit == "deg" and max(-c.low, c.high) <= FULL_TURN_RAD else ""
             findings.append(
                 Finding("warning", "coverage", f"{m.source}: {text}; expect little beyond these readings{doubt}")
             )
