@@ -1,4 +1,4 @@
-"""The HTML report of a calibration: sentences, tables and figures, ordered by readers' questions."""
+"""The HTML report of a calibration: sentences, tables and figures, as a reader asks for them."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A campaign of a problem folder diagnosed: one result, what was asked of it, and its files."""
+"""Diagnosis of the campaigns and joint logs of a problem folder: options, results and files."""
 
 from __future__ import annotations
 
@@ -41,16 +41,20 @@ from casadical.project.telling import campaign_files
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
 
-# What is asked for as causes: the name of a list, or names, labels, effects and classes of effects.
+# The candidate causes: the name of a list, or names, labels, effects and classes of effects.
 EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Effect]]
 
 
 def all_effects() -> tuple[str, ...]:
+    """Return the names of all effects on a list of candidate causes."""
     return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
 
 
 def effects_named(text: str | None) -> EffectChoice:
-    """Effects by commas: names, labels, and effect files (`.toml`); without any "standard". Raises InputError."""
+    """Return the effects of a text: names, labels or effect files (`.toml`), separated by commas.
+
+    Returns "standard" where there is no text. Raises InputError.
+    """
     named: list[str | Effect | type[Effect]] = []
     for word in text.split(",") if text else ():
         if not word.strip().endswith(".toml"):
@@ -63,11 +67,15 @@ def effects_named(text: str | None) -> EffectChoice:
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """What a diagnosis is of: a robot, and what was measured of it as it stood.
+    """A robot and the measurements of it that are diagnosed together.
 
-    robot : nominal, as a diagnosis takes it (`read_campaign_robot`), with the effects of the prior in its model
-    sets : one for each table; tables : their files; folder : of the problem, or the robot file
-    prior : what another campaign told; own_effects : of the robot file, in words, which are held at their values
+    robot : nominal robot, as a diagnosis takes it (`read_campaign_robot`), with the effects of the
+        prior in its model
+    sets : measurements, one for each table
+    tables : their files
+    folder : of the problem, or the robot file
+    prior : prior from another campaign, None without one
+    own_effects : effects of the robot file, in words; they are fixed at their values
     """
 
     robot: Robot
@@ -79,16 +87,16 @@ class Campaign:
 
     @property
     def name(self) -> str:
-        """Of the results: that of the first table."""
+        """Return the name of the results: that of the first table."""
         return self.tables[0].stem if self.tables else self.sets[0].source
 
     @property
     def title(self) -> str:
-        """Of what is printed: all tables, and the robot."""
+        """Return the title of what is printed: all tables, and the robot."""
         return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
 
     def workspace(self, room: Path | None) -> Workspace | None:
-        """Where poses may lie, of a file; None without one. Raises InputError."""
+        """Return the workspace that a file describes; None without a file. Raises InputError."""
         return read_workspace(room, self.robot) if room else None
 
 
@@ -100,10 +108,13 @@ def read_campaigns(
     together: bool = False,
     readings_only: bool = False,
 ) -> tuple[Campaign, ...]:
-    """The campaigns of a problem folder, or of tables beside a robot file; each table is one.
+    """Read the campaigns of a problem folder or of given tables; each table is one campaign.
 
-    tables : in place of the folder's own; carried : puts the prior of another campaign into the robot
-    together : whether the tables are one campaign; readings_only : of poses that are planned, not measured
+    folder : problem folder or robot file
+    tables : tables in place of the folder's own
+    carried : function that puts the prior of another campaign into the robot
+    together : whether all tables are one campaign
+    readings_only : whether poses are planned, not measured
     Raises InputError.
     """
     paths = list(tables or own_tables(folder))
@@ -122,10 +133,14 @@ def read_campaigns(
 
 @dataclass(frozen=True)
 class Options:
-    """How a campaign is diagnosed; each as in `casadical.diagnose`.
+    """Options of a diagnosis, as of `casadical.diagnose`.
 
-    laws : whether the missing law is searched for; by default where the verdict is unknown, and as a rival of all
-        causes together; asked for, it is told in full
+    effects : candidate causes
+    seed : of everything random
+    bootstrap : number of draws of noise that calibrate whether there is an effect; 0 for none
+    masses : whether wrong masses of links are a candidate cause, or free in the base model
+    laws : whether an expression for an unlisted effect is searched for; None: where the verdict is
+        unknown, and as a rival of all causes together; True: reported in full, too
     """
 
     effects: EffectChoice = "standard"
@@ -137,7 +152,13 @@ class Options:
 
 @dataclass(frozen=True, eq=False)
 class CampaignDiagnosis(Result):
-    """A diagnosed campaign; details : what `analysed` adds."""
+    """A diagnosed campaign.
+
+    campaign : what was diagnosed
+    options : how it was diagnosed
+    diagnosis : verdict, causes and gap
+    details : further results, which `analysed` computes
+    """
 
     campaign: Campaign
     options: Options
@@ -145,52 +166,66 @@ class CampaignDiagnosis(Result):
     details: Details = field(default_factory=Details)
 
     def analysed(self, **asked: Any) -> CampaignDiagnosis:
-        """The same with its details; asked : as of `casadical.diagnosis.analyse`. Raises ConvergenceError."""
+        """Return the diagnosis with its details. Raises ConvergenceError.
+
+        asked : arguments of `casadical.diagnosis.analyse`
+        """
         return replace(self, details=analyse(self.diagnosis, laws=self.options.laws, **asked))
 
     def brief(self) -> Sequence[Words | Table]:
-        """What counts, in a few lines: verdict, errors before and after, what must be known of them."""
-        return brief(self.campaign.title, self.diagnosis, self._beside_laws)
+        """Return the main results in a few lines: verdict, errors before and after, doubts."""
+        return brief(self.campaign.title, self.diagnosis, self._details_without_laws)
 
     @property
-    def _beside_laws(self) -> Details:
-        """The details without the laws where these are told in full."""
+    def _details_without_laws(self) -> Details:
+        """Return the details, without the expression search where it is reported in full."""
         return replace(self.details, laws=None) if self.searched else self.details
 
     @property
     def searched(self) -> Discovery | None:
-        """The search for the missing law, where it was asked for."""
+        """Return the search for an unlisted effect, where the options asked for it."""
         return self.details.laws if self.options.laws else None
 
     def blocks(self) -> list[Words | Table]:
+        """Return the text blocks and tables of the page, without its figures."""
         return [b for section in self.page().sections for b in section.blocks if not isinstance(b, Figure)]
 
     def detailed(self) -> Sequence[Words | Table]:
-        """All that was found, without figures (see `casadical.diagnosis.page_of`)."""
-        return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._beside_laws)]
+        """Return all results as text and tables (see `casadical.diagnosis.page_of`)."""
+        return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._details_without_laws)]
 
     def figures(self) -> dict[str, Figure]:
-        """Every figure, by name (see `diagnosis_figures`)."""
+        """Return every figure by name (see `diagnosis_figures`)."""
         return {figure.name: figure for figure in diagnosis_figures(self.diagnosis, self.details)}
 
     def page(self, replayed: Sequence[Block] = ()) -> Page:
-        """As `casadical diagnose --report` writes it; replayed : what a simulator says of the poses."""
+        """Return the page that `casadical diagnose --report` writes.
+
+        replayed : blocks on the replay of the poses in a simulator
+        """
         page = diagnosis_page(self.diagnosis, self.campaign.name, self.details, replayed)
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
     def to_json(self) -> dict[str, Any]:
+        """Return the diagnosis as plain data for a JSON file."""
         answer = as_json(self.diagnosis, self.campaign.name, self.details)
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
-        """Robot file with the causes, figures and page; unlisted : with the description of an unknown cause, too."""
+        """Return the result files by path: robot file with the causes, figures and page.
+
+        unlisted : whether the description of an unknown cause is one of them
+        """
         name = self.campaign.name
         texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted)
         return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
 
 def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
-    """Diagnose a campaign, for all that ask: the command, a fleet, a replay, exports. Raises InputError."""
+    """Diagnose a campaign: the one way that the command, fleets, replays and exports take.
+
+    Raises InputError.
+    """
     asked = options or Options()
     diagnosis = diagnose(
         campaign.robot, campaign.sets, asked.effects, seed=asked.seed, bootstrap=asked.bootstrap, prior=campaign.prior,
@@ -201,11 +236,14 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
 
 @dataclass(frozen=True, eq=False)
 class LogCampaign:
-    """Joint logs of one robot, of which each is diagnosed.
+    """Joint logs of one robot, each of which is diagnosed.
 
-    robot : with what is known of its drives; logs : their files
-    healthy : of the same robot in health on another day, if there is one
-    withheld : files of logs that are not fitted, but replayed; own : causes beside those of the list
+    robot : robot, with what is declared of its drives
+    logs : files of the logs
+    healthy : log of the same robot in health on another day, None without one
+    withheld : files of logs that are not fitted, but replayed
+    own : user-defined causes, in addition to those of the list
+    read : cache of the logs that were read
     """
 
     robot: Robot
@@ -213,25 +251,28 @@ class LogCampaign:
     healthy: JointLog | None = None
     withheld: tuple[Path, ...] = ()
     own: tuple[Cause, ...] = ()
-    read: dict[Path, JointLog] = field(default_factory=dict)  # so far
+    read: dict[Path, JointLog] = field(default_factory=dict)  # cache of `log`
 
     def log(self, path: Path) -> JointLog:
-        """A log, read once. Raises InputError."""
+        """Return a log, which is read once. Raises InputError."""
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
     def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
-        """Why the arm moves otherwise than its model in one of the logs, as of `diagnose_log`. Raises InputError."""
+        """Return why the motion in one log differs from the model (see `diagnose_log`).
+
+        Raises InputError.
+        """
         return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own)
 
     def replayed(self, show: Show = silent) -> Replay | None:
-        """Runs that were not fitted, from their commands alone; None where no commands were logged."""
+        """Return the replay of the withheld logs from their commands; None without commands."""
         logs, withheld = ([self.log(path) for path in paths] for paths in (self.logs, self.withheld))
         if any(log.command is None for log in (*logs, *withheld)):
             return None
         return replayed(self.robot, logs, withheld, show)
 
     def page(self, answers: Sequence[LogDiagnosis], replay: Replay | None) -> Page:
-        """As `casadical diagnose ARM LOG... --report` writes it."""
+        """Return the page that `casadical diagnose ARM LOG... --report` writes."""
         sections = [Section("Replay", replay.blocks())] if replay else []
         sections += [Section(answer.log.source, answer.blocks()) for answer in answers]
         title = f"Joint logs of {self.robot.name}"
@@ -244,12 +285,15 @@ def read_logs(
     folder: Path, tables: Sequence[Path] | None = None, reference: Path | None = None, drive: Path | None = None,
     effects: Sequence[str] = (),
 ) -> LogCampaign | None:  # fmt: skip
-    """The joint logs of a problem folder, or those that are given; None where the tables are of measured poses.
+    """Read the joint logs of a problem folder, or given ones; None where tables are of poses.
 
-    reference : a log of the same robot in health
-    drive : a file with what is known of the drives; None: the robot file, or drive.toml beside it
-    effects : effect files, whose causes are judged beside those of the list
-    Raises InputError: logs and measured poses together, or what is wrong with robot, drives or reference.
+    folder : problem folder or robot file
+    tables : files in place of the folder's own
+    reference : log of the same robot in health
+    drive : file that declares the drives; None: the robot file, or drive.toml beside it
+    effects : effect files, whose causes are candidates in addition to those of the list
+    Raises InputError: logs and measured poses together, or what is wrong with robot, drives or
+        reference.
     """
     withheld: list[Path] = []
     if not tables and (folder / "problem.toml").is_file() and (own := problem_file(folder).logs):
@@ -268,7 +312,10 @@ def read_logs(
 
 
 def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
-    """Causes of joint logs that effect files define. Raises InputError: names, and effects of poses."""
+    """Return the causes of joint logs that effect files define.
+
+    Raises InputError for a word that is no file, and for effects of measured poses.
+    """
     kinds: list[Cause] = []
     for word in files:
         if not word.strip().endswith(".toml"):
@@ -283,6 +330,6 @@ def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> Isolability:
-    """What the poses of a campaign could show of each effect, before any data."""
+    """Return which effects the poses of a campaign could detect and isolate, before any data."""
     (m,) = campaign.sets
     return isolability(campaign.robot, m, effects)

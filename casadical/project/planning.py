@@ -1,4 +1,4 @@
-"""A plan of what to measure: the robot calibrated with what was measured, the next poses, their order, the forecast."""
+"""Measurement plans: calibration with the poses so far, the next poses and the forecast."""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -33,12 +33,13 @@ from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Of a coordinate that a laser tracker measures, one sigma.
-TRACKER_MM = 0.02
+# One sigma of a coordinate that a laser tracker measures [mm]: it is planned with where none is
+# declared.
+TRACKER_SIGMA_MM = 0.02
 
 
 def robot_of(path: Path) -> Robot:
-    """The robot of a problem folder, of a robot file, or of what `calibrate --out` wrote. Raises InputError."""
+    """Return the robot of a problem folder, robot file or folder of results. Raises InputError."""
     if path.is_file():
         return read_campaign_robot(path)
     written = sorted(path.glob("*.robot.toml"))
@@ -51,7 +52,11 @@ def robot_of(path: Path) -> Robot:
 
 
 def circumstances_of(payloads: str | None, every_payload: bool, both_approaches: bool, repeats: int) -> Circumstances:
-    """What is mounted and how poses are approached; payloads [kg] by commas. Raises InputError."""
+    """Return the payloads, approaches and repeats of a plan, from the command's options.
+
+    payloads : masses [kg], separated by commas
+    Raises InputError.
+    """
     try:
         numbers = tuple(float(word) for word in payloads.split(",")) if payloads else ()
     except ValueError:
@@ -65,9 +70,12 @@ def circumstances_of(payloads: str | None, every_payload: bool, both_approaches:
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Wires or sockets to be planned for: how many, and where they may be.
+    """Draw wires or sockets to plan for: their number, and where they may be.
 
-    candidates : shape (K, 3) [m] in the measuring frame, None: the usual ones (see `usual_places`)
+    kind : wires (distances to anchors) or sockets (touched points)
+    count : number of places to choose
+    candidates : candidate places in the measuring frame, shape (K, 3) [m]; None: the usual ones
+        (see `usual_places`)
     known : whether the places will be measured, too
     """
 
@@ -77,20 +85,26 @@ class Places:
     known: bool = False
 
     def candidates_for(self, robot: Robot) -> Array:
+        """Return the candidate places in the measuring frame, shape (K, 3) [m]."""
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
 
     def select(self, robot: Robot, **how: Any) -> Selection:
+        """Return the best poses and places; how : arguments of `select_with_places`."""
         places = self.candidates_for(robot)
         return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
 
 
 def read_places(path: Path) -> Array:
-    """Columns x_mm, y_mm, z_mm (or _m) of a table, shape (K, 3) [m]. Raises InputError."""
+    """Return a table's columns x_mm, y_mm, z_mm (or _m), shape (K, 3) [m]. Raises InputError."""
     return Columns.of_file(read_table(path)).vector("")
 
 
 def declared(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
-    """Kinds of a problem folder's tables, as far as they say or are there, and the greatest noise declared [mm]."""
+    """Return the kinds of a problem folder's tables, and the greatest declared noise [mm].
+
+    A kind that is not declared is read from the table, if there is one; the noise is None where
+    none is declared.
+    """
     tables = tables_of(path) if path.is_dir() else ()
     kinds = {data.kind for data in tables if data.kind}
     for data in tables:
@@ -101,7 +115,7 @@ def declared(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
 
 
 def more_poses(path: Path, m: Measurements) -> Words:
-    """The step that plans more of what was measured."""
+    """Return the command that plans more poses of the kind that was measured."""
     ends = m.label if m.target is None else m.target
     kind = {"distance": "--wires", "contact": "--sockets"}.get(m.kind)
     count = 1 if ends is None else len(np.unique(ends, axis=0))
@@ -110,9 +124,10 @@ def more_poses(path: Path, m: Measurements) -> Words:
 
 
 def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
-    """Noise to plan with where none is given [mm]: as the folder's tables declare it, else a tracker's.
+    """Return the noise of a coordinate to plan with where none is given [mm].
 
-    Raises InputError where the tables are of no positions and nobody said what to plan for.
+    It is the one that the folder's tables declare, else that of a laser tracker. Raises InputError
+    where the tables are of no positions and it is not said what to plan for.
     """
     kinds, noise = declared(path, robot)
     if places is None and kinds and not any("position" in find_kind(kind).arrays for kind in kinds):
@@ -120,11 +135,11 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
             f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions unless it is told more; "
             "give --wires N for N draw wires, --sockets N for touched points, or --noise-mm for positions all the same"
         )
-    return TRACKER_MM if noise is None else noise
+    return TRACKER_SIGMA_MM if noise is None else noise
 
 
 def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -> str:
-    """Which model the poses are chosen for, in a sentence."""
+    """Return a sentence on the model for which the poses are chosen."""
     if prior is not None:
         more = f" and {measured}" if measured else ""
         return f"Planned with the robot of {path} and what {prior}{more} tells of it: calibrate with the same --prior."
@@ -141,7 +156,12 @@ def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -
 def continued(
     robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str], prior: Prior | None = None
 ) -> tuple[Robot, Measurements, Noise]:
-    """The robot calibrated with m, m with derived columns, and the noise, estimated if not given. Raises InputError."""
+    """Return the robot calibrated with m, m with derived columns, and the noise.
+
+    noise : noise of the instrument; None: it is estimated
+    free : parameters to identify, as of `identify`
+    Raises InputError.
+    """
     m, missing = derive(m, robot.conditions, robot.loads)
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
@@ -150,8 +170,8 @@ def continued(
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
-def _of_first_target(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
-    """Of several targets poses are planned for the first, beside what was measured of it."""
+def _with_first_target_alone(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
+    """Return robot and measurements with the first target alone, for which is planned."""
     if measured is not None and (rest := [t.column for t in robot.targets if t.column in measured.conditions]):
         first = ~measured.condition_matrix(rest, np.zeros(len(rest))).any(axis=1)
         measured = measured[np.flatnonzero(first)] if first.any() else None
@@ -163,16 +183,25 @@ def plan_problem(
     room: Path | None, noise_mm: float | None, joint_noise_urad: float, target_mm: float | None, places: Places | None,
     **asked: Any,
 ) -> MeasurementPlan:  # fmt: skip
-    """The plan of a problem folder or robot file, asked for in the units of the command.
+    """Return the plan of a problem folder or robot file, asked for in the units of the command.
 
-    measured : poses so far; carried : a prior; effects : names or labels; room : file of a workspace
-    noise_mm : None: as declared, or estimated; asked : more of what `plan` takes
+    path : problem folder, robot file or folder of results
+    n : number of poses, as of `plan`
+    measured : table of the poses measured so far
+    carried : function that puts a prior into the robot
+    effects : names or labels of effects to plan for
+    room : file of a workspace
+    noise_mm : one sigma of a coordinate; None: as declared, or estimated
+    joint_noise_urad : one sigma of the joints' repeatability
+    target_mm : wanted accuracy
+    places : wires or sockets, in place of positions
+    asked : further arguments of `plan`
     Raises InputError.
     """
     robot, prior = carried(robot_of(path))
     before = read_campaign(path, measured, robot) if measured else None
     candidates = [c for c in named(robot, effects) if c.listed] if effects else []
-    # An effect with a grid of settings is planned for with the middle one.
+    # An effect with a grid of settings is represented by the middle one.
     middle = [e for c in candidates for e in c.variants[len(c.variants) // 2]]
     if noise_mm is None and measured is None:
         noise_mm = noise_declared(path, robot, places)
@@ -201,14 +230,20 @@ def plan(
     prior: Prior | None = None,
     show: Show = silent,
 ) -> MeasurementPlan:
-    """Poses in order and the forecast beyond them.
+    """Return the next poses to measure, in order, and the forecast of the accuracy beyond them.
 
-    n : how many; None: the stopping rule alone, the accuracy to expect of up to 100 poses more
-    effects : to identify, besides the accuracy over the task; measured : poses measured already; order : for
-    little travel; target : accuracy that is wanted [m]; places : of wires or sockets, in place of positions
-    prior : what is known of the robot, whose values it has (see `carry_over`)
-    other arguments as of `select_poses`
-    show : called with a line of progress. Raises InputError.
+    robot : robot whose parameters are to be identified
+    n : number of poses; None: the stopping rule alone, the accuracy to expect of up to 100 poses
+        more
+    effects : effects to identify, in addition to the accuracy over the task
+    measured : poses measured already
+    order : whether the poses are ordered for little travel
+    target : wanted accuracy [m]
+    places : wires or sockets, in place of positions
+    prior : prior of the robot, which has its values (see `carry_over`)
+    show : called with each line of progress
+
+    Other arguments are as of `select_poses`. Raises InputError.
     """
     if places is not None and measured is not None:
         raise InputError(
@@ -218,13 +253,13 @@ def plan(
     known = {e.label for e in robot.effects}
     if effects:
         robot = robot.with_effect(*(e for e in effects if e.label not in known))
-    # Other effects that the robot has are held at their values.
+    # The robot's other effects are fixed at their values.
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
     if measured is not None:
         show("calibrating with the poses measured so far")
         robot, measured, noise = continued(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
-    robot, measured = _of_first_target(robot, measured)
+    robot, measured = _with_first_target_alone(robot, measured)
     circumstances = circumstances or Circumstances()
     # If effects are to be identified, payloads that were mounted before can be mounted again.
     mounted = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
@@ -257,16 +292,20 @@ def plan(
 
 
 def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
-    """Poses to measure, as many as are enough, in order, shape (n, joints) [rad or m], and what is to be said of them.
+    """Return poses to measure, in order, shape (n, joints) [rad or m], and a sentence about them.
 
-    folder : whose tables may declare the noise; target : accuracy that is wanted [m]
-    workspace : None: above the plane that the robot stands on. Raises InputError where no pose is allowed.
+    They are as many as the stopping rule, or the target, needs.
+
+    folder : problem folder, whose tables may declare the noise
+    workspace : None: above the plane that the robot stands on
+    target : wanted accuracy [m], None without one
+    Raises InputError where no pose is allowed.
     """
     own = replace(robot.with_only(e for e in robot.effects if not isinstance(e, Session)), targets=(), tool_name="")
     own = one_turn(own if workspace else replace(own, base=replace(own.base, T=np.eye(4))))
-    # The axes of some robots lie in the plane that they stand on.
+    # The second floor is for robots with axes in the plane that they stand on, which have no clearance.
     above = [Workspace(floor=0.0, clearance=0.05), Workspace(floor=0.0, clearance=-1e-6)]
-    noise = Noise(1e-3 * (declared(folder, robot)[1] or TRACKER_MM))
+    noise = Noise(1e-3 * (declared(folder, robot)[1] or TRACKER_SIGMA_MM))
     rooms = [workspace] if workspace else [*above, Workspace()]
     for k, room in enumerate(rooms, 1):
         how: dict[str, Any] = {"workspace": room, "noise": noise, "free": ("kinematic", "compliance"), "pool": 300}
@@ -290,9 +329,11 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
 def poses_of_changes(
     robot: Robot, n: int, prior: Prior, noise: Noise, room: Path | None, measured: Measurements | None, seed: int
 ) -> pd.DataFrame:
-    """Poses that tell most about changes of a calibrated robot, a row each, over all poses.
+    """Return the poses that determine best how a calibrated robot has changed, a row each.
 
-    prior : of what may change, about the robot's values; measured : poses of the same day, to which these add
+    n : number of poses, together with the measured ones
+    prior : of the parameters that may change, about the robot's values
+    measured : poses of the same day, to which these add
     Raises InputError.
     """
     workspace = read_workspace(room, robot) if room else None
@@ -304,7 +345,12 @@ def poses_of_changes(
 
 
 def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int) -> tuple[list[Words], pd.DataFrame]:
-    """A test by ISO 9283 of a problem folder's or a file's robot: what to know, and its table. Raises InputError."""
+    """Return notes on an ISO 9283 test of a problem folder's or a file's robot, and its table.
+
+    cube_mm : side of the test cube; None: the largest that fits
+    room : file of a workspace
+    Raises InputError.
+    """
     robot = robot_of(path)
     side, workspace = 1e-3 * cube_mm if cube_mm else None, read_workspace(room, robot) if room else None
     table, centre, size = planned_test(robot, side, workspace, seed)

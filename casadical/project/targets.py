@@ -193,7 +193,7 @@ def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
 
 
 def _nearest(x: Array, points: Array) -> Array:
-    """Return the target of each point of one pose, each once if the points are no more than they."""
+    """Return the target of each point of one pose, each once if the points are no more."""
     k, count = len(x), len(points)
     if k > count:
         return np.asarray(np.argmin(np.linalg.norm(x[:, None] - points, axis=2), axis=1))

@@ -31,7 +31,7 @@ from casadical.pose_selection.candidates import draw, expected, one_turn
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.sources import FileSource, Row, journal, rows_of
-from casadical.project.new.new import NOISE, as_built
+from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built
 from casadical.robot.robot import Robot
 
 ROOT = Path(__file__).parents[2]
@@ -105,7 +105,7 @@ def made_up(robot: Robot, count: int, rng: np.random.Generator) -> tuple[Robot, 
     """A robot as it was built, readings and positions."""
     built = as_built(robot, rng)
     q = draw(one_turn(robot), count, Workspace(), rng)
-    return built, q, _measured(built, q) + rng.normal(0.0, NOISE, (count, 3))
+    return built, q, _measured(built, q) + rng.normal(0.0, SYNTHETIC_NOISE_M, (count, 3))
 
 
 def _measured(built: Robot, q: Array) -> Array:
@@ -128,11 +128,11 @@ def spoilt(kind: str, built: Robot, q: Array, y: Array, k: int, rng: np.random.G
     elif kind == "joint":
         stood = q[k].copy()
         stood[i] = q[k - 1, i] + rng.uniform(0.0, 0.95) * (q[k, i] - q[k - 1, i])
-        place = _measured(built, stood[None])[0] + rng.normal(0.0, NOISE, 3)
+        place = _measured(built, stood[None])[0] + rng.normal(0.0, SYNTHETIC_NOISE_M, 3)
     elif kind == "joint sign":
         said[i] *= -1
     else:
-        place = y[k - 1] + rng.normal(0.0, NOISE, 3)
+        place = y[k - 1] + rng.normal(0.0, SYNTHETIC_NOISE_M, 3)
     return said, place
 
 

@@ -22,7 +22,7 @@ from casadical.core.files import appending
 from casadical.core.reading import MOST_TEXT, json_of, read_bytes
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
-from casadical.project.new.new import NOISE, as_built, reading_cells
+from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built, reading_cells
 from casadical.robot.robot import Robot
 
 NAME = "measured.jsonl"
@@ -230,7 +230,7 @@ class SimulatedSource:
         q = self._pose()
         place = expected(self._robot, q[None], {}, self.words).position
         assert place is not None
-        cells = reading_cells(self._robot, q, place[0] + self._rng.normal(0.0, NOISE, 3))
+        cells = reading_cells(self._robot, q, place[0] + self._rng.normal(0.0, SYNTHETIC_NOISE_M, 3))
         return News([Row((*self._robot.reading_units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
 
 

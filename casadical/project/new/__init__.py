@@ -1,4 +1,4 @@
-"""A new problem folder that runs: from a URDF, from a DH table, or as a commented example."""
+"""New problem folders that run: from a URDF, from a DH table, or as a commented example."""
 
 from casadical.measurements.headings import Question
 from casadical.project.new.new import new_problem

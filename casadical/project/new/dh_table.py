@@ -1,4 +1,6 @@
-"""A robot file out of a table of DH rows: one row a joint, units in the column names; see `dh_headings` for others.
+"""Robot files from tables of DH rows: one row for each joint, units in the column names.
+
+Other headings are recognised by `with_our_names`.
 
 | column | meaning |
 |---|---|
@@ -28,35 +30,42 @@ from casadical.project.new.texts import ROBOT_HEAD
 
 _ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_deg", "_rad")), ("d", ("_mm", "_m")),
         ("theta", ("_deg", "_rad"))) for unit in units]  # fmt: skip
-_ENDS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
+_LIMITS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
 _BODY = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
-_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
-_KNOWN = ["joint", *_ROW, *_ENDS, "type", *_BODY, "compliant", "stiffness_Nm_per_rad"]
+_YES = ("yes", "true", "1")
+_NO = ("no", "false", "0")
+_COLUMNS = ["joint", *_ROW, *_LIMITS, "type", *_BODY, "compliant", "stiffness_Nm_per_rad"]
 
 
 def robot_text(path: Path, name: str, convention: str) -> str:
-    """The commented text of a robot file. Raises InputError that names file, row and column."""
+    """Return the commented text of a robot file for a table of DH rows.
+
+    path : table
+    name : of the robot
+    convention : modified or standard
+    Raises InputError that names file, row and column.
+    """
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
 
     def read() -> str:
-        frame, said = with_our_names(table, _KNOWN)
+        frame, said = with_our_names(table, _COLUMNS)
         if not set(frame) & set(_ROW):
             raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
         records = [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
         where = [f"{path.name}: row {line}" for line in table.line]
-        rows = each_of(partial(_row, *row) for row in zip(records, where, strict=True))
+        rows = each_of(partial(_joint_text, *row) for row in zip(records, where, strict=True))
         return "".join(f"# {words}\n" for words in said) + "\n" + "\n".join(rows)
 
-    steps: list[Callable[[], Any]] = [partial(_refuse_no_numbers, table), read]
+    steps: list[Callable[[], Any]] = [partial(_refuse_non_finite, table), read]
     _, joints = each_of(steps)
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
     return f"{head}{joints}"
 
 
-def _refuse_no_numbers(table: RawTable) -> None:
-    """Raises InputError for a cell that says it is no number (nan, NA, inf); an empty one is left out."""
+def _refuse_non_finite(table: RawTable) -> None:
+    """Raises InputError for a cell with nan, NA or inf; an empty cell stands for no value."""
     faults = []
     lost = table.frame.replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):
@@ -67,8 +76,9 @@ def _refuse_no_numbers(table: RawTable) -> None:
         raise FaultsError((), faults)
 
 
-def _row(row: Mapping[str, Any], where: str) -> str:
-    keys = [key for key in (*_ROW, *_ENDS, *_BODY, "stiffness_Nm_per_rad") if key in row]
+def _joint_text(row: Mapping[str, Any], where: str) -> str:
+    """Return the [[joint]] of one row as text. Raises InputError."""
+    keys = [key for key in (*_ROW, *_LIMITS, *_BODY, "stiffness_Nm_per_rad") if key in row]
     numbers = zip(keys, each_of(partial(_number, row, key, where) for key in keys), strict=True)
     given = {key: value for key, value in numbers if value is not None}
     lines = ["[[joint]]"]
@@ -96,7 +106,7 @@ def _row(row: Mapping[str, Any], where: str) -> str:
 
 
 def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
-    """A cell as a number; None where it is empty."""
+    """Return a cell as a number; None where it is empty. Raises InputError."""
     try:
         value = float(row[key])
     except (TypeError, ValueError):
@@ -105,19 +115,28 @@ def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
 
 
 def _word(row: Mapping[str, Any], key: str) -> str:
+    """Return a cell as a lower-case word; empty where the cell or the column is missing."""
     value = row.get(key, "")
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
 
-# In the order in which they are recognised: a "mass centre" is no mass, a "twist angle" no angle of the joint.
+# Stems in the order in which headings are compared with them: a "mass centre" is no mass, and a
+# "twist angle" is no joint angle.
 _STEMS = ("com", "stiffness", "compliant", "lower", "upper", "mass", "type", "alpha", "d", "theta", "a")
-_LENGTHS, _ANGLES = ("a", "d"), ("alpha", "theta", "lower", "upper")
-# Without units: lengths of a robot in metres and angles in radians are below these.
-METRES, RADIANS = 10.0, 2 * np.pi + 0.01
+_LENGTHS = ("a", "d")
+_ANGLES = ("alpha", "theta", "lower", "upper")
+# Lengths without a unit whose median is above this are in millimetres, else in metres.
+MAX_LENGTH_IN_METRES = 10.0
+# Angles without a unit of which one is above this are in degrees, else in radians.
+MAX_ANGLE_IN_RADIANS = 2 * np.pi + 0.01
 
 
 def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The table with our names and units, and what was understood, in words; known : our names. Raises InputError."""
+    """Return the table under casadical's names and units, and sentences on what was recognised.
+
+    known : casadical's names
+    Raises InputError.
+    """
     frame = table.frame
     stems = {name: _stem(name) for name in table.header if name not in known}
     unknown = [name for name, stem in stems.items() if not stem]
@@ -130,7 +149,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
     made: dict[str, pd.Series] = {name: frame[name] for name in table.header if name in known}
     said = []
     for name, stem in stems.items():
-        unit = units[name] or _usual(frame, stems, units, stem)
+        unit = units[name] or _assumed_unit(frame, stems, units, stem)
         base, factor = UNITS.get(unit, ("", 1.0))
         ours = {"stiffness": "stiffness_Nm_per_rad", "mass": "mass_kg"}.get(stem, stem)
         if stem in _LENGTHS + _ANGLES or stem.startswith("com"):
@@ -146,7 +165,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
 
 
 def _stem(heading: str) -> str:
-    """Our name without a unit; empty for a heading that means nothing here."""
+    """Return casadical's name of a heading without its unit; empty for an unknown heading."""
     words = set(words_of(heading)[0])
     for stem in _STEMS:
         if words & WORDS[f"dh_{stem}"]:
@@ -157,9 +176,16 @@ def _stem(heading: str) -> str:
     return "joint" if words & (WORDS["joint"] | WORDS["dh_joint"]) else ""
 
 
-def _usual(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, str], stem: str) -> str:
-    """The unit of a column that states none: that of its like, else as the size of all numbers of its kind says."""
-    for like, ours, least in ((_LENGTHS, ("mm", "m"), METRES), (_ANGLES, ("deg", "rad"), RADIANS)):
+def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, str], stem: str) -> str:
+    """Return the unit of a column that states none.
+
+    It is that of another column of the same quantity, else it follows from the size of all their
+    numbers.
+    """
+    for like, ours, least in (
+        (_LENGTHS, ("mm", "m"), MAX_LENGTH_IN_METRES),
+        (_ANGLES, ("deg", "rad"), MAX_ANGLE_IN_RADIANS),
+    ):
         if stem in like:
             names = [name for name, other in stems.items() if other in like]
             if stated := [units[name] for name in names if units[name]]:

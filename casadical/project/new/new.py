@@ -1,4 +1,4 @@
-"""Compose the files of a new problem, check that they can be read, and then write them.
+"""New problem folders: their files are composed, read on trial and then written.
 
 Poses for a first run are simulated with the robot's own model, and marked as synthetic.
 """
@@ -33,49 +33,57 @@ from casadical.project.robot_columns import computed, placed_by, understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-POSES = 60
-NOISE = 2e-5
-# One sigma by which the robot "as built" departs from the drawing: lengths [m], angles [rad].
-DEPARTURE = {"m": 3e-4, "rad": 5e-4}
-# Where it stands in the measuring frame, if that is to be found.
-STAND = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
+# The poses that are simulated for a first run: their number, and one sigma of a coordinate [m], as of
+# a laser tracker.
+SYNTHETIC_POSE_COUNT = 60
+SYNTHETIC_NOISE_M = 2e-5
+# One sigma by which the simulated robot departs from the nominal one, by unit of the parameter.
+SYNTHETIC_DEPARTURE_SIGMA = {"m": 3e-4, "rad": 5e-4}
+# Pose of the simulated base in the measuring frame, relative to the nominal one, where it is unknown.
+SYNTHETIC_BASE = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
 
 
 def synthetic_poses(robot: Robot, seed: int = 0) -> str:
-    """A CSV table of readings and noisy positions, of a robot that departs a little from its drawing."""
+    """Return a CSV table of readings and noisy positions of a robot that departs from nominal."""
     rng = np.random.default_rng(seed)
     built = as_built(robot, rng)
-    q = draw(one_turn(robot), POSES, Workspace(), rng)
+    q = draw(one_turn(robot), SYNTHETIC_POSE_COUNT, Workspace(), rng)
     m = expected(built, q, {}, "synthetic")
     assert m.position is not None
-    rows = zip(m.q, m.position + rng.normal(0.0, NOISE, m.position.shape), strict=True)
+    rows = zip(m.q, m.position + rng.normal(0.0, SYNTHETIC_NOISE_M, m.position.shape), strict=True)
     return csv_text([[*robot.reading_units, "x_mm", "y_mm", "z_mm"], *(reading_cells(robot, *row) for row in rows)])
 
 
 def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
-    """A row of a table: joints, shape (joints,) [rad or m], in the units of their names; position, shape (3,) [m]."""
+    """Return a row of a table as texts.
+
+    q : joint readings, shape (joints,) [rad or m], written in the units of their names
+    position : shape (3,) [m], written in mm
+    """
     return [*(f"{v:.6f}" for v in q / list(robot.reading_units.values())), *(f"{v:.4f}" for v in 1e3 * position)]
 
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
-    """A robot that departs a little from its drawing, somewhere in the measuring frame."""
+    """Return the robot with random departures from nominal, somewhere in the measuring frame."""
     values, times = {}, {"geometry": 1, "loop": 1, "tool": 5}
     for p in robot.parameters:
         if p.group in times:
-            values[p.name] = p.value + times[p.group] * rng.normal(0.0, DEPARTURE[p.unit])
+            values[p.name] = p.value + times[p.group] * rng.normal(0.0, SYNTHETIC_DEPARTURE_SIGMA[p.unit])
         elif p.group == "compliance":
             values[p.name] = p.value + rng.uniform(0.2, 0.5) * p.prior
     built = robot.with_values(values)
     if robot.base.unknown == "none":
         return built
-    return replace(built, base=replace(built.base, T=built.base.T @ STAND))
+    return replace(built, base=replace(built.base, T=built.base.T @ SYNTHETIC_BASE))
 
 
-# A target that is measured at fewer poses is left out.
-FEWEST = 3
-# A base that is upright, on a wall or a ceiling to so many degrees was seen by a levelled instrument, or, on these two,
-# by a camera that looks sideways or down; that is not told of a robot farther off than this share of its reach.
-LEVEL, GROSS = 3.0, 0.02
+# The rows of a target with fewer poses are left out: they do not determine its point.
+MIN_POSES_PER_TARGET = 3
+# A base that is upright, on a wall or on a ceiling within this angle [deg] was measured by a levelled
+# instrument; with orientations (a camera looks sideways or down) upright alone counts.
+LEVEL_TOLERANCE_DEG = 3.0
+# The tilt is unknown where the median error of the placed robot is above this share of its reach.
+MAX_PLACEMENT_ERROR_OF_REACH = 0.02
 
 
 def new_problem(
@@ -92,15 +100,23 @@ def new_problem(
     show: Callable[[Words | Table], None] | None = None,
     also: Callable[[Problem, list[Path]], Mapping[Path, str]] = lambda _problem, _files: {},
 ) -> Problem:
-    """Write a problem folder that runs, and give it back as it reads.
+    """Write a problem folder that runs, and return it as it reads.
 
-    urdf, base_link, tip_link : the robot from a URDF; dh, convention : from a table of DH rows (modified, standard);
-        neither: an example arm
-    data : measured poses; None: poses that the model itself makes up from the seed, marked synthetic everywhere
-    ask : takes a question on the table and gives one of its choices; None: the first choice, which is the most probable
-    show : takes what was understood of the table, before anything is asked
-    also : further files that appear with the folder or not at all, from the problem and the paths of its files
-    Nothing is overwritten. Raises InputError: a file that is there already, or input that does not read.
+    folder : folder to write
+    urdf, base_link, tip_link : URDF of the robot, and the ends of its chain
+    dh, convention : table of DH rows and their convention (modified, standard); without URDF and
+        table the robot is an example arm
+    data : table of measured poses; None: poses are simulated from the seed and marked synthetic
+        everywhere
+    seed : seed of simulated poses and of the split
+    ask : takes a question on the table and returns one of its choices; None: the first choice,
+        which is the most probable
+    show : called with what was understood of the table, before anything is asked
+    also : returns further files, from the problem and the paths of its files; they appear with the
+        folder or not at all
+
+    Nothing is overwritten. Raises InputError: a file that is there already, or input that does not
+    read.
     """
     folder = Path(folder)
     if urdf and dh:
@@ -130,7 +146,7 @@ def new_problem(
             links=(base_link, tip_link) if urdf else None,
             named_sets=given is not None and "set" in given.header,
             seed=seed,
-            poses=POSES,
+            poses=SYNTHETIC_POSE_COUNT,
             file=file,
         ),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
@@ -139,7 +155,7 @@ def new_problem(
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
-        problem = _read_on_trial(trial, data, file)
+        problem = _read_trial(trial, data, file)
     files = {folder / name: text for name, text in texts.items()}
     further = also(problem, sorted(files))
     with claimed([folder]):
@@ -156,7 +172,7 @@ def _understood(
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
 ) -> Given:
-    """What a table holds, shown, with what it does not tell as it is answered."""
+    """Return what a table holds; what it does not say is asked, and the findings are shown."""
     meaning = understood(raw, robot, {})
     if show:
         for block in shown_columns(raw, meaning):
@@ -169,7 +185,7 @@ def _understood(
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
     turned = kind is not None and kind.angles > 0
     tilt, said = _tilt(columns.without(left_out, "the table"), robot)
-    level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < LEVEL
+    level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < LEVEL_TOLERANCE_DEG
     given = Given(
         meaning.sources, left_out, tools, kind.name if kind else "", turned, turned if np.isnan(tilt) else not level
     )
@@ -188,29 +204,39 @@ def _understood(
 
 
 def _tilt(columns: Columns, robot: Robot) -> tuple[float, list[Words]]:
-    """Angle [deg] between the base's z axis and the instrument's, not a number where that is not seen; a doubt."""
+    """Return the angle [deg] from the base's z axis to the instrument's, and a doubt of the data.
+
+    The angle is NaN where it cannot be seen.
+    """
     try:
         m = from_columns(columns, [j.kind for j in robot.joints])
         placed, left = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
         return np.nan, []
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
-    tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if left < GROSS * robot.reach else np.nan
+    tilt = (
+        float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1))))
+        if left < MAX_PLACEMENT_ERROR_OF_REACH * robot.reach
+        else np.nan
+    )
     return tilt, [Words(doubt, "warning")] if computed(robot, m) else []
 
 
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
-    """Names of targets, the one measured most first; rows of those measured too rarely, each with the reason."""
+    """Return the names of the targets, the most measured first, and rows of those with too few.
+
+    The rows are given with the reason for which they are left out.
+    """
     flags = columns.tools()
     order = sorted(flags, key=lambda name: -flags[name].sum())
     names = {name: name.removeprefix("tool_") for name in order}
-    few = [name for name in order if flags[name].sum() < FEWEST and len(order) > 1]
+    few = [name for name in order if flags[name].sum() < MIN_POSES_PER_TARGET and len(order) > 1]
     rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[flags[n] > 0]}
     return tuple(names[name] for name in order if name not in few), rare
 
 
 def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
-    """What was understood of each column of a table, and which are not used."""
+    """Return a table of how each column was understood, and a note on unused columns."""
     frame, first = raw.frame, [c for q in found.questions for c in next(iter(q.choices.values()))]
     made = {name: c for c in (*found.columns, *first) for name in (c.source.name, *c.source.add)}
     columns = Columns.of_file(raw).mapped(found.sources)
@@ -230,12 +256,14 @@ def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
 
 
 def _cell(value: object) -> str:
+    """Return the text of a cell, numbers with nine digits."""
     return f"{value:.9g}" if isinstance(value, float) else str(value)
 
 
 def _robot_files(
     name: str, urdf: Path | None, base_link: str | None, tip_link: str | None, dh: Path | None, convention: str
 ) -> tuple[dict[str, str | bytes], Robot]:
+    """Return the text of the robot's file by its name, and the robot. Raises InputError."""
     if urdf:
         from casadical.robot.urdf import read_urdf
 
@@ -248,8 +276,11 @@ def _robot_files(
     return {"robot.toml": text}, robot
 
 
-def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:
-    """Refuse what would not read, by the name of the file that the user gave."""
+def _read_trial(folder: Path, data: Path | None, file: str) -> Problem:
+    """Read the folder that was written on trial.
+
+    Raises InputError that names the files as the user gave them.
+    """
     try:
         return read_problem(folder)
     except InputError as error:
@@ -258,6 +289,7 @@ def _read_on_trial(folder: Path, data: Path | None, file: str) -> Problem:
 
 
 def _refuse_taken(folder: Path, texts: Iterable[str]) -> None:
+    """Raises InputError where a file of the new folder is there already."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     if taken := [file for file in texts if (folder / file).exists()]:

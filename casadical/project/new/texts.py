@@ -1,4 +1,4 @@
-"""The texts of a new problem folder, with comments that say what may be changed."""
+"""The text of the files of a new problem folder, with comments that say what may be changed."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -98,15 +98,16 @@ vector_m_per_s2 = [0, 0, -9.81]
 # Every [[joint]] may have limits_deg = [lower, upper]; without, -360 .. 360 deg (-10 .. 10 m) are taken.
 """
 
+# The two statements on gravity between which `with_measured` chooses.
 _LEVELLED = 'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
 _UPRIGHT = 'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
 
 _ORIGIN = '# data = "real"                    # or "synthetic"; printed above every result'
 
-ESTIMATED = """\
+ESTIMATED_MASSES = """\
 masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
 """
-WIDTHS = """\
+MASS_PRIOR = """\
 [width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
 mass_share = {share:g}
 com_mm = {centre:g}
@@ -136,8 +137,12 @@ file = "{file}"
 class Given:
     """What a table of measured poses holds.
 
-    columns : how ours are made; left_out : rows of the file, with the reason of each; tools : names of measured points
-    kind : of measurement; turned : whether that says how the tool is turned; tilted : whether it is not levelled
+    columns : source of each column, by casadical's name
+    left_out : reason for each row of the file that is left out
+    tools : names of the measured points
+    kind : kind of measurement
+    turned : whether the kind has orientations of the tool
+    tilted : whether the instrument is not levelled
     """
 
     columns: Mapping[str, Source] = field(default_factory=dict)
@@ -158,9 +163,14 @@ def problem_text(
     poses: int,
     file: str,
 ) -> str:
-    """problem.toml; given : what was measured, None where poses are made up; links : base and tip link of a URDF.
+    """Return the text of problem.toml.
 
+    given : what was measured; None where poses are simulated
+    links : base and tip link of a URDF; None for a robot file
     named_sets : whether the table has a column `set`
+    seed : seed of the split, and of simulated poses
+    poses : number of simulated poses
+    file : name of the table
     """
     title = robot.name.replace('"', "'").replace("\\", "/")
     mark = f"                 # poses.csv is MADE UP: {poses} poses of the model itself (seed {seed}); put yours there"
@@ -174,7 +184,7 @@ def problem_text(
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"',
         why=f"             # geometry; geometry and joint compliance{'' if compliant else ', where the data carry it'}",
-        urdf=_urdf(links, given or Given()) if links else "",
+        urdf=_urdf_lines(links, given or Given()) if links else "",
         file=file,
         columns=_column_lines(given or Given()),
         sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
@@ -183,7 +193,7 @@ def problem_text(
 
 
 def _column_lines(given: Given) -> str:
-    """The keys `kind`, `columns` and `leave_out` of [[measurements]]."""
+    """Return the keys `kind`, `columns` and `leave_out` of [[measurements]] as text."""
     lines = [f'kind = "{given.kind}"'] if given.kind else []
     if given.left_out:
         lines += ["leave_out = [                      # rows of the file"]
@@ -197,7 +207,8 @@ def _column_lines(given: Given) -> str:
     return "\n".join([*lines, ""])
 
 
-def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
+def _urdf_lines(links: tuple[str | None, str | None], given: Given) -> str:
+    """Return the table [urdf] of problem.toml as text."""
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
         default = f'# {key} = "..."             # default: the only one there is, or where a gripper begins'
@@ -211,7 +222,10 @@ def _urdf(links: tuple[str | None, str | None], given: Given) -> str:
 
 
 def readme_text(name: str, robot: str, file: str, data: str | None, urdf: str | None, dh: str | None) -> str:
-    """README.md: what is real, and what to do next."""
+    """Return the text of README.md: the origin of each file, and what to do next.
+
+    data, urdf, dh : names of the files that the folder was made from, None for an example
+    """
     origin = f"from `{urdf}`" if urdf else f"from the DH table `{dh}`" if dh else "an example, every number made up"
     poses = (
         f"a copy of `{data}`"
@@ -236,7 +250,7 @@ Next:
 
 
 def with_measured(robot: str, given: Given) -> str:
-    """The text of a robot file for what was measured: its tool, or tables [[tool]] of several, and gravity."""
+    """Return a robot file's text with the tools and the gravity frame that were measured."""
     start, rest = robot.split("[tool]", 1)
     own, after = rest.split("\n\n", 1)
     own = own.replace('"position"', '"pose"') if given.turned else own
@@ -248,15 +262,19 @@ def with_measured(robot: str, given: Given) -> str:
 
 
 def _quoted(name: str) -> str:
+    """Return a name as a string of TOML."""
     return json.dumps(name, ensure_ascii=False)
 
 
 def with_masses(text: str, robot: Robot, standard: bool) -> str:
-    """A robot file with the masses of this robot, which are estimated; standard : whether its rows are."""
+    """Return a robot file's text with the robot's masses, marked as estimates.
+
+    standard : whether the rows are of the standard DH convention
+    """
     row_head = "\n[[joint]]\n"
     lines, following = [], [*robot.joints[1:], None]
-    width = WIDTHS.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
-    head, *rows = text.replace("\n[base]", f"{ESTIMATED}\n[base]", 1).split(row_head)
+    width = MASS_PRIOR.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
+    head, *rows = text.replace("\n[base]", f"{ESTIMATED_MASSES}\n[base]", 1).split(row_head)
     for row, joint, after in zip(rows, robot.joints, following, strict=True):
         assert joint.body
         # A standard row ends behind the first half of the next modified one, Rx(alpha) Tx(a).

@@ -26,7 +26,7 @@ from casadical.project.live import LiveSession
 from casadical.project.live.session import finished
 from casadical.project.live.sources import FileSource, FolderSource, Row, SimulatedSource, StreamSource, journal
 from casadical.project.live.view import answer, outlook
-from casadical.project.new.new import NOISE, as_built
+from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built
 
 ROOT = Path(__file__).parents[3]
 JOINTS = [f"q{i}_rad" for i in range(1, 7)]
@@ -538,4 +538,4 @@ def test_a_simulated_reading_is_of_a_robot_as_built() -> None:
     told = np.array([float(cell) for cell in row.cells])
     np.testing.assert_allclose(np.deg2rad(told[:6]), q, atol=1e-7)
     place = predicted(as_built(arm, np.random.default_rng(0)), unmeasured(q[None]))[0][0]
-    np.testing.assert_allclose(told[6:], 1e3 * place, atol=5e3 * NOISE)
+    np.testing.assert_allclose(told[6:], 1e3 * place, atol=5e3 * SYNTHETIC_NOISE_M)
