@@ -1,1 +1,1 @@
-"""The correction of joint commands: its C export, and corrected offline programs."""
+"""The correction of joint commands: its C export, and robot programs with corrected targets."""

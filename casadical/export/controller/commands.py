@@ -1,12 +1,12 @@
-"""A robot file as C: what is made of it, and what must be said of the files that are written.
+"""Build what is exported as C for a robot controller from robot files: command, network or curves.
 
-A product of the exporter is made of CasADi functions of the nominal and of the real robot.
+Each product consists of CasADi functions of the nominal and of the calibrated robot.
 
-Both robots are given in the robot's own base frame. The position of the instrument is not an error
+Both robots are expressed in the robot's own base frame. The pose of the instrument is not an error
 of the robot: the identified base is removed, and so is a first row with all six numbers, which is
-the base (paper, Table 1). A first row of four numbers on a known base stays: its joint offset is
-the robot's. Both have the same tool unless told otherwise: the measured point is usually a
-reflector, and where it is mounted is not an error of the robot either.
+the base (paper, Table 1). A first row of four numbers on a declared base stays: its joint offset is
+the robot's. Both robots have the same tool unless declared otherwise: the measured point is usually
+a reflector, and where it is mounted is not an error of the robot either.
 """
 
 import hashlib
@@ -28,29 +28,29 @@ from casadical.effects.base import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, Product, mapped
 from casadical.export.c.write import Export, write_c
 from casadical.export.controller import functions
-from casadical.export.controller.inverse import SINGULAR_POSE, freedom_of
+from casadical.export.controller.inverse import SINGULAR_BELOW_M_PER_RAD, freedom_of
 from casadical.export.omission import left_out
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-Tool = Literal["shared", "own"]
+Tool = Literal["shared", "own"]  # whether both robots have one tool, see `Sources.tool`
 
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What a product is made of.
+    """Robot files, or robots, of which a product for a controller is made.
 
     robot : the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes
         in the model
-    nominal : the one that the controller computes with; a file or a `Robot`
+    nominal : the robot with which the controller computes; a file or a `Robot`
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
     tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that
         the difference is corrected too, for a measured point that is the controller's tool centre
         point itself
-    leave_out : whether effects that a controller cannot follow are left out of the robot; else they
-        are refused
+    leave_out : whether effects that a controller cannot evaluate are omitted from the robot;
+        otherwise they are refused
     Raises InputError: another word as tool.
 
     Examples
@@ -86,15 +86,17 @@ def export_c(
     overwrite: bool = False,
     also: Callable[[Export], Mapping[Path, str]] = lambda _written: {},
 ) -> Export:
-    """Write what a controller needs of a robot file, compiled and compared before it is kept.
+    """Write the C of a correction, a network or curves from robot files, compiled and compared.
 
     sources : files, not objects
+    folder : where the C is written
     what : `command`, the correction of commands; `network` or `curves`, the compensator or the
         joints' error curves alone
-    steps : as of `command_of`; correct : position or pose; limits : other ones than the usual
-        `Limits`
-    name : of C functions, None: from the robot's name; real, languages, overwrite, also : as of
-        `write_c`
+    steps : as of `command_of`; correct : position or pose; limits : values that replace the
+        defaults of `Limits`
+    name : prefix of the C functions; None: from the robot's name
+    real, languages, overwrite, also : as of `write_c`
+    Returns the export, whose `about` says in words what was made and omitted
     Raises InputError.
     """
     if real not in ("float", "double"):
@@ -142,7 +144,7 @@ def export_c(
 
 
 def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[str]:
-    """The effects that are not in a command, where it holds, and its times."""
+    """Return sentences on omitted effects, valid joint range, payload and times of a command."""
     mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
@@ -159,20 +161,20 @@ def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[st
 
 
 def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -> Command:
-    """The correction that moves the real tool to where the nominal robot has it.
+    """Return the correction that moves the real tool to where the nominal robot has it.
 
     The nominal robot is rigid and without effects, as a controller computes. The box is the
     calibrated robot's joint limits [rad or m], within the readings that the compensator's training
     saw; the measured poses may cover less of it.
 
     Joints change by the least that is needed; a metre of a linear joint counts as a radian of the
-    others. What the joints cannot move (`freedom_of`) is left.
+    others. Errors in directions in which the joints cannot move the tool (`freedom_of`) remain.
 
     sources : robots, network and payload
     steps : least-squares steps, 1 to 10
-    orientation : whether the tool's orientation is to be reached as well, by the least change of
-        the joints; fewer than six joints reach the position, and of the orientation what they can
-        beside it
+    orientation : whether the tool's orientation is to be corrected as well, by the least change of
+        the joints; fewer than six joints correct the position, and of the orientation what they can
+        at that position
     Raises InputError: where the files are not of one robot, or the robot cannot be corrected; see
     `followed`.
 
@@ -195,9 +197,9 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
         lower=lower,
         upper=upper,
         jacobian_of=functions.tool_function(functions.without_curves(real).rigid, "chain", orientation),
-        jacobian_at=functions.bent_function(real) if any(j.compliance for j in real.joints) else None,
+        jacobian_at=functions.deflected_function(real) if any(j.compliance for j in real.joints) else None,
         network=network,
-        limits=Limits(singular_m_per_rad=SINGULAR_POSE) if orientation else Limits(),
+        limits=Limits(singular_m_per_rad=SINGULAR_BELOW_M_PER_RAD) if orientation else Limits(),
         steps=steps,
         units=real.units,
         freedom=freedom,
@@ -208,7 +210,11 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
 
 
 def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
-    """Both robots in their own base frame, and the rotation into it, (3, 3). Raises InputError."""
+    """Return real and nominal robot in their own base frame, and the rotation into it, (3, 3).
+
+    The rotation is from the measuring frame. The real robot has the effects that a controller can
+    evaluate, the nominal one is rigid and without effects. Raises InputError.
+    """
     if sources.nominal is None:
         raise InputError(
             "a command needs the controller's model of the robot: give --nominal NOMINAL.toml, "
@@ -224,7 +230,7 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
 
 
 def network_of(sources: Sources) -> NetworkFunction:
-    """The compensator: joints [rad] -> correction of the position [mm] in the measuring frame.
+    """Return the compensator: joints [rad or m] -> position correction [mm] in the measuring frame.
 
     Raises InputError: where `sources` names no compensator, or one that was refused when it was
     trained.
@@ -235,24 +241,24 @@ def network_of(sources: Sources) -> NetworkFunction:
     network = _network(sources, robot.n)
     if network is None:
         raise InputError(
-            f"{_word(sources.compensator)}: this network does not help and was refused when it was "
+            f"{_source_name(sources.compensator)}: this network does not help and was refused when it was "
             "trained; there is nothing to export"
         )
     return replace(network, units=robot.units)
 
 
 def curves_of(sources: Sources) -> CurveFunction:
-    """The joints' error curves: joints [rad] -> what each turns beyond its reading [rad].
+    """Return the joints' error curves: joint readings [rad] -> true angle minus reading [rad].
 
-    For a controller that has the rest of the calibration in its own kinematics. The box is the
-    robot's joint limits.
+    They serve a controller that has the rest of the calibration in its own kinematics. The box is
+    the robot's joint limits.
     Raises InputError: where the robot has no `joint_error_curve`.
     """
     robot = robot_of(sources.robot)
     curves = functions.joint_curves(robot)
     if curves is None:
         raise InputError(
-            f"{_word(sources.robot)}: it has no joint_error_curve; there is nothing to export. "
+            f"{_source_name(sources.robot)}: it has no joint_error_curve; there is nothing to export. "
             "`casadical diagnose` finds the curves; Diagnosis.apply() and write_robot put them "
             "into a robot file"
         )
@@ -262,10 +268,10 @@ def curves_of(sources: Sources) -> CurveFunction:
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
-    """The robot in its own base frame, and the rotation from the measuring frame, (3, 3).
+    """Return the robot in its own base frame, and the rotation from the measuring frame, (3, 3).
 
-    A first row that is the base becomes the nominal robot's. Gravity keeps its direction against
-    the arm.
+    A first row with six numbers, which is the base, is replaced by the nominal robot's. Gravity
+    keeps its direction relative to the arm.
     """
     turn = robot.base.T[:3, :3].T
     gravity = turn @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
@@ -283,7 +289,7 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """A sentence on the readings that the robot was learnt from, where the file says it."""
+    """Return a sentence on the joint readings from which the robot was learnt, if known."""
     known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
@@ -295,22 +301,25 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
 
 
 def robot_of(source: Path | Robot) -> Robot:
+    """Return the robot itself, or the one that a file describes. Raises InputError."""
     return source if isinstance(source, Robot) else read_robot(source)
 
 
-def _word(source: Path | Robot | Compensator | None) -> str:
+def _source_name(source: Path | Robot | Compensator | None) -> str:
+    """Return the name of a source for messages: a file's path or a robot's name."""
     if isinstance(source, Compensator):
         return "the compensator"
     return source.name if isinstance(source, Robot) else str(source)
 
 
 def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
-    """The real robot with effects that joints and payload decide; a line on each other effect.
+    """Return the real robot with the effects that a controller can evaluate, and its omissions.
 
-    Effects of the measurement always are. Raises InputError that says what would be lost, unless
-    `leave_out` is given.
+    A controller knows joints and payload only; effects that have further conditions are omitted
+    with a line each, and so are effects of the measurement. Raises InputError that says what would
+    be lost, unless `leave_out` is given or only effects of the measurement are omitted.
     """
-    robot = _loaded(robot_of(sources.robot), sources.payload_kg)
+    robot = _with_payload(robot_of(sources.robot), sources.payload_kg)
     omissions = [o for e in robot.effects if (o := _not_followed(e))]
     lines = left_out(robot, omissions, "the correction of a joint command", sources.leave_out)
     gone = {o.label for o in omissions}
@@ -318,14 +327,19 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
 
 
 def _not_followed(effect: Effect) -> Omission | None:
+    """Return why a controller cannot evaluate an effect, or None if it can."""
     lost = [c for c in effect.conditions if c != "payload_kg"]
     if effect.of_measurement:
         return Omission(effect.label, "an effect of the measurement, not of the robot")
     return Omission(effect.label, f"follows {', '.join(lost)}, which a controller does not know") if lost else None
 
 
-def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
-    """The robot with another mass on its flange, at the declared mass centre."""
+def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
+    """Return the robot with another mass on its flange [kg], at the declared centre of mass.
+
+    payload_kg : None leaves it as declared. Raises InputError: a mass that is not allowed, or no
+        declared payload.
+    """
     if payload_kg is None:
         return robot
     if not (np.isfinite(payload_kg) and payload_kg >= 0):
@@ -339,36 +353,47 @@ def _loaded(robot: Robot, payload_kg: float | None) -> Robot:
 
 
 def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
+    """Check that real and nominal robot have the same joints and closed loops.
+
+    Raises InputError.
+    """
     loops = [[(loop.driven, loop.carrier) for loop in robot.loops] for robot in (real, nominal)]
     for i, (a, b) in enumerate(zip(real.units, nominal.units, strict=False), 1):
         if a != b:
             kinds = {"rad": "revolute", "m": "prismatic"}
             raise InputError(
-                f"{_word(sources.nominal)}: joint {i} is {kinds[b]}, in {_word(sources.robot)} "
+                f"{_source_name(sources.nominal)}: joint {i} is {kinds[b]}, in {_source_name(sources.robot)} "
                 f"{kinds[a]}: both files must be of one robot"
             )
     if real.n != nominal.n or loops[0] != loops[1]:
         raise InputError(
-            f"{_word(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; "
-            f"{_word(sources.robot)} has {real.n} and {len(real.loops)}: both files must be of one "
+            f"{_source_name(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; "
+            f"{_source_name(sources.robot)} has {real.n} and {len(real.loops)}: both files must be of one "
             "robot"
         )
 
 
 def _refuse_far_apart(command: Command, sources: Sources) -> None:
+    """Check that real and nominal tool are within 100 mm of each other (median).
+
+    Raises InputError.
+    """
     q = np.random.default_rng(0).uniform(command.lower, command.upper, (200, len(command.lower)))
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
     if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
         raise InputError(
-            f"{_word(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that "
-            f"of {_word(sources.robot)} (median over the joints' ranges); at most 100 mm can be "
+            f"{_source_name(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that "
+            f"of {_source_name(sources.robot)} (median over the joints' ranges); at most 100 mm can be "
             "corrected: are both files of one robot, and with --tool own, is the nominal tool "
             "really the one that the controller holds?"
         )
 
 
 def _network(sources: Sources, joints: int) -> NetworkFunction | None:
-    """The network in the box of its training; None without one, or where it was refused."""
+    """Return the network in the box of its training; None without one, or if it was refused.
+
+    Raises InputError: it is of another number of joints or outputs.
+    """
     if sources.compensator is None:
         return None
     source = sources.compensator
@@ -376,7 +401,7 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     layout, box = compensator.layout, compensator.trained_box
     if (layout.joints, layout.outputs) != (joints, 3):
         raise InputError(
-            f"{_word(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this "
+            f"{_source_name(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this "
             f"robot needs {joints} joints and a position of 3"
         )
     if not compensator.helps:
@@ -385,20 +410,20 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
 
 
 def prefix_of(name: str) -> str:
-    """A C prefix from a robot's name: lower case, at most 24 characters."""
+    """Return a C prefix made of a robot's name: lower case, at most 24 characters."""
     words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
 
 
 def wants_pose(word: str) -> bool:
-    """Whether --correct asks for the orientation. Raises InputError for another word."""
+    """Return whether --correct asks for the orientation too. Raises InputError for another word."""
     if word not in ("position", "pose"):
         raise InputError(f"--correct {word}: not known; allowed: position, pose")
     return word == "pose"
 
 
 def poses_of(robot: Robot) -> str:
-    """What --correct pose does for an arm, in words."""
+    """Return a sentence on what --correct pose corrects of this arm."""
     moved, turned = freedom_of(robot)
     if (moved, turned) == (3, 3):
         return "position and orientation are corrected, by the least change of the joints"
@@ -412,6 +437,6 @@ def poses_of(robot: Robot) -> str:
 
 
 def unreached(robot: Robot) -> str:
-    """What the joints of an arm cannot move at all, in words; empty for most arms."""
+    """Return a sentence on the directions in which the joints cannot move the tool; "" if none."""
     moved = freedom_of(robot)[0]
     return "" if moved == 3 else f"NOT REACHED: the joints move the tool in {moved} of 3 directions; errors across stay"

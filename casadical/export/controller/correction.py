@@ -1,6 +1,7 @@
-"""The correction of joint targets, by a model or by the compiled C of an export.
+"""Correct joint targets, by a model or by the compiled C of an export.
 
-A target is corrected in all joints or in none: with a status other than those of `FINE_STATUSES` it stays.
+A target is corrected in all joints or in none: unless its status is one of `CORRECTED_STATUSES`, it
+remains unchanged.
 """
 
 from collections.abc import Callable
@@ -16,8 +17,9 @@ from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 
-FINE_STATUSES = (Status.OK.name, "POSITION_ONLY")  # statuses of what is corrected
+CORRECTED_STATUSES = (Status.OK.name, "POSITION_ONLY")  # statuses of corrected targets
 
+# Why a target with this status is not corrected.
 STATUS_MEANINGS = {
     Status.CLAMPED.name: "outside the joint ranges of the model",
     "LEAVES_BOX": "the corrected targets would be outside the joint ranges of the model",
@@ -30,15 +32,15 @@ STATUS_MEANINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Corrector:
-    """A way to correct joint targets: the compiled C of an export, or a model.
+    """A function that corrects joint targets: the compiled C of an export, or a model.
 
     joints : number of joints
     correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape
         (k,)
-    position : q -> calibrated tool positions [m], shape (k, 3)
-    fallback : of the position alone, for targets whose pose cannot be corrected; None: they are
-        refused
-    units : "rad" or "m" of each joint's reading; none: all rad
+    position : q -> calibrated tool positions [m] in the robot's own base frame, shape (k, 3)
+    fallback : corrector of the position alone, for targets whose pose cannot be corrected; None:
+        these targets stay as they are
+    units : "rad" or "m" of each joint's reading; empty: all rad
     """
 
     joints: int
@@ -49,7 +51,10 @@ class Corrector:
 
 
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
-    """By the C in a folder, compiled here; trust : as of `load`. Raises InputError."""
+    """Return the corrector that calls the C in an export folder, which is compiled here.
+
+    trust : as of `load`. Raises InputError.
+    """
     try:
         kernel = load(folder, trust=trust)
     except InputError:
@@ -73,7 +78,7 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 
 
 def model_corrector(command: Command, fallback: Corrector | None = None) -> Corrector:
-    """Correction by the reference in NumPy: the bits of the double C, without a compiler.
+    """Return the corrector that evaluates the NumPy reference: the bits of the double C.
 
     command : what is corrected
     fallback : as of `Corrector`
@@ -97,7 +102,10 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Corrected joints, shape (k, n) [rad or m], and statuses; joints without one of `FINE_STATUSES` stay."""
+    """Return corrected joints, shape (k, n) [rad or m], and the name of each target's status.
+
+    q : joint targets, shape (k, n) [rad or m]; those without one of `CORRECTED_STATUSES` stay
+    """
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
     beyond = corrector.correct(q + dq)[1] == Status.CLAMPED
@@ -107,12 +115,12 @@ def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, 
     if corrector.fallback is not None and not fine.all():
         other, reached = corrected_joints(corrector.fallback, q[~fine])
         for k, joints, name in zip(np.flatnonzero(~fine), other, reached, strict=True):
-            if name in FINE_STATUSES:
+            if name in CORRECTED_STATUSES:
                 new[k], names[k] = joints, "POSITION_ONLY"
     return new, tuple(names)
 
 
 def position_only(status: tuple[str, ...]) -> str:
-    """How many of the corrected ones are corrected in position only, in words."""
+    """Return a remark on how many of the corrected targets are corrected in position only."""
     count = status.count("POSITION_ONLY")
     return f" ({count} in position only, near poses in which the orientation cannot be corrected)" if count else ""

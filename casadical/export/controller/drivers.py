@@ -1,7 +1,7 @@
-"""The calibrated geometry as drivers read it: YAML of the UR driver, DH tables, xacro.
+"""The calibrated geometry in drivers' formats: YAML of the UR driver, DH tables, xacro.
 
-Each holds the geometry of a rigid arm in the robot's own base frame; what a form cannot hold is
-told in millimetres.
+Each holds the geometry of a rigid arm in the robot's own base frame; the position error of what a
+format cannot hold is reported in millimetres.
 """
 
 from collections.abc import Callable
@@ -17,13 +17,16 @@ from casadical.export.omission import rest_of_rigid
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
+# Links of a UR robot in the order of its joints, and the twists alpha of its DH table.
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-_UR_TWISTS = np.deg2rad([0, 90, 0, 0, 90, -90])
-_NEAR_PARALLEL = 1e-9  # sine of the angle between axes that have no common normal of their own
+_UR_TWISTS_RAD = np.deg2rad([0, 90, 0, 0, 90, -90])
+# Largest sine of the angle between two axes, or distance [m], at which they count as parallel, or
+# as coincident, so that their common normal is not unique.
+_PARALLEL_TOLERANCE = 1e-9
 
 
 def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, tuple[str, ...]]:
-    """The robot as a driver reads it, and what that does not hold, in millimetres.
+    """Return the text of a robot in a driver's format, and lines on what the format omits.
 
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV),
         or `xacro`
@@ -42,38 +45,45 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
-    """Base (4, 4), rows (n, 4) of Rz(theta) Tz(d) Tx(a) Rx(alpha) [rad, m], and tool (4, 4).
+    """Return a robot's geometry as standard DH table: base (4, 4), rows (n, 4), tool (4, 4).
 
-    The common normals are the exact ones, as makers calibrate: nearly parallel axes have a large d,
-    and its opposite in a later row. like : thetas [rad], shape (n,), of the signs that the normals
-    get. Base and last row take what four numbers for each joint cannot hold. (Denavit and
-    Hartenberg 1955; Hayati 1983 on parallel axes.)
+    Each row is theta, d, a, alpha of Rz(theta) Tz(d) Tx(a) Rx(alpha) [rad, m].
+
+    like : angles theta [rad], shape (n,), which decide the directions of the common normals
+
+    The common normals are exact, as in manufacturers' calibrations: nearly parallel axes have a
+    large d, and its opposite in a later row. Base and last row take what four numbers per joint
+    cannot hold. (Denavit and Hartenberg 1955; Hayati 1983 on parallel axes.)
     """
     frames = frames_at_zero(robot.joints)
     z, p = frames[0][:3, 2], frames[0][:3, 3]
     base = frame(_aligned(np.eye(3), z), p - (z @ p) * z)
     at, rows = base, []
     for i in range(robot.n - 1):
-        theta, d, a, alpha = row_of(at, frames[i + 1], like[i])
+        theta, d, a, alpha = standard_row(at, frames[i + 1], like[i])
         rows.append((theta, d, a, alpha))
-        at = at @ standard_rows(theta, d, a, alpha)
+        at = at @ standard_row_matrix(theta, d, a, alpha)
     last = np.linalg.inv(at) @ frames[-1]
     theta, d = float(np.arctan2(last[1, 0], last[0, 0])), float(last[2, 3])
     rows.append((theta, d, 0.0, 0.0))
-    tool = np.array(inverse(at @ standard_rows(theta, d, 0.0, 0.0))) @ frames[-1] @ robot.tool.T
+    tool = np.array(inverse(at @ standard_row_matrix(theta, d, 0.0, 0.0))) @ frames[-1] @ robot.tool.T
     return base, np.array(rows), tool
 
 
-def row_of(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
-    """theta, d, a, alpha from a frame whose z is an axis to the next axis."""
+def standard_row(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
+    """Return theta, d, a, alpha [rad, m] from the frame `at`, whose z is an axis, to the next axis.
+
+    following : frame (4, 4) [m] whose z is the next axis; like : angle theta [rad] whose half-turn
+        the result takes
+    """
     local = np.array(inverse(at)) @ following
     z, p = local[:3, 2], local[:3, 3]
     normal = np.array([-z[1], z[0], 0.0])  # across both axes
-    if np.linalg.norm(normal) < _NEAR_PARALLEL:
-        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > _NEAR_PARALLEL else np.array([1.0, 0, 0])
+    if np.linalg.norm(normal) < _PARALLEL_TOLERANCE:
+        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > _PARALLEL_TOLERANCE else np.array([1.0, 0, 0])
         on = p - p[2] / z[2] * z
     else:
-        # The point of the next axis nearest to ours: its offset from our axis is along the normal.
+        # The point of the next axis nearest to this one; its offset from it is along the normal.
         on = p - (p[:2] @ z[:2]) / (z[:2] @ z[:2]) * z
     normal /= np.linalg.norm(normal)
     normal *= 1.0 if normal[0] * np.cos(like) + normal[1] * np.sin(like) >= 0 else -1.0
@@ -82,30 +92,34 @@ def row_of(at: Array, following: Array, like: float) -> tuple[float, float, floa
     return theta, float(on[2]), float(on @ normal), alpha
 
 
-def standard_rows(theta: float, d: float, a: float, alpha: float) -> Array:
+def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array:
+    """Return the transform (4, 4) [m] of one standard DH row [rad, m]."""
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
     return frame(R, np.array([a * c, a * s, d]))
 
 
 def _aligned(R: Array, z: Array) -> Array:
-    """The rotation nearest to R whose third axis is z."""
+    """Return the rotation near R whose third axis is z, its first axis projected from that of R."""
     x = R[:, 0] - (R[:, 0] @ z) * z
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
 
 
 def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
-    """Origins of the links, at zero readings: the frames of the maker's DH table."""
+    """Return the kinematics YAML of the UR driver: link origins at zero joint readings.
+
+    Raises InputError: the nominal robot does not have the DH structure of a UR.
+    """
     twists = np.array([j.alpha for j in nominal.joints])
     if (
         len(twists) != len(UR_LINKS)
-        or np.abs(twists - _UR_TWISTS).max() > np.deg2rad(3)
+        or np.abs(twists - _UR_TWISTS_RAD).max() > np.deg2rad(3)
         or nominal.joints[0].b is not None
     ):
         raise InputError(
             f"{nominal.name}: its twists are {np.rad2deg(twists).round(3).tolist()} deg, those of "
-            f"a UR {np.rad2deg(_UR_TWISTS).tolist()}: give a robot file with the maker's DH table "
+            f"a UR {np.rad2deg(_UR_TWISTS_RAD).tolist()}: give a robot file with the maker's DH table "
             "(convention standard)"
         )
     lines = ["kinematics:"]
@@ -118,6 +132,7 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
 
 
 def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
+    """Return a CSV of the standard DH table [deg, mm] with its changes from the nominal one."""
     like = standard_dh(nominal, np.zeros(nominal.n))[1][:, 0]
     base, rows, tool = standard_dh(real, like)
     before = standard_dh(nominal, like)[1]
@@ -132,12 +147,14 @@ def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
 
 
 def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
+    """Return a CSV of the modified DH table."""
     rows = modified_dh(real)
     texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
     return csv_text([list(rows[0]), *texts])
 
 
 def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
+    """Return xacro properties with each joint's origin [m, rad] and that of the measured point."""
     lines = ['<?xml version="1.0"?>', '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">']
     places = [(f"joint{i}", row_matrix(joint)) for i, joint in enumerate(real.joints, 1)]
     for name, T in [*places, ("measured", real.tool.T)]:
@@ -147,6 +164,7 @@ def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
+# Functions of the formats' texts: (real robot, nominal robot, checksum) -> text.
 DRIVER_FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
     "ur": _ur,
     "standard_dh": _standard_table,

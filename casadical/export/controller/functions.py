@@ -1,9 +1,9 @@
-"""The functions of a correction: a robot's error curves, its tool, its deflections.
+"""CasADi functions of a robot for its correction: joint error curves, tool pose, deflections.
 
-The error curves are one function that C calls as a table, in the correction of a command and alone:
-a curve of 60 harmonics is some 600 operations, a table some 30. The model takes the curves' values
-as parameters, so that everything else in it (deflections, other effects) follows the readings, as
-in the robot.
+The error curves are one function that the C calls as a table, in the correction of a command and
+alone: a curve of 60 harmonics takes some 600 operations, a table some 30. The model takes the
+curves' values as parameters, so that everything else in it (deflections, other effects) depends on
+the readings, as in the robot.
 """
 
 from collections.abc import Mapping
@@ -22,24 +22,30 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True)
 class GivenAngles(Effect):
-    """What is added to each joint is a parameter: `z1`, `z2`, .. [rad]."""
+    """Effect that adds a parameter to each joint's angle: `z1`, `z2`, .. [rad].
+
+    joints : number of joints
+    """
 
     joints: int = 6
 
     name = "given_angles"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return the typical size and unit of each parameter by name."""
         return {f"z{joint}": (1.0, "rad") for joint in range(1, self.joints + 1)}
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the parameters as additions to the joint angles [rad]."""
         return ca.vertcat(*[self.value(context, name) for name in self.sizes()])
 
 
 def joint_curves(robot: Robot) -> ca.Function | None:
-    """joint_curves:(q[n] rad)->(dq[n] rad), to be called; None where the robot has no curve.
+    """Return the robot's joint error curves, q[n] -> dq[n] [rad]; None if it has none.
 
-    A joint whose coefficients are zero has the constant 0. Raises InputError for a coefficient that
-    is not finite.
+    The function is called and not inlined, so that the C makes tables of it. A joint whose
+    coefficients are zero has the constant 0. Raises InputError for a coefficient that is not
+    finite.
     """
     curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
     if not curves:
@@ -55,11 +61,16 @@ def joint_curves(robot: Robot) -> ca.Function | None:
 
 
 def without_curves(robot: Robot) -> Robot:
+    """Return the robot without its joint error curves."""
     return robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
 
 
 def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
-    """p[3] [m] and R[3x3] of the tool at q; error curves are a call of `joint_curves`."""
+    """Return p[3] [m] and R[3x3] of the tool at readings q; error curves are a function call.
+
+    The frame is that of the robot's model: the measuring frame, or its own base frame where the
+    base is the identity.
+    """
     curves = joint_curves(robot)
     values = robot.parameters.values
     if curves is None:
@@ -75,10 +86,11 @@ def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
 def tool_function(
     robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
 ) -> ca.Function:
-    """NAME:(q[n] rad or m)->(p[3] m) or (p[3] m, R[3x3]).
+    """Return the function NAME: q[n] [rad or m] -> p[3] [m], or -> (p[3] [m], R[3x3]).
 
-    turn : rotation from the measuring frame, in which the network learned, into the robot's, shape
-        (3, 3); None: none
+    turn : rotation from the measuring frame, in which the network was trained, into the robot's
+        base frame, shape (3, 3); None: none
+    network : adds its position correction; None: none
     """
     q = ca.SX.sym("q", robot.n)
     p, R = pose_of(robot, q)
@@ -87,8 +99,8 @@ def tool_function(
     return ca.Function(name, [q], [p, R] if orientation else [p], ["q"], ["p", "R"] if orientation else ["p"])
 
 
-def bent_function(robot: Robot) -> ca.Function:
-    """bent:(q[n])->(joints with their deflections [rad or m])."""
+def deflected_function(robot: Robot) -> ca.Function:
+    """Return the function q[n] -> joints with their deflections under gravity [rad or m]."""
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
     return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

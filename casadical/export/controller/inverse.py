@@ -1,9 +1,10 @@
 """Inverse kinematics of any robot, deflections included: damped Newton, many poses at once.
 
-The damping falls with the error (see `solve_joints`): steps are finite near singular poses and Newton's at the end.
+The damping decreases with the error (see `solve_joints`): steps are finite near singular poses, and
+Newton's at the end.
 
-Then the arms that reach a pose: which posture joints are in, and the joints that have a posture and
-turns.
+The solutions are then classified: which posture joints are in, and which joints have a given
+posture and turns.
 """
 
 from collections.abc import Callable
@@ -22,16 +23,17 @@ from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
-SINGULAR_POSE = 0.02  # m/rad: of six directions the weakest is weaker, in a pose that counts as singular
+# A pose counts as singular if the smallest singular value of its Jacobian is below this [m/rad].
+SINGULAR_BELOW_M_PER_RAD = 0.02
 
 
 @dataclass(frozen=True, eq=False)
 class Inverse:
-    """Joints that reach poses.
+    """Solution of the inverse kinematics for many poses.
 
-    q : Array, shape (k, n) [rad or m]
-    rest_m : Array, shape (k,) [m]: what remains of the position
-    rest_rad : Array, shape (k,) [rad]: what remains of the orientation
+    q : Array, shape (k, n) [rad or m]: joint readings
+    rest_m : Array, shape (k,) [m]: remaining position error
+    rest_rad : Array, shape (k,) [rad]: remaining orientation error
     singular : Array, shape (k,): whether the pose is nearly singular: the weakest direction moves
         the tool by less than 0.02 m/rad
     inside : Array, shape (k,): whether every joint is in its range
@@ -45,21 +47,22 @@ class Inverse:
 
     @property
     def reached(self) -> Array:
-        """Whether the pose is reached to a micrometre and a microradian, boolean, shape (k,)."""
+        """Return whether the pose is reached to 1e-6 m and 1e-6 rad, boolean, shape (k,)."""
         return (self.rest_m < 1e-6) & (self.rest_rad < 1e-6)
 
 
 def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
-    """Joints that bring the tool to poses, by Newton's method from a start.
+    """Return the joints that bring the tool to poses, by Newton's method from a start.
 
-    The model holds compliance, effects that joints and declared payload decide, and the file's base
-    and tool.
+    The model holds compliance, effects that depend on joints and declared payload only, and the
+    file's base and tool.
 
-    A pose that cannot be reached has a rest; look at `Inverse.reached`.
+    For a pose that cannot be reached an error remains; see `Inverse.reached`.
 
     robot : calibrated robot
     p : shape (k, 3) [m]: positions of the measured point in the measuring frame
-    R : shape (k, 3, 3): orientations of the tool frame; None: only the position is to be reached
+    R : shape (k, 3, 3): orientations of the tool frame in the measuring frame; None: only the
+        position is to be reached
     start : joints to start from, shape (k, n) or (n,) [rad or m]; the solution nearest to them, as
         a rule, is found
     Raises InputError: arrays of other shapes.
@@ -81,31 +84,41 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
 
 
 def pose_function(robot: Robot) -> ca.Function:
+    """Return the function q[n] -> (p[3] [m], R[3x3]) of the tool, see `pose_of`."""
     q = ca.SX.sym("q", robot.n)
     return ca.Function("pose", [q], pose_of(robot, q))
 
 
 def freedom_of(robot: Robot) -> tuple[int, int]:
-    """In how many directions the joints move the tool, and beside that turn it: mostly 3, 3.
+    """Return in how many directions the joints move the tool, and about how many they rotate it.
 
-    A direction counts where the joints move the tool in it by more than a singular pose's,
-    somewhere in their ranges.
+    The rotations are those at a kept position; most robots have 3, 3. A direction counts where,
+    somewhere in the joint limits, its singular value exceeds `SINGULAR_BELOW_M_PER_RAD`.
     """
     poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
     J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
     greatest = (np.linalg.svd(part, compute_uv=False).max(axis=0) for part in (J[:, :3], J))
-    moved, both = (int((values > SINGULAR_POSE).sum()) for values in greatest)
+    moved, both = (int((values > SINGULAR_BELOW_M_PER_RAD).sum()) for values in greatest)
     return moved, both - moved
 
 
 class Newton:
-    """Newton's method for pose:(q[n])->(p[3] m, R[3x3]); oriented : whether R counts."""
+    """Newton's method for a pose function q[n] -> (p[3] [m], R[3x3]).
+
+    pose : the function; oriented : whether the orientation is to be reached, too
+    """
 
     def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
         self.pose, self.oriented = pose, oriented
         self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
+        """Return the joints that reach poses, iterated from `start`.
+
+        p : shape (k, 3) [m]; R : shape (k, 3, 3), None: positions only, in the frame of the pose
+            function
+        start : shape (k, n) [rad or m]; limits : lower and upper joint limits, each of shape (n,)
+        """
         k = len(start)
         target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
 
@@ -118,16 +131,24 @@ class Newton:
         weakest = np.linalg.svd(np.nan_to_num(J[:, : 6 if self.oriented else 3]), compute_uv=False)[:, -1]
         inside = np.asarray(((q >= limits[0] - 1e-12) & (q <= limits[1] + 1e-12)).all(axis=1))
         turned = np.linalg.norm(far[:, 3:], axis=1) / ORIENTATION_LENGTH_M
-        return Inverse(q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_POSE), inside)
+        return Inverse(
+            q, np.linalg.norm(far[:, :3], axis=1), turned, np.asarray(weakest < SINGULAR_BELOW_M_PER_RAD), inside
+        )
 
     def evaluated(self, q: Array, target: Array) -> tuple[Array, Array]:
-        """Residuals (k, 6) [m] and Jacobians (k, 6, n); target : position, columns of R, (k, 12)."""
+        """Return residuals (k, 6) [m] and Jacobians (k, 6, n) at joints q (k, n).
+
+        target : position and columns of R, shape (k, 12)
+        """
         r, J = self._function.map(len(q))(q.T, target.T)
         return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
 
 
 def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:
-    """newton:(q[n], target[12])->(r[6] m, J[6 x n]); r[3:] is zero for positions alone."""
+    """Return the function (q[n], target[12]) -> (r[6] [m], J[6 x n]) of Newton's method.
+
+    r[3:] and its Jacobian are zero if only positions count.
+    """
     q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
     p, R = pose(q)
     if oriented:
@@ -139,22 +160,25 @@ def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Func
 
 
 def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
-    """The rotation vector by which joint i turns the frame, per its own unit: of dR R^T."""
+    """Return the rotation vector by which joint i rotates the frame, per its own unit: dR R^T.
+
+    slope : Jacobian of the columns of R by the joints
+    """
     W = ca.mtimes(ca.reshape(slope[:, i], 3, 3), R.T)
     return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
 
 
-_TURN = 2 * np.pi
+_FULL_TURN_RAD = 2 * np.pi
 
-Turns = Callable[[Array], tuple[int, ...]]
+Turns = Callable[[Array], tuple[int, ...]]  # how a language counts the turns of joints q (n,)
 
 
 @dataclass(frozen=True, eq=False)
 class Postures:
-    """The nominal robot's solutions of a pose of its flange.
+    """The nominal robot's inverse kinematics at its flange, by posture and joint turns.
 
-    nominal : in its own base frame, its tool being the flange; root : the controller's root frame
-        in it, (4, 4) [m]
+    nominal : the nominal robot in its own base frame, its tool being the flange
+    root : the controller's root frame in that base frame, (4, 4) [m]
     """
 
     nominal: Robot
@@ -162,11 +186,12 @@ class Postures:
 
     @cached_property
     def _newton(self) -> Newton:
+        """Return Newton's method for the flange pose of the nominal robot."""
         return Newton(pose_function(self.nominal))
 
     @cached_property
     def why_not(self) -> str:
-        """Why this robot has no postures; empty if it has."""
+        """Return why postures are undefined for this robot; "" if they are defined."""
         if self.nominal.n != 6 or len(self.nominal.revolute) != 6:
             return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))
@@ -179,15 +204,20 @@ class Postures:
         return ""
 
     def sides(self, q: Array) -> Array:
-        """Behind, bent back, wrist negative at joints q, (k, 6); boolean, shape (k, 3)."""
+        """Return whether the arm is behind, bent back, wrist negative at joints q, boolean (k, 3).
+
+        q : shape (k, 6) [rad]; see `Posture`
+        """
         x, bend, wrist, _ = self._signs.map(len(q))(q.T).full()
         return np.stack([x < 0, bend < 0, wrist < 0], axis=1)
 
     @cached_property
     def _signs(self) -> ca.Function:
-        """signs:(q[6])->(wrist before axis 1, bend of the elbow, reading 5, miss of the wrist).
+        """Return the function of the numbers whose signs define a posture.
 
-        Before axis 1 is the side to which the root frame's x points where joint 1 reads zero.
+        signs:(q[6])->(distance of the wrist before axis 1 [m], bend of the elbow, reading of joint
+        5 [rad], by how much axes 4 and 6 miss the wrist's centre [m]). Before axis 1 is the side to
+        which the root frame's x axis points where joint 1 reads zero.
         """
         q = ca.SX.sym("q", 6)
         values = {p.name: ca.SX(p.value) for p in self.nominal.parameters}
@@ -196,15 +226,15 @@ class Postures:
         wrist = points[4] + _nearest(points[4], axes[4], points[3], axes[3]) * axes[4]
         miss = ca.norm_2(ca.cross(axes[3], wrist - points[3])) + ca.norm_2(ca.cross(axes[5], wrist - points[5]))
         forward = about_axis(axes[0], q[0], ca.DM(self.root[:3, 0]))
-        upper = _across(points[2] - points[1], axes[1])
-        lower = _across(wrist - points[2], axes[2])
+        upper = _perpendicular_part(points[2] - points[1], axes[1])
+        lower = _perpendicular_part(wrist - points[2], axes[2])
         bend = ca.dot(ca.cross(upper, lower), ca.cross(ca.DM(self.root[:3, 2]), forward))
         out = ca.vertcat(ca.dot(wrist - points[0], forward), bend, q[4], miss)
         return ca.Function("signs", [q], [ca.densify(out)])
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """One turn of each joint within its range, all of a linear joint's."""
+        """Return joint limits (lower, upper) reduced to one turn of each revolute joint."""
         lower, upper = self.nominal.limits
         middle = np.clip(0.0, lower, upper)
         half = np.where(self._turns, np.pi, np.inf)
@@ -212,11 +242,15 @@ class Postures:
 
     @property
     def _turns(self) -> Array:
+        """Return which joints are revolute and so can make whole turns."""
         return np.array([j.kind == "revolute" for j in self.nominal.joints])
 
     @cached_property
     def _samples(self) -> tuple[Array, Array, Array]:
-        """Random joints (N, n), flange poses (N, 12), and postures (N, 3), or (N, 0) without."""
+        """Return random joints (N, n), flange poses (N, 12), and postures (N, 3).
+
+        Postures have shape (N, 0) where they are undefined for this robot.
+        """
         q = np.random.default_rng(1).uniform(*self._box, (20_000, self.nominal.n))
         p, R = self._newton.pose.map(len(q))(q.T)
         T = np.hstack([p.full().T, R.full().reshape(3, len(q), 3).transpose(1, 2, 0).reshape(len(q), 9)])
@@ -224,20 +258,21 @@ class Postures:
         return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
 
     def solutions(self, T: Array, posture: Posture, turns: Turns, wanted: tuple[int, ...]) -> Array:
-        """Joints that bring the flange to T (4, 4) with this posture and turns, (k, n) [rad].
+        """Return joints that bring the flange to T (4, 4) with a posture and turns, (k, n) [rad].
 
-        wanted : what `turns` gives for them, up to rounding
+        T : in the robot's own base frame; wanted : what `turns` gives for the solutions, up to
+            rounding
         """
         reached = self._reached(T, self._seeds(T, posture))
         reached = reached[(self.sides(reached) == np.array(posture)).all(axis=1)] if len(reached) else reached
         different: list[Array] = []
-        for q in (c for row in reached for c in self._turned(row, turns, wanted)):
+        for q in (c for row in reached for c in self._with_turns(row, turns, wanted)):
             if all(np.abs(q - other).max() > 1e-5 for other in different):  # rad
                 different.append(q)
         return np.array(different).reshape(len(different), self.nominal.n)
 
     def _seeds(self, T: Array, posture: Posture | None) -> Array:
-        """The samples whose flange is nearest to a pose, of a given posture; shape (k, n)."""
+        """Return the 16 samples nearest to a flange pose T (4, 4), of a given posture, (16, n)."""
         q, flange, postures = self._samples
         target = np.concatenate([T[:3, 3], T[:3, :3].T.ravel()])
         weight = np.concatenate([np.ones(3), np.full(9, 0.3)])
@@ -247,13 +282,16 @@ class Postures:
         return q[np.argsort(far)[:16]]
 
     def _reached(self, T: Array, start: Array) -> Array:
-        """Joints that Newton's method finds from starts (k, n) and that reach the pose."""
+        """Return joints that reach the pose T, found by Newton's method from starts (k, n)."""
         many = np.broadcast_to(T, (len(start), 4, 4))
         result = self._newton.solved(many[:, :3, 3], many[:, :3, :3], start, self._box)
         return result.q[result.reached]
 
     def nearest(self, T: Array, near: Array) -> list[Array | None]:
-        """Solutions of flange poses (k, 4, 4) nearest to joints (k, n), in range, or None."""
+        """Return for flange poses (k, 4, 4) the solution nearest to given joints (k, n), else None.
+
+        The solutions are within the joint limits.
+        """
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
         nearest: list[Array | None] = []
         for pose, q, reached, wanted in zip(T, direct.q, direct.reached, near, strict=True):
@@ -264,23 +302,26 @@ class Postures:
         return nearest
 
     def _towards(self, arms: Array, near: Array) -> list[Array]:
-        """The arms, each joint with the whole turns that bring it nearest to `near`."""
+        """Return arms within the limits, with whole turns that bring each joint nearest to `near`.
+
+        arms : shape (k, n) [rad or m]; near : shape (n,)
+        """
         lower, upper = self.nominal.limits
-        most, least = np.floor((upper - arms + 1e-9) / _TURN), np.ceil((lower - arms - 1e-9) / _TURN)
-        turned = arms + _TURN * np.clip(np.round((near - arms) / _TURN), least, most)
+        most, least = np.floor((upper - arms + 1e-9) / _FULL_TURN_RAD), np.ceil((lower - arms - 1e-9) / _FULL_TURN_RAD)
+        turned = arms + _FULL_TURN_RAD * np.clip(np.round((near - arms) / _FULL_TURN_RAD), least, most)
         inside = (lower - 1e-9 <= arms) & (arms <= upper + 1e-9)
         turned, fits = np.where(self._turns, turned, arms), np.where(self._turns, least <= most, inside)
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
-    def _turned(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
-        """The arm with whole turns added to joints, in range, where the turns are wanted."""
+    def _with_turns(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
+        """Return the arm q with whole turns added within the limits, where turns are `wanted`."""
         choices = []
         for angle, low, high in zip(q, *self.nominal.limits, strict=True):
-            first = angle - _TURN * np.floor((angle - low + 1e-9) / _TURN)
-            choices.append(np.arange(first, high + 1e-9, _TURN))
+            first = angle - _FULL_TURN_RAD * np.floor((angle - low + 1e-9) / _FULL_TURN_RAD)
+            choices.append(np.arange(first, high + 1e-9, _FULL_TURN_RAD))
 
         def fits(q: Array) -> bool:
-            # a joint that is as near to where a turn is counted may have either count
+            # A joint this close to an angle at which the count changes may have either count.
             counts = zip(turns(q - 1e-4), turns(q), turns(q + 1e-4), strict=True)
             return all(turn in count for turn, count in zip(wanted, counts, strict=True))
 
@@ -288,16 +329,17 @@ class Postures:
 
 
 def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:
-    """Where on the line p + t d the other line is nearest: t."""
+    """Return t of the point p + t d that is nearest to another line (d and other_d of length 1)."""
     c, between = ca.dot(d, other_d), other - p
     return (ca.dot(between, d) - c * ca.dot(between, other_d)) / (1 - c * c)
 
 
-def _across(v: ca.SX, axis: ca.SX) -> ca.SX:
+def _perpendicular_part(v: ca.SX, axis: ca.SX) -> ca.SX:
+    """Return the part of v that is perpendicular to a unit axis."""
     return v - ca.dot(v, axis) * axis
 
 
 def about_axis(axis: ca.SX, angle: ca.SX, v: ca.DM) -> ca.SX:
-    """A vector turned about an axis (Rodrigues)."""
+    """Return a vector rotated about a unit axis by an angle [rad] (Rodrigues)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return c * v + s * ca.cross(axis, v) + (1 - c) * ca.dot(axis, v) * axis

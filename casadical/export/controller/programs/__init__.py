@@ -1,1 +1,1 @@
-"""Programs in a controller's language: targets are rewritten, every other byte stays."""
+"""Robot programs in controllers' languages: targets are rewritten, every other byte stays."""

@@ -1,8 +1,8 @@
-"""Targets of a program corrected: what each becomes, and how far off the tool was.
+"""Correct the targets of a robot program: new numbers, or a reason, and the tool's deviation.
 
 A pose is solved with the nominal robot in its posture, its joints are corrected like any others,
 and the nominal robot's pose at the corrected joints is written: the controller, which solves it
-with the nominal robot, finds them.
+with the nominal robot, arrives at the corrected joints.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,7 +18,7 @@ from casadical.core.parts import Placement
 from casadical.core.transforms import frame
 from casadical.export.c.reference import Status
 from casadical.export.controller.commands import Sources, command_of, own_robots, robot_of
-from casadical.export.controller.correction import FINE_STATUSES, Corrector, corrected_joints, model_corrector
+from casadical.export.controller.correction import CORRECTED_STATUSES, Corrector, corrected_joints, model_corrector
 from casadical.export.controller.functions import tool_function
 from casadical.export.controller.inverse import Newton, Postures
 from casadical.export.controller.programs.language import ProgramLanguage
@@ -27,7 +27,12 @@ from casadical.export.controller.programs.target import Number, Target
 
 @dataclass(frozen=True, eq=False)
 class Tooled:
-    """One tool: its correction, and both robots as q[n] -> (p[3] m, R[3x3]), None for a folder."""
+    """Correction and robot models for one tool.
+
+    corrector : corrects joint targets
+    nominal, real : q[n] -> (p[3] [m], R[3x3]) in the robot's own base frame; None for an export
+        folder
+    """
 
     corrector: Corrector
     nominal: ca.Function | None = None
@@ -35,23 +40,25 @@ class Tooled:
 
     @cached_property
     def newton(self) -> Newton:
+        """Return Newton's method for the nominal robot's pose with this tool."""
         assert self.nominal is not None
         return Newton(self.nominal)
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The robots that a program is corrected for, and what the program does not say of its frames.
+    """Robots for which a program is corrected, and the frames that the program does not contain.
 
     sources, steps, orientation : as of `command_of`
     root : the controller's root frame in the robot file's base frame; flange : its flange in the
         last link's frame; each (4, 4) [m]
-    nearest : a pose without a configuration is reached as near as possible to the target before it
-    external_still : external axes carry neither the robot nor its bases
-    leave_unreached : poses that the nominal robot does not reach are left; else the program is
-        refused
+    nearest : whether a pose without a configuration is solved nearest to the target before it
+    external_still : whether external axes carry neither the robot nor its bases
+    leave_unreached : whether poses that the nominal robot does not reach remain unchanged;
+        otherwise the program is refused
     folder : the corrector of an export folder, in place of robot files; its tool is that of the
         export
+    _made : cache of the models of each tool
     """
 
     sources: Sources | None
@@ -67,6 +74,7 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
+        """Return rad or m of each joint's reading."""
         if self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
         assert self.sources is not None
@@ -74,11 +82,15 @@ class Cell:
 
     @cached_property
     def postures(self) -> Postures:
+        """Return the nominal robot's inverse kinematics at the controller's flange."""
         assert self.sources is not None
         return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
     def with_tool(self, tool: Array | None) -> Tooled:
-        """The robots with a tool in the flange's frame, (4, 4) [m]; None: the file's tool."""
+        """Return correction and models with a tool in the flange's frame, (4, 4) [m].
+
+        tool : None: the robot file's tool
+        """
         if self.folder:
             return Tooled(self.folder)
         assert self.sources is not None
@@ -87,7 +99,7 @@ class Cell:
             return self._made[key]
         files = self.sources
         if tool is not None and files.nominal is not None:
-            # where the measured point is the tool's centre, the real robot keeps that point
+            # Where the measured point is the tool's centre point, the real robot keeps that point.
             real, nominal, held = robot_of(files.robot), robot_of(files.nominal), self.flange @ tool
             of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
             files = replace(
@@ -100,6 +112,7 @@ class Cell:
         return self._made[key]
 
     def _tooled(self, sources: Sources) -> Tooled:
+        """Return correction and models for robot files whose tool is set."""
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:
@@ -115,15 +128,15 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """What becomes of one target.
+    """Correction of one target: its new numbers, or the reason why it remains unchanged.
 
     status : OK, or why it keeps its numbers; why : the same in words, where the status does not say
         it
-    texts : the new text of each number, and of each word that says the turns
-    moved_mm : how far the real tool is moved; off_mm, off_deg : how far the real tool is from the
-        nominal one's position and orientation, before and after, with the numbers as they are
-        written; None: not known
-    q : joints of the target, before and after [rad or m], each shape (n,); None: not known
+    texts : new text of each number, and of each word that holds the turns
+    moved_mm : distance by which the real tool is moved [mm]
+    off_mm, off_deg : distance and angle of the real tool from the nominal tool, before and after,
+        with the numbers as they are written [mm, deg]; None: unknown
+    q : joints of the target, before and after [rad or m], each shape (n,); None: unknown
     """
 
     target: Target
@@ -137,11 +150,12 @@ class Result:
 
     @property
     def fine(self) -> bool:
-        return self.status in FINE_STATUSES
+        """Return whether the target is corrected."""
+        return self.status in CORRECTED_STATUSES
 
     @property
     def changes(self) -> Iterator[tuple[Number, str]]:
-        """Numbers and words that change, with their new texts."""
+        """Yield the numbers and words that change, with their new texts."""
         if self.fine:
             for number, text in zip((*self.target.numbers, *self.target.turn_text), self.texts, strict=False):
                 if number.differs(text):
@@ -149,7 +163,7 @@ class Result:
 
 
 def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
-    """Each target corrected, or left with the reason.
+    """Return the correction of each target, or the reason why it remains unchanged.
 
     Raises InputError where the nominal robot does not reach a pose: then the frames are not those
     of the controller, and other targets would be corrected at places where the robot never is.
@@ -166,17 +180,17 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         made = cell.with_tool(results[chosen[0]].target.tool)
         q = np.array([results[k].q[0] for k in chosen])  # type: ignore[index]
         new, names = corrected_joints(made.corrector, q)
-        fine = np.array([name in FINE_STATUSES for name in names])
+        fine = np.array([name in CORRECTED_STATUSES for name in names])
         corrected = [results[k].target for k in np.array(chosen)[fine]]
         written = _written(language, corrected, cell, made, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
-            result = next(written) if name in FINE_STATUSES else replace(results[k], q=None)
+            result = next(written) if name in CORRECTED_STATUSES else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)
     return results
 
 
 def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
-    """Targets with their joints [rad or m], or why there are none."""
+    """Return the targets with their joints [rad or m], or the reason why there are none."""
     results = [Result(t, *_missing(t, cell)) for t in targets]
     flanges = {
         k: _flange(language, r.target, cell.root, np.eye(4))
@@ -203,16 +217,19 @@ def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) ->
 
 
 def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Array) -> Array:
-    """Where a target has the flange, (4, 4) [m], with this root frame and the flange turned so."""
+    """Return the flange pose of a target, (4, 4) [m], in the robot's own base frame.
+
+    root : the controller's root frame; turned : an additional rotation of the flange, (4, 4)
+    """
     assert target.base is not None
     assert target.tool is not None
     return np.asarray(root @ target.base @ language.matrix(target.si) @ np.linalg.inv(turned @ target.tool))
 
 
 def _missing(target: Target, cell: Cell) -> tuple[str, str]:
-    """The status of a target that cannot be solved, and why; else OK."""
-    if target.left:
-        return "LEFT", target.left
+    """Return status and reason of a target that cannot be solved; status OK if it can be."""
+    if target.skip_reason:
+        return "LEFT", target.skip_reason
     if target.joints:
         return Status.OK.name, ""
     if cell.sources is None:
@@ -223,11 +240,12 @@ def _missing(target: Target, cell: Cell) -> tuple[str, str]:
 
 
 def _at(target: Target, q: Array | None) -> Result:
+    """Return a target with its joints q, or as unreachable where there are none."""
     return Result(target, "UNREACHABLE") if q is None else Result(target, Status.OK.name, q=(q, q))
 
 
 def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> Result:
-    """The joints in the configuration that the program says."""
+    """Return a target with the joints in the configuration that the program states."""
     if target.posture is None or target.turns is None:
         return Result(target, "NO_CONFIGURATION")
     if postures.why_not:
@@ -237,6 +255,7 @@ def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postur
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
+    """Return the error message for poses that the nominal robot does not reach."""
     names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:5])
     more = f" and {len(targets) - 5} more" if len(targets) > 5 else ""
     frames = _frames_that_reach(language, targets[:8], cell)
@@ -255,7 +274,10 @@ def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int,
 
 
 def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[str]:
-    """Options with which poses are reached: a frame turned by quarters, the least first."""
+    """Return options for frames, rotated by quarter turns, with which the robot reaches all poses.
+
+    At most three, those of the smallest rotation first.
+    """
     turns = [
         np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
     ]
@@ -273,7 +295,7 @@ def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cel
 
 
 def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
-    """Whether the nominal robot reaches a pose with another root frame, and its flange turned."""
+    """Return whether the nominal robot reaches a pose with a root frame and its flange rotated."""
     T = _flange(language, target, root, turned)
     if target.posture is None:
         near = np.zeros(postures.nominal.n) if target.near is None else target.near
@@ -284,7 +306,10 @@ def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Arr
 def _written(
     language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: Tooled, old: Array, new: Array
 ) -> Iterator[Result]:
-    """New numbers of targets, and what is off with them; old, new : joints, (k, n)."""
+    """Yield corrected targets with new texts, and the tool's deviation with the numbers as written.
+
+    old, new : joints before and after the correction, each shape (k, n) [rad or m]
+    """
     posed = np.array([not t.joints for t in targets], dtype=bool)
     wanted = _poses(made.nominal, new) if posed.any() else np.zeros((len(new), 4, 4))
     texts, q, flanges = [], new.copy(), []
@@ -317,7 +342,7 @@ def _written(
 
 
 def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
-    """Figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
+    """Return the figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
     if made.real is None or made.nominal is None:
         return {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
@@ -329,6 +354,7 @@ def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
 
 
 def _poses(function: ca.Function | None, q: Array) -> Array:
+    """Return tool poses, shape (k, 4, 4) [m], of a pose function at joints q (k, n)."""
     assert function is not None
     p, R = function.map(len(q))(q.T)
     T = np.tile(np.eye(4), (len(q), 1, 1))
@@ -337,11 +363,15 @@ def _poses(function: ca.Function | None, q: Array) -> Array:
 
 
 def _apart(a: Array, b: Array) -> Array:
+    """Return distances [mm] between points a and b, each shape (k, 3) [m]."""
     return np.asarray(1e3 * np.linalg.norm(a - b, axis=1))
 
 
 def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
-    """Raises InputError for targets taught with the controller's absolute accuracy on."""
+    """Check that no target was taught with the controller's absolute accuracy on.
+
+    Raises InputError.
+    """
     for target in targets:
         if target.accurate:
             raise InputError(

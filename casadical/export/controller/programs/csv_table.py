@@ -1,6 +1,6 @@
-"""A table of joint targets (.csv): columns q1_deg .. change, every other cell stays.
+"""Program language of CSV tables of joint targets: columns q1_deg .. change, other cells stay.
 
-Its own reader knows encodings and separators; the text of the file is not used.
+A reader of its own knows encodings and separators; the text of the file is not used.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from casadical.export.controller.programs.target import DEG, MM, Given, Number, 
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
-STATUS_COLUMN = "correction_status"
+STATUS_COLUMN = "correction_status"  # column that is added to a corrected table
 
 
 class CsvTable(ProgramLanguage):
@@ -26,9 +26,14 @@ class CsvTable(ProgramLanguage):
     report_beside = False
 
     def decoded(self, source: str, content: bytes) -> str:
+        """Return the bytes as text; the table is read from the file itself."""
         return content.decode("latin-1")
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Return the joint targets of a table, one per row, in its order.
+
+        Raises InputError: the table has columns of more joints, or lacks one.
+        """
         table = _table(source)
         header = table.header
         if extra := [name for name in header if name.startswith(f"q{joints + 1}_")]:
@@ -46,6 +51,7 @@ class CsvTable(ProgramLanguage):
         ]
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
+        """Return the table's bytes with new joint values and a column of statuses."""
         table = _table(source)
         rows = [[*table.header, STATUS_COLUMN]]
         for cells, r in zip(map(list, table.cells), results, strict=True):
@@ -55,14 +61,19 @@ class CsvTable(ProgramLanguage):
         return csv_text(rows).encode()
 
     def matrix(self, values: Array) -> NoReturn:
+        """Raise InputError, as a table holds no poses."""
         raise InputError(f"a CSV holds {self.pose}")
 
     def values(self, T: Array, like: Array) -> NoReturn:
+        """Raise InputError, as a table holds no poses."""
         raise InputError(f"a CSV holds {self.pose}")
 
 
 def _table(path: str) -> RawTable:
-    """Raises InputError for a table that cannot be written again, or was corrected before."""
+    """Return a table of joint targets.
+
+    Raises InputError for a table that cannot be written again, or was corrected before.
+    """
     table = read_table(path)
     if table.form.separator != "," or table.form.sheet:
         form = "a workbook" if table.form.sheet else f"separated by {table.form.separator!r}"

@@ -1,8 +1,9 @@
-"""FANUC listings (.ls): positions of /POS with CONFIG (R-30iB manual, "Position data").
+"""Program language of FANUC listings (.ls): positions of /POS with CONFIG.
 
-CONFIG: N (joint 5 negative, the wrist bent down) or F, U (wrist in front of the line through axes 2
-and 3) or D, T (wrist in front of axis 1) or B, then the turns of joints 1, 4 and 6: 0 for -180 to
-180 degrees. Values have three decimals, as the controller prints them.
+CONFIG (R-30iB manual, "Position data"): N (joint 5 negative, the wrist bent down) or F, U (wrist in
+front of the line through axes 2 and 3) or D, T (wrist in front of axis 1) or B, then the turns of
+joints 1, 4 and 6: 0 for -180 to 180 degrees. Values have three decimals, as the controller prints
+them.
 """
 
 import re
@@ -18,6 +19,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, numbers
 
+# Lark grammar of the positions of a listing, see `ParsedText`.
 FANUC_GRAMMAR = r"""
 start: position | _other
 position: POINT "[" NUMBER [":" STRING] "]" "{" group+ "}"
@@ -30,6 +32,7 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
+# A configuration; an assignment of a tool or user frame; a motion by an increment.
 _CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
 _CHANGE = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
 _INCREMENT = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
@@ -44,6 +47,11 @@ class Fanuc(AngleLanguage):
     order = (0, 1, 2)
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Return the positions of a listing, those that must stay unchanged included.
+
+        Raises InputError: a tool or frame is changed in the program, or a position has another
+        number of joints or other units.
+        """
         begin = re.search(r"^/POS\b", text, re.MULTILINE)
         if begin is None:
             return []
@@ -55,7 +63,7 @@ class Fanuc(AngleLanguage):
                 continue
             line, position = point.line or 0, positions.get(point.start_pos)
             if position is None:
-                targets.append((Target(line, f"P[{number}]", False, (), left="cannot be read"), ("?", "?")))
+                targets.append((Target(line, f"P[{number}]", False, (), skip_reason="cannot be read"), ("?", "?")))
             else:
                 targets.append(_target(source, line, position, given.joint_units(joints)))
         steps = {step[1]: _line(text, step) for step in _INCREMENT.finditer(text)}
@@ -63,7 +71,7 @@ class Fanuc(AngleLanguage):
         count = Counter(target.name for target, _ in targets)
         for target, frames in targets:
             for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
-                if (what, pick) in changes and not target.left:
+                if (what, pick) in changes and not target.skip_reason:
                     raise InputError(
                         f"{source}: line {changes[what, pick]}: {what}[{pick}] is changed here, "
                         f"and {target.name} (line {target.line}) is given in it; split the program "
@@ -75,19 +83,25 @@ class Fanuc(AngleLanguage):
         return [_placed(target, frames, given, steps) for target, frames in once]
 
     def move_line(self, joints: Sequence[float]) -> str:
+        """Return a slow joint motion, with its position, as lines of a listing."""
         axes = ", ".join(f"J{i}= {value:.3f} deg" for i, value in enumerate(joints, 1))
         return f"J P[1] 10% FINE ;\n/POS\nP[1]{{\n   GP1:\n    UF : 0, UT : 1,\n    {axes}\n}};"
 
     def turns(self, q: Array) -> tuple[int, ...]:
+        """Return how many whole turns joints 1, 4 and 6 are from -180 to 180 degrees."""
         return tuple(int(np.floor((q[i] + np.pi) / (2 * np.pi))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
 
 def _line(text: str, found: re.Match[str]) -> int:
+    """Return the number of the line in which a match begins."""
     return text.count("\n", 0, found.start()) + 1
 
 
 def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]) -> tuple[Target, tuple[str, str]]:
-    """A target, and the names of its tool and base; axes : units of the joints."""
+    """Return a target and the names of its tool and base.
+
+    axes : units of the joints, each as a factor to SI. Raises InputError.
+    """
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(parts(position, "group")[0], "item")
     items = {str(item.children[0]): item.children for item in group}
@@ -97,9 +111,9 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
     if (beyond := f"J{len(axes) + 1}") in items:
         raise InputError(f"{source}: line {line}: {name} has {beyond}; this robot has only {len(axes)} joints")
     if not all(key in items and is_number(items[key][1]) for key in keys):
-        return Target(line, name, joints, (), left="has a coordinate without a number"), (tool, base)
+        return Target(line, name, joints, (), skip_reason="has a coordinate without a number"), (tool, base)
     if twice := repeated((str(item.children[0]) for item in group), keys):
-        return Target(line, name, joints, (), left=f"has {twice} twice"), (tool, base)
+        return Target(line, name, joints, (), skip_reason=f"has {twice} twice"), (tool, base)
     units = axes if joints else Fanuc.units
     for key, unit in zip(keys, units, strict=True):
         said, allowed = str(items[key][-1]).lower(), "mm" if unit == MM else "deg"
@@ -112,6 +126,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
 
 
 def _configured(target: Target, config: object) -> Target:
+    """Return a target with posture and turns of its CONFIG text, or a reason to skip it."""
     match = _CONFIG.fullmatch(str(config))
     if match is None or not isinstance(config, Token):
         return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
@@ -125,6 +140,10 @@ def _configured(target: Target, config: object) -> Target:
 
 
 def _placed(target: Target, frames: tuple[str, str], given: Given, steps: dict[str, int]) -> Target:
+    """Return a target with its tool and base frames; positions used as increments are skipped.
+
+    frames : numbers of tool and base; steps : lines of incremental motions by position number
+    """
     number = target.name[2:].partition("]")[0]
     if number in steps:
         target = target.leave(f"line {steps[number]} moves by it (INC), not to it")

@@ -1,8 +1,8 @@
-"""How a language reads programs: tokens, and the runs that a grammar of targets derives.
+"""Island parsing of robot programs: tokens, and the runs of tokens that a target grammar derives.
 
-Everything between the runs stays opaque. A whole grammar of such a language is that of one release
-of one maker. A grammar of its targets alone is small, and a line that it does not know costs
-nothing.
+Everything between the runs (islands) stays opaque. A complete grammar of such a language is that of
+one release of one maker. A grammar of its targets alone is small, and a line that it cannot parse
+does no harm (island grammars; Moonen 2001).
 """
 
 from collections import Counter
@@ -17,8 +17,8 @@ from lark.parsers.lalr_interactive_parser import InteractiveParser
 
 from casadical.core.basics import InputError
 
-# Of every language: a number, and whatever no other terminal takes (of lowest priority, so that
-# text is never refused).
+# Terminals of every language: a number, and any character that no other terminal takes (with the
+# lowest priority, so that no text is refused).
 COMMON_TERMINALS = r"""
 _other: OTHER
 NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
@@ -28,7 +28,7 @@ OTHER.-9: /./s
 
 
 class ParsedText:
-    """A text's tokens without those that the grammar ignores, and its islands.
+    """A program's tokens without those that the grammar ignores, and its islands.
 
     islands : each longest run of tokens that the grammar's `start` derives, in their order, without
         overlaps
@@ -40,16 +40,18 @@ class ParsedText:
         self.islands = list(_islands(parser, self.tokens))
 
     def all(self, rule: str) -> list[Tree[Token]]:
-        """The nodes of a rule at the top of the islands."""
+        """Return the nodes of a rule at the top level of the islands."""
         return [node for island in self.islands for node in parts(island, rule)]
 
 
 @cache
 def _parser(grammar: str) -> Lark:
+    """Return the LALR parser of a grammar."""
     return Lark(grammar + COMMON_TERMINALS, parser="lalr", lexer="basic", propagate_positions=True)
 
 
 def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
+    """Yield the islands of a token sequence."""
     k, closed = 0, _closed(tokens)
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
@@ -60,7 +62,7 @@ def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
 
 def _closed(tokens: Sequence[Token]) -> set[int]:
-    """Indices of the opening brackets that are closed."""
+    """Return the indices of the opening brackets that are closed."""
     opened, closed = [], set()
     for k, token in enumerate(tokens):
         if token.endswith(("(", "[", "{")):
@@ -71,7 +73,10 @@ def _closed(tokens: Sequence[Token]) -> set[int]:
 
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
-    """The longest island from a token and its length, or None and how many tokens to pass."""
+    """Return the longest island from a token and its length, or None and how many tokens to skip.
+
+    closed : indices of the opening brackets that are closed
+    """
     run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):
         for fed in range(start, len(tokens)):
@@ -81,49 +86,54 @@ def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]
             depth += opens - tokens[fed].endswith((")", "]", "}"))
             deepest = max(deepest, depth)
             run.feed_token(tokens[fed])
-            # Where lookaheads are merged (LALR), the end may be refused all the same.
+            # As LALR merges lookaheads, the parser may refuse the end that it announces here.
             if depth == 0 and "$END" in _expected(run):
                 ends.append(fed + 1)
         fed = len(tokens)
     runs = ((end, again) for end in reversed(ends) for again in (False, True) if again or end == fed)
     for end, again in runs:
         with suppress(UnexpectedInput):
-            if again:  # the first run has taken more, or reduced for a token that it then refused
+            if again:  # the first run took more tokens, or reduced for a token it then refused
                 run = parser.parse_interactive("")
                 for token in tokens[start:end]:
                     run.feed_token(token)
             return run.feed_eof(tokens[end - 1]), end - start  # type: ignore[no-untyped-call]
-    # Brackets that are nested deeper and no island are left as a whole: else the text would be read
-    # to its end from each of their beginnings.
+    # Deeply nested brackets that are no island are skipped as a whole: otherwise the text would be
+    # parsed to its end from each opening bracket, in quadratic time.
     return None, max(fed - start, 1) if deepest > 20 else 1
 
 
 def _expected(run: InteractiveParser) -> dict[str, object]:
+    """Return the terminals that the parser accepts next."""
     return run.choices()  # type: ignore[no-untyped-call, no-any-return]
 
 
 def parts(tree: Tree[Token], name: str) -> list[Tree[Token]]:
-    """A node's children of one rule."""
+    """Return a node's children that are nodes of one rule."""
     return [c for c in tree.children if isinstance(c, Tree) and c.data == name]
 
 
 def words(tree: Tree[Token], kind: str) -> list[Token]:
-    """A node's own tokens of one kind."""
+    """Return a node's children that are tokens of one kind."""
     return [c for c in tree.children if isinstance(c, Token) and c.type == kind]
 
 
 def is_number(node: Any) -> bool:
+    """Return whether a node is a NUMBER token."""
     return isinstance(node, Token) and node.type == "NUMBER"
 
 
 def whole(texts: Iterable[Any]) -> tuple[int, ...]:
-    """Numbers as whole ones; none where one is too large for any controller."""
+    """Return numbers as integers; an empty tuple where one is too large for any controller."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 
 
 def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
-    """What a program sets to one value, or None. Raises InputError where it is changed."""
+    """Return the only value that a program assigns to a variable, or None if it assigns none.
+
+    by_line : values by the line of their assignment. Raises InputError where the value changes.
+    """
     first = next(iter(by_line), 0)
     for line, value in by_line.items():
         if type(value) is not type(by_line[first]) or not np.array_equal(value, by_line[first]):
@@ -135,6 +145,6 @@ def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
 
 
 def repeated(names: Iterable[str], keys: Iterable[str]) -> str:
-    """The first of some keys that is among the names more than once, or nothing."""
+    """Return the first key that is among the names more than once, or ""."""
     count = Counter(names)
     return next((key for key in keys if count[key] > 1), "")

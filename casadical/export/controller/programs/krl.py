@@ -1,8 +1,8 @@
-"""KUKA KRL: positions in .dat and .src, with status S and turn T (KSS, "Operating ..").
+"""Program language KUKA KRL: positions in .dat and .src, with status S and turn T.
 
-S: bit 0 wrist behind axis 1, bit 1 wrist in front of the line through axes 2 and 3, bit 2 joint 5
-negative, bit 3 taught by an absolutely accurate robot. T: bit i - 1 is 1 where the reading of joint
-i is negative.
+S (KSS operating manual): bit 0 wrist behind axis 1, bit 1 wrist in front of the line through axes 2
+and 3, bit 2 joint 5 negative, bit 3 taught by an absolutely accurate robot. T: bit i - 1 is 1 where
+the reading of joint i is negative.
 """
 
 from collections.abc import Sequence
@@ -17,6 +17,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
+# Lark grammar of assignments, motions and selections of tools, see `ParsedText`.
 KRL_GRAMMAR = r"""
 start: assign | move | pick | _other
 assign: ref "=" (aggregate | ref)
@@ -34,9 +35,9 @@ STRING: /"[^"\n]*"/
 COMMENT.3: /;[^\n]*/
 %ignore COMMENT
 """
-_POSE = ("X", "Y", "Z", "A", "B", "C")
-Pairs = dict[str, Token | Tree[Token]]
-Pick = str | Array | None  # a tool or base: its number, what it is, or none that can be read
+_POSE = ("X", "Y", "Z", "A", "B", "C")  # components of a pose
+Pairs = dict[str, Token | Tree[Token]]  # components of an aggregate by name
+Pick = str | Array | None  # a tool or base: its number, its transform (4, 4), or unreadable
 
 
 class Krl(AngleLanguage):
@@ -48,6 +49,10 @@ class Krl(AngleLanguage):
     order = (2, 1, 0)
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Return the targets of a module, those that must stay unchanged included.
+
+        Raises InputError.
+        """
         own, *others = [_Module(each) for each in (text, *given.texts.values())]
         elsewhere = {name: file for file, module in zip(given.texts, others, strict=True) for name in module.assigned}
         frames = _Frames(self, source, [own, *others], given)
@@ -59,12 +64,15 @@ class Krl(AngleLanguage):
         return targets
 
     def move_line(self, joints: Sequence[float]) -> str:
+        """Return a PTP motion to joints [deg or mm]."""
         return f"PTP {{{', '.join(f'A{i} {value:.4f}' for i, value in enumerate(joints, 1))}}}"
 
     def turns(self, q: Array) -> tuple[int, ...]:
+        """Return for each joint 1 where its reading is negative, otherwise 0."""
         return tuple(int(angle < 0) for angle in q)
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
+        """Return the text of T, in the number format of the old one."""
         value, old = sum(bit << i for i, bit in enumerate(turns)), target.turn_text[0].text
         if not old.startswith("'"):
             return [str(value)]
@@ -73,11 +81,11 @@ class Krl(AngleLanguage):
 
 
 class _Module:
-    """What is read of one file.
+    """Assignments and motions of one KRL file.
 
-    assignments : name, line and right side of each assignment of a list or a name
-    assigned : lines in which each variable gets a value, by its name in upper case; moves : names
-        in motions
+    assignments : name, line and right side of each assignment of an aggregate or a name
+    assigned : lines in which each variable gets a value, by its name in upper case
+    moves : names of the targets of motions
     """
 
     def __init__(self, text: str) -> None:
@@ -94,12 +102,15 @@ class _Module:
                 self.assigned.setdefault(name.upper().partition(".")[0], []).append(name.line or 0)
 
     def targets(self, source: str, units: tuple[float, ...], used: set[str]) -> list[tuple[Target, str]]:
-        """Each target and the name of its variable, empty for one inside of a motion."""
+        """Return each target and the name of its variable, "" for one inside a motion.
+
+        units : units of the joints, each as a factor to SI; used : names of the targets of motions
+        """
         listed = []
         for name, _, right in self.assignments:
             if right.data != "aggregate" or name.startswith(("$", "TOOL_DATA[", "BASE_DATA[")):
                 continue
-            # positions with a configuration, joint readings, and frames that a motion names
+            # Targets are positions with a configuration, joint readings, and frames of motions.
             values, named = _pairs(right), name in used
             posed = set(_POSE) <= set(values) and ("S" in values or named)
             if "A1" in values or posed or (named and bool(values)):
@@ -118,7 +129,12 @@ class _Module:
 
 
 class _Frames:
-    """Tools and bases by number, and the ones that the program selects for all of its targets."""
+    """Tools and bases by number, and those that the program selects for all of its targets.
+
+    known : transforms (4, 4) [m] of TOOL_DATA[..] and BASE_DATA[..], by name and line
+    of_point : aggregates (FDAT) that give a point its tool and base numbers
+    chosen : tools and bases that the program selects, by line
+    """
 
     def __init__(self, language: Krl, source: str, modules: list[_Module], given: Given) -> None:
         self.language, self.source, self.given = language, source, given
@@ -134,6 +150,7 @@ class _Frames:
                     self.chosen[what][pick.meta.line] = str(words(pick, "NUMBER")[0])
 
     def _read(self, name: str, line: int, right: Tree[Token]) -> None:
+        """Store an assignment if it defines or selects a tool or base."""
         values = _pairs(right) if right.data == "aggregate" else {}
         if name.startswith(("TOOL_DATA[", "BASE_DATA[")) and values:
             self.known.setdefault(name, {})[line] = self._transform(values, line)
@@ -150,6 +167,10 @@ class _Frames:
                 self.of_point[name] = values
 
     def _transform(self, values: Pairs, line: int) -> Array:
+        """Return the transform (4, 4) [m] of an aggregate.
+
+        Raises InputError: a number is missing.
+        """
         pose = [values.get(key) for key in _POSE]
         if not all(map(is_number, pose)):
             raise InputError(f"{self.source}: line {line}: a tool or base needs X, Y, Z, A, B, C as numbers")
@@ -157,6 +178,10 @@ class _Frames:
         return self.language.frame(f"{self.source}: line {line}", si)
 
     def placed(self, target: Target, name: str) -> Target:
+        """Return a target with its tool and base frames.
+
+        name : of the target's variable; a point's FDAT precedes the program's selection
+        """
         data = self.of_point.get(f"F{name[1:]}") if name.startswith("X") else None
         if data is not None and str(data.get("IPO_FRAME", "#BASE")).upper() == "#TCP":
             target = target.leave("its tool stands still and the robot holds the part (IPO_FRAME #TCP)")
@@ -172,6 +197,7 @@ class _Frames:
         return replace(target, tool=tool, base=base, about=f"tool {names[0]}, base {names[1]}")
 
     def _frame(self, what: str, pick: Pick, given: dict[str, Array]) -> Array | None:
+        """Return the transform (4, 4) [m] of a tool or base; None if it is unknown."""
         if isinstance(pick, str):
             if pick in given:
                 return given[pick]
@@ -181,26 +207,31 @@ class _Frames:
 
 
 def _name(ref: Tree[Token]) -> str:
+    """Return a variable's name in upper case, with its index."""
     index = words(ref, "NUMBER")
     return str(words(ref, "NAME")[0]).upper() + (f"[{index[0]}]" if index else "")
 
 
 def _pairs(aggregate: Tree[Token]) -> Pairs:
+    """Return the components of an aggregate by their names in upper case."""
     named = ((p.children[0], p.children[-1]) for p in parts(aggregate, "pair"))
     return {str(key).upper(): value for key, value in named if value is not None}
 
 
 def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, ...]) -> Target:
-    """A target; axes : units of the joints."""
+    """Return the target of an aggregate.
+
+    axes : units of the joints, each as a factor to SI. Raises InputError.
+    """
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
     joints = "A1" in values
     keys = [f"A{i}" for i in range(1, len(axes) + 1)] if joints else _POSE
     if lost := [key for key in keys if not is_number(values.get(key))]:
-        return Target(line, shown, joints, (), left=f"without a number for {', '.join(lost)}")
+        return Target(line, shown, joints, (), skip_reason=f"without a number for {', '.join(lost)}")
     if (beyond := f"A{len(axes) + 1}") in values:
         raise InputError(f"{source}: line {line}: {shown} has {beyond}; this robot has only {len(axes)} joints")
     if twice := repeated((str(pair.children[0]).upper() for pair in parts(aggregate, "pair")), keys):
-        return Target(line, shown, joints, (), left=f"has {twice} twice")
+        return Target(line, shown, joints, (), skip_reason=f"has {twice} twice")
     external = any(is_number(e := values.get(f"E{i}")) and float(str(e)) != 0 for i in range(1, 7))
     read = numbers((values[key] for key in keys), axes if joints else Krl.units)
     made = Target(line, shown, joints, read, external=external)
@@ -217,6 +248,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
 
 
 def _bits(token: Token | Tree[Token] | None) -> int | None:
+    """Return the integer of a decimal, binary or hexadecimal literal, or None."""
     if not isinstance(token, Token) or token.type not in ("NUMBER", "BITS"):
         return None
     text = str(token)

@@ -1,4 +1,4 @@
-"""A controllers' language: each is one file, and one word in `PROGRAM_LANGUAGES`."""
+"""Base class of the controllers' program languages, each a module listed in `PROGRAM_LANGUAGES`."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -12,12 +12,14 @@ from casadical.export.controller.programs.target import DEG, MM, Given, Target
 
 
 class ProgramLanguage(ABC):
-    """A controller's programming language. Derive from it, without arguments of the constructor.
+    """A controller's programming language: how programs are read and their targets written.
 
-    name : by which messages know it; suffixes : of its files, in lower case, with their dot
+    Derived classes have no constructor arguments.
+
+    name : in messages; suffixes : of its files, in lower case, with their dot
     units : of the numbers of a pose, each as a factor to SI; pose : what they are, in words
-    place : what a target stands in, in words; report_beside : whether a report goes beside a
-        corrected program
+    place : what a target's position in the file is called; report_beside : whether a report is
+        written next to a corrected program
     """
 
     name: ClassVar[str]
@@ -28,11 +30,14 @@ class ProgramLanguage(ABC):
     report_beside: ClassVar[bool] = True
 
     def decoded(self, source: str, content: bytes) -> str:
-        """A program's bytes as text, one character each. Raises InputError for what is not text."""
+        """Return a program's bytes as text, one character for each byte.
+
+        Raises InputError for what is not text.
+        """
         return text_of(source, content)
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
-        """The program with the new texts of its targets, every other byte as it was."""
+        """Return the program with the new texts of its targets; every other byte is unchanged."""
         pieces, end = [], 0
         for number, new in sorted(((n, t) for r in results for n, t in r.changes), key=lambda change: change[0].start):
             pieces += [text[end : number.start], new]
@@ -41,41 +46,55 @@ class ProgramLanguage(ABC):
 
     @abstractmethod
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
-        """Every target of a program, those that must be left as they are included, in their order.
+        """Return every target of a program in order, those that must stay unchanged included.
 
-        text : one character for each byte; joints : their number, `given` says their units. Raises
-        InputError that names the line where the program cannot be corrected.
+        text : one character for each byte; given : tools, bases and units from outside the program
+        joints : number of joints. Raises InputError that names the line where the program cannot be
+            corrected.
         """
 
     @abstractmethod
     def matrix(self, values: Array) -> Array:
-        """The transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError."""
+        """Return the transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError."""
 
     @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
-        """The numbers [SI], shape (k,), of a transform that are nearest to `like`."""
+        """Return a transform's numbers [SI], shape (k,), nearest to those of `like`.
+
+        T : transform, shape (4, 4) [m]; like : numbers [SI] of a pose, shape (k,), as equivalent
+            angles differ by turns
+        """
 
     def turns(self, q: Array) -> tuple[int, ...]:
-        """How the language counts the turns of joints q, shape (n,) [rad]; empty if it does not."""
+        """Return the turns of joints q, shape (n,) [rad], as the language counts them; else ()."""
         return ()
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        """The texts of the words that say the turns, one for each of `target.turn_text`."""
+        """Return the texts of the words that hold the turns, one for each of `target.turn_text`."""
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """A slow motion to joints [deg or mm], as lines. Raises InputError where there is none."""
+        """Return a slow motion to joints [deg or mm], as program lines.
+
+        Raises InputError where the language has none.
+        """
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:
-        """A tool or base, shape (4, 4) [m]. Raises InputError that begins with `where`."""
+        """Return the transform (4, 4) [m] of a tool or base.
+
+        where : beginning of error messages; values : its numbers [SI]. Raises InputError.
+        """
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
         with errors_of(f"{where}: "):
             return self.matrix(values)
 
     def transform(self, option: str, text: str) -> Array:
-        """A pose as the controller shows it, shape (4, 4) [m]. Raises InputError."""
+        """Return the transform (4, 4) [m] of an option's pose, given as the controller shows it.
+
+        option : its name for messages; text : numbers with commas. Raises InputError.
+        """
         try:
             numbers = [float(part) for part in text.split(",")]
         except ValueError:
@@ -85,20 +104,25 @@ class ProgramLanguage(ABC):
         return self.frame(f"{option} {text}", np.array(numbers) * self.units)
 
     def shown(self, T: Array) -> str:
-        """The numbers of a transform, shape (4, 4) [m], as `transform` takes them."""
+        """Return the numbers of a transform (4, 4) [m] as text that `transform` reads."""
         values = self.values(T, np.zeros(len(self.units)))
         return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 
 
 class AngleLanguage(ProgramLanguage):
-    """A language whose poses are x, y, z and angles; `order` picks roll, pitch, yaw."""
+    """A language whose poses are x, y, z and three angles.
+
+    order : places of roll, pitch and yaw among the angles
+    """
 
     order: ClassVar[tuple[int, int, int]]
 
     def matrix(self, values: Array) -> Array:
+        """Return the transform (4, 4) [m] of x, y, z [m] and angles [rad]."""
         return frame(from_rpy(values[3:][list(self.order)]), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
+        """Return x, y, z [m] and angles [rad], shape (6,), nearest to the angles of `like`."""
         roll, pitch, yaw = to_rpy(T[:3, :3])
         flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
         wanted = like[3:][list(self.order)]
@@ -110,7 +134,7 @@ class AngleLanguage(ProgramLanguage):
 
 
 def text_of(source: str, content: bytes) -> str:
-    """A program's bytes as text, one character each. Raises InputError for what is not text."""
+    """Return a program's bytes as text, one character each. Raises InputError if it is no text."""
     for place, byte in enumerate(content):
         if byte < 32 and byte not in b"\t\n\r\f\x1a":
             line = content.count(b"\n", 0, place) + 1

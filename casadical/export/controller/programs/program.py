@@ -1,4 +1,4 @@
-"""A program, a CSV or one in a controller's language: read, corrected, written."""
+"""Correct the targets of a program file, a CSV or one in a controller's language, and write it."""
 
 import csv
 import io
@@ -25,7 +25,7 @@ from casadical.export.controller.commands import (
     unreached,
     wants_pose,
 )
-from casadical.export.controller.correction import FINE_STATUSES, STATUS_MEANINGS, kernel_corrector, position_only
+from casadical.export.controller.correction import CORRECTED_STATUSES, STATUS_MEANINGS, kernel_corrector, position_only
 from casadical.export.controller.programs import correction as c
 from casadical.export.controller.programs.correction import Cell, refuse_accuracy
 from casadical.export.controller.programs.csv_table import CsvTable
@@ -36,7 +36,9 @@ from casadical.export.controller.programs.rapid import Rapid
 from casadical.export.controller.programs.target import Given, Target
 from casadical.export.controller.programs.urscript import UrScript
 
+# Supported languages; a new one is a class in a module of its own and an entry here.
 PROGRAM_LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
+# Why a target with this status is not corrected, for statuses of joints and of poses.
 _MEANINGS = STATUS_MEANINGS | {
     "LEFT": "left as it is",
     "NO_TOOL": "its tool or base is not known: give --tcp or --base",
@@ -52,7 +54,10 @@ _MEANINGS = STATUS_MEANINGS | {
 
 @dataclass(frozen=True, eq=False)
 class TargetProgram:
-    """A program and its targets. text : one character for each byte."""
+    """A program with its targets.
+
+    source : its path; text : its content, one character for each byte
+    """
 
     source: str
     language: ProgramLanguage
@@ -62,10 +67,12 @@ class TargetProgram:
 
 @dataclass(frozen=True, eq=False)
 class CorrectedProgram(Result):
-    """A program and what became of its targets.
+    """A program with the correction of each of its targets.
 
-    units : rad or m of each joint's reading; assumed, said : of how it was corrected, in words
-    texts : the files that are written
+    results : one per target, in their order
+    units : rad or m of each joint's reading
+    assumed : assumptions of the correction, in words; said : what else a user must know
+    texts : contents of the files that are to be written
     """
 
     kept_as: ClassVar[str] = "correction"
@@ -90,24 +97,27 @@ class CorrectedProgram(Result):
 
     @property
     def fine(self) -> list[c.Result]:
+        """Return the corrected targets."""
         return [r for r in self.results if r.fine]
 
     @property
     def refused(self) -> list[c.Result]:
+        """Return the targets that remain unchanged."""
         return [r for r in self.results if not r.fine]
 
     def content(self) -> bytes:
-        """The program's bytes, with the new numbers in place of the old ones."""
+        """Return the program's bytes with the new numbers in place of the old ones."""
         return self.program.language.written(self.program.source, self.program.text, self.results)
 
     def to_csv(self) -> str:
+        """Return the report, one row per target, as CSV text."""
         head = ["line", "target", "kind", "status", "why", "frames", "was", "is"]
         head += ["moved_mm", "off_mm_before", "off_mm_after", "off_deg_before", "off_deg_after"]
         return csv_text([head, *map(_row, self.results)])
 
     @property
     def changes(self) -> dict[str, dict[str, float]]:
-        """Return how far joints and tool move, and by how much the tool misses its targets [mm, deg]."""
+        """Return how far joints and tool move, and how far the tool is off target [mm, deg]."""
         figures: dict[str, dict[str, float]] = {}
         for name, table in _figures(self.fine).items():
             if table.ndim == 1:
@@ -122,7 +132,7 @@ class CorrectedProgram(Result):
         return {**plain(self), **self.changes}
 
     def blocks(self) -> list[Words | Table]:
-        """How many targets are corrected, why others are not, how far joints and tool move."""
+        """Return how many targets are corrected, why others are not, and what moves how far."""
         fine, refused, language = self.fine, self.refused, self.program.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
@@ -139,7 +149,10 @@ class CorrectedProgram(Result):
 
 
 def language_named(word: str) -> ProgramLanguage:
-    """Return the language of a word in its name, or of a suffix. Raises InputError."""
+    """Return the language with a word in its class name, or with this suffix.
+
+    Raises InputError.
+    """
     for kind in PROGRAM_LANGUAGES:
         if word.lower() in kind.__name__.lower() or f".{word.lower()}" in kind.suffixes:
             return kind()
@@ -157,7 +170,10 @@ def language_of(path: Path) -> ProgramLanguage:
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
-    """A program by its suffix. Raises InputError, with the line, where it cannot be corrected."""
+    """Return a program with its targets, in the language of its suffix.
+
+    joints : number of joints. Raises InputError, with the line, where it cannot be corrected.
+    """
     language = language_of(path)
     text = language.decoded(str(path), read_bytes(path))
     try:
@@ -172,7 +188,10 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
 
 
 def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
-    """Correct every target on its own. Raises InputError where poses are not reached."""
+    """Return a program with each target corrected on its own.
+
+    Raises InputError where poses are not reached.
+    """
     try:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
     except InputError as error:
@@ -181,15 +200,19 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
 
 
 def report_of(path: Path) -> Path:
+    """Return the path of the report next to a corrected program."""
     return path.with_name(f"{path.name}.correction.csv")
 
 
 def _refuse_corrected(path: Path, targets: list[Target]) -> None:
-    """Raises InputError for targets which the report beside the program says were corrected."""
+    """Check that no target was corrected before, according to the report next to the program.
+
+    Raises InputError.
+    """
     if not report_of(path).exists():
         return
     rows = csv.DictReader(io.StringIO(read_bytes(report_of(path)).decode("utf-8", "replace")))
-    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") in FINE_STATUSES}
+    written = {(row.get("target"), row.get("is")) for row in rows if row.get("status") in CORRECTED_STATUSES}
     for target in targets:
         if (target.name, _numbers(target)) in written:
             raise InputError(
@@ -199,10 +222,12 @@ def _refuse_corrected(path: Path, targets: list[Target]) -> None:
 
 
 def _numbers(target: Target) -> str:
+    """Return the texts of a target's numbers, separated by spaces."""
     return " ".join(number.text for number in target.numbers)
 
 
 def _row(r: c.Result) -> list[str]:
+    """Return the cells of one target in the report."""
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
     why = "" if r.fine else r.why or _MEANINGS[r.status]
@@ -212,12 +237,14 @@ def _row(r: c.Result) -> list[str]:
 
 
 def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
+    """Return the figures of the corrected targets that have them, each (k,) or (k, 2) [mm, deg]."""
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
     known = {name: [v for v in values if v is not None] for name, values in tables.items()}
     return {name: np.array(values) for name, values in known.items() if values}
 
 
 def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[Table]:
+    """Return tables of how far joints and tool move, and of the tool's deviation."""
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     known, moved = _figures(fine), dict[str, Array]()
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
@@ -233,12 +260,13 @@ def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[Table]:
 
 
 def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
+    """Return a table with mean and maximum of each row's values."""
     cells = [(name, f"{v.mean():.4f}", f"{v.max():.4f}") for name, v in rows.items()]
     return Table(title, (what, "mean", "max"), cells, frozenset({1, 2}))
 
 
 def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
-    """What was assumed, in words."""
+    """Return the assumptions under which a program was corrected, as sentences."""
     lines = [
         "the controller's own absolute-accuracy option is off, and joint values are the readings of the robot file"
     ]
@@ -273,12 +301,14 @@ def correct_file(
 ) -> CorrectedProgram:
     """Correct the targets of a program so that the real tool reaches what the nominal one would.
 
-    sources : robot files, or in place of the robot a folder that `write_c` wrote, in which all else
-        was decided
-    out : where the corrected program is to be; steps, correct : as of `export_c`
+    sources : robot files, or in place of the robot a folder that `write_c` wrote, which holds all
+        other choices
+    program : the file to be corrected; out : path of the corrected program, which is not written
+        yet
+    steps, correct : as of `export_c`
     trust : whether C of a folder that was exported elsewhere is compiled and run
-    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them; data : files
-        that hold more
+    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them
+    data : files that hold more tools and bases
     root, flange : the controller's frames in those of the robot file
     nearest, external_still, leave_unreached : as of `Cell`
     accuracy_off : whether the controller's own absolute accuracy is off
@@ -321,6 +351,10 @@ def correct_file(
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) -> dict[str, Array]:
+    """Return transforms (4, 4) [m] by name from the entries NAME=NUMBERS of an option.
+
+    Raises InputError: a name is given twice, or numbers are wrong.
+    """
     pairs = [entry.rpartition("=")[::2] for entry in entries]
     names = [name.strip() for name, _ in pairs]
     if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):
@@ -329,7 +363,7 @@ def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) 
 
 
 def _stated(folder: Path) -> str:
-    """The remaining error that was measured when a folder was exported."""
+    """Return a sentence on the remaining error that was measured when a folder was exported."""
     figures = Manifest.read(folder).figures
     median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
     if median is None or worst is None:

@@ -1,4 +1,4 @@
-"""ABB RAPID (.mod): robtarget and jointtarget, declared or inside of a motion.
+"""Program language ABB RAPID (.mod): robtarget and jointtarget, declared or inside a motion.
 
 confdata: the quarter turns of axes 1, 4 and 6, and cfx = 4 (wrist behind axis 1) + 2 (behind the
 lower arm) + 1 (joint 5 negative). Tool and work object are those of the motions that use a target.
@@ -16,6 +16,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import MM, Given, Posture, Target, numbers
 
+# Lark grammar of declarations, motions and assignments, see `ParsedText`.
 RAPID_GRAMMAR = r"""
 start: declaration | motion | assignment | _other
 declaration: NAME ref ":=" list
@@ -34,7 +35,7 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /![^\n]*/
 %ignore COMMENT
 """
-_TARGETS = ("robtarget", "jointtarget")
+_TARGETS = ("robtarget", "jointtarget")  # data types of targets
 
 
 class Rapid(ProgramLanguage):
@@ -46,6 +47,10 @@ class Rapid(ProgramLanguage):
     pose = "x, y, z in mm and the quaternion q1, q2, q3, q4"
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Return the targets of a module, those that must stay unchanged included.
+
+        Raises InputError: the robot has not six joints, or a displacement is switched on.
+        """
         if joints != 6:
             raise InputError(f"{source}: a RAPID target has six axes; this robot has {joints}")
         parsed = ParsedText(RAPID_GRAMMAR, text)
@@ -59,10 +64,12 @@ class Rapid(ProgramLanguage):
         return [module.placed(target, name) for target, name in module.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
+        """Return a MoveAbsJ motion to joints [deg]."""
         axes = ",".join(f"{value:.4f}" for value in (*joints, *[0.0] * (6 - len(joints))))
         return f"MoveAbsJ [[{axes}],[{','.join(['9E9'] * 6)}]]\\NoEOffs, v100, fine, tool0;"
 
     def matrix(self, values: Array) -> Array:
+        """Return the transform (4, 4) [m] of a position [m] and a quaternion. Raises InputError."""
         q = values[3:]
         length = float(np.linalg.norm(q))
         if abs(length - 1) > 1e-2:  # more is no rounding
@@ -70,18 +77,21 @@ class Rapid(ProgramLanguage):
         return frame(from_quaternion(q), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
+        """Return position [m] and quaternion of a transform, its sign that of `like`'s."""
         q = quaternion(T[:3, :3])
         return np.concatenate([T[:3, 3], q if q @ like[3:] >= 0 else -q])
 
     def turns(self, q: Array) -> tuple[int, ...]:
+        """Return the quarter turns of axes 1, 4 and 6, as in confdata."""
         return tuple(int(np.floor(q[i] / (np.pi / 2))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
 
 class _Module:
-    """Declarations and motions, and with what tool and work object a target is used.
+    """Declarations and motions of a module, and the tool and work object of each target.
 
     changed : variables that get a value after their declaration, whole or in part, and the line
-    uses : of each target's name the line of its first motion, tool and work object there
+    frames : transforms (4, 4) [m] of tools and work objects, or why they cannot be used
+    uses : by each target's name the line of its first motion, and its tool and work object there
     """
 
     def __init__(self, language: Rapid, source: str, parsed: ParsedText, given: Given) -> None:
@@ -110,7 +120,7 @@ class _Module:
                     )
 
     def targets(self) -> list[tuple[Target, str]]:
-        """Each target, and the name by which motions use it, empty for one in a motion."""
+        """Return each target, and the name (or a key of its own) under which `uses` has it."""
         made: list[tuple[int, Target, str]] = []
         for kind, name, value in self.declared:
             if kind in _TARGETS:
@@ -122,27 +132,28 @@ class _Module:
                 key = f"in line {value.meta.line}, {value.meta.column}"
                 self.uses[key] = (value.meta.line, *_tool_of(arguments[-1]))
                 made.append((value.meta.start_pos, self._target(kind, "in the motion", value), key))
-        # Declarations of targets whose value is not a list of numbers.
+        # Declarations of targets whose value is not a list of numbers are skipped with a reason.
         for typed, variable, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
             unread = typed.lower() in _TARGETS and sign.value == ":=" and variable.lower() not in self.known_targets
             if unread:
-                left = Target(variable.line or 0, str(variable), False, (), left="its value is an expression")
+                left = Target(variable.line or 0, str(variable), False, (), skip_reason="its value is an expression")
                 made.append((variable.start_pos or 0, left, ""))
         return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
+        """Return the target of a declared or literal list; kind : its data type."""
         line, joints = value.meta.line, kind == "jointtarget"
         flat = [part.children for part in value.children if isinstance(part, Tree)]
         sizes = [6, 6] if joints else [3, 4, 4, 6]
         if [len(part) for part in flat] != sizes or not all(is_number(token) for part in flat for token in part):
-            return Target(line, name, joints, (), left="is not made of numbers alone")
+            return Target(line, name, joints, (), skip_reason="is not made of numbers alone")
         external = any(float(str(t)) not in (0.0, 9e9) for t in flat[-1])
         if joints:
             return Target(line, name, True, numbers(flat[0], self.given.joint_units(6)), external=external)
         pose = numbers([*flat[0], *flat[1]], self.language.units)
         configuration = whole(flat[2])
         if not configuration:
-            return Target(line, name, False, pose, left="its configuration has a number that is too large")
+            return Target(line, name, False, pose, skip_reason="its configuration has a number that is too large")
         *turns, cfx = configuration
         posture, turn_text = Posture(bool(cfx & 4), bool(cfx & 2), bool(cfx & 1)), numbers(flat[2][:3], [1.0] * 3)
         made = Target(line, name, False, pose, posture, tuple(turns), turn_text, external=external)
@@ -152,6 +163,7 @@ class _Module:
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
 
     def placed(self, target: Target, name: str) -> Target:
+        """Return a target with its tool and base frames, or with a reason to skip it."""
         if name in self.changed:
             target = target.leave(f"line {self.changed[name]} gives it another value")
         _, *named = self.uses.get(name, (0, "", ""))
@@ -166,6 +178,10 @@ class _Module:
         return replace(target, tool=frames[0], base=frames[1], about=f"tool {tool}, base {work}")
 
     def _known(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
+        """Return a named frame (4, 4) [m], why it cannot be used, or None if it is unknown.
+
+        kind : tooldata or wobjdata; given : transforms from outside the program. Raises InputError.
+        """
         by_name = {key.lower(): T for key, T in given.items()}
         if name in by_name:
             return by_name[name]
@@ -181,7 +197,7 @@ class _Module:
         return self.frames[kind, name]
 
     def _frame(self, kind: str, value: Tree[Token]) -> Array | str:
-        """The transform of tool or work object data, or why it cannot be used."""
+        """Return the transform (4, 4) [m] of tool or work object data, or why it cannot be used."""
         first = str(value.children[0]).upper()
         if kind == "tooldata":
             return self._pose(value.children[1]) if first == "TRUE" else "its tool stands still (robhold FALSE)"
@@ -192,6 +208,10 @@ class _Module:
         return self._pose(value.children[3]) @ self._pose(value.children[4])
 
     def _pose(self, value: Tree[Token] | Token) -> Array:
+        """Return the transform (4, 4) [m] of a RAPID pose.
+
+        Raises InputError: numbers are missing.
+        """
         tokens = value.scan_values(lambda t: isinstance(t, Token)) if isinstance(value, Tree) else [value]
         numbers = [float(str(t)) for t in tokens if t.type == "NUMBER"]
         line = value.meta.line if isinstance(value, Tree) else value.line
@@ -201,17 +221,17 @@ class _Module:
 
 
 def _variable(node: Tree[Token]) -> str:
-    """The variable that a declaration or assignment is of, in lower case."""
+    """Return the variable of a declaration or assignment, in lower case."""
     return str(parts(node, "ref")[0].children[0]).lower()
 
 
 def _declared(parsed: ParsedText) -> list[tuple[str, str, Tree[Token]]]:
-    """Type, name and value of each declaration, words in lower case."""
+    """Return type, name and value of each declaration, type and name in lower case."""
     return [(str(d.children[0]).lower(), _variable(d), parts(d, "list")[0]) for d in parsed.all("declaration")]
 
 
 def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
-    """The targets of a declaration: one, or those of an array."""
+    """Return the targets of a declaration with their names: one, or those of an array."""
     inner = [c for c in value.children if isinstance(c, Tree)]
     nested = any(isinstance(c, Tree) and any(isinstance(cc, Tree) for cc in c.children) for c in inner)
     if not nested or len(inner) != len(value.children):
@@ -220,7 +240,7 @@ def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
 
 
 def _tool_of(last: Tree[Token]) -> tuple[str, str]:
-    """Names of tool and work object of a motion: its last argument, and its option WObj."""
+    """Return the names of tool and work object of a motion, from its last argument."""
     tool = next((str(ref.children[0]).lower() for ref in parts(last, "ref")), "")
     options = (option for option in parts(last, "option") if str(option.children[0]).lower() == "wobj")
     works = [_variable(option) for option in options if parts(option, "ref")]
@@ -228,6 +248,6 @@ def _tool_of(last: Tree[Token]) -> tuple[str, str]:
 
 
 def _names(argument: Tree[Token]) -> list[str]:
-    """Variables of an argument, those inside of a call (Offs, RelTool) included, options not."""
+    """Return the variables of an argument, those inside calls (Offs, RelTool) included."""
     own = [str(r.children[0]).lower() for r in parts(argument, "ref")]
     return own + [n for call in parts(argument, "call") for a in parts(call, "argument") for n in _names(a)]

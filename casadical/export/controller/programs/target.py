@@ -1,4 +1,4 @@
-"""Targets of a program: where their numbers stand, what they mean, their tool and base."""
+"""Targets of a robot program: where their numbers stand in the text, units, tool and base."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-DEG, MM = np.pi / 180, 1e-3
+DEG = np.pi / 180  # rad per degree
+MM = 1e-3  # metres per millimetre
 
 
 @dataclass(frozen=True)
 class Number:
-    """A number of the text: its place [characters], its text, and the factor that makes it SI.
+    """A number in a program's text.
 
-    decimals : that it is written with; None: as many as it has, and enough for its unit
+    start, stop : its place [characters]; text : its characters
+    unit : factor that makes it SI
+    decimals : number of decimals with which it is written; None: as many as it has, and enough for
+        its unit
     """
 
     start: int
@@ -28,10 +32,11 @@ class Number:
 
     @property
     def si(self) -> float:
+        """Return the value [SI]."""
         return float(self.text) * self.unit
 
     def written(self, value: float) -> str:
-        """Another value [SI] as text."""
+        """Return another value [SI] as text in this number's unit."""
         _, _, fraction = self.text.lower().partition("e")[0].partition(".")
         finest = {DEG: 6, MM: 4, 1.0: 9}[self.unit]  # below a tenth of a micrometre at the tool
         decimals = max(len(fraction), finest) if self.decimals is None else self.decimals
@@ -39,16 +44,16 @@ class Number:
         return text[1:] if float(text) == 0 and text.startswith("-") else text
 
     def differs(self, text: str) -> bool:
-        """Whether a text means another number."""
+        """Return whether a text stands for another number."""
         return self.text.startswith("'") or text.startswith("'") or float(self.text) != float(text)
 
 
 class Posture(NamedTuple):
-    """Which of the eight arms of a six-axis robot reaches a pose.
+    """Arm configuration: which of the eight solutions of a six-axis robot's inverse kinematics.
 
-    behind : the wrist is behind axis 1; bent_back : it is behind the line from axis 2 through axis
-        3
-    wrist_negative : the reading of joint 5 is negative
+    behind : whether the wrist is behind axis 1
+    bent_back : whether the wrist is behind the line from axis 2 through axis 3
+    wrist_negative : whether the reading of joint 5 is negative
     """
 
     behind: bool
@@ -58,19 +63,22 @@ class Posture(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """One target.
+    """A motion target of a program.
 
-    joints : whether its numbers are joint readings, else a pose in the language's own form
-    posture, turns, turn_text : the arm's configuration and the joints' turns where the program says
-        them, and the number or word that says the turns
-    near : joints [rad] that the pose's solution is to be near to, shape (n,), where the program
-        says them
+    line, name : where it stands and what it is called
+    joints : whether its numbers are joint readings; otherwise they are a pose in the language's own
+        form
+    numbers : its numbers in the text
+    posture, turns, turn_text : arm configuration and joint turns where the program states them, and
+        the number or word that holds the turns
+    near : joints [rad], shape (n,), to which the pose's solution must be near, where the program
+        states them
     tool, base : tool in the flange's frame and base in the controller's root frame, each (4, 4)
-        [m]; None: not known
-    about : names of tool and base; left : why the target stays as it is, empty if it is to be
-        corrected
-    external : whether an external axis is off its zero; accurate : whether it was taught with
-        absolute accuracy on
+        [m]; None: unknown
+    about : names of tool and base
+    skip_reason : why the target remains unchanged; empty if it is to be corrected
+    external : whether an external axis is off its zero
+    accurate : whether it was taught with the controller's absolute accuracy on
     """
 
     line: int
@@ -84,27 +92,28 @@ class Target:
     tool: Array | None = None
     base: Array | None = field(default_factory=lambda: np.eye(4))
     about: str = ""
-    left: str = ""
+    skip_reason: str = ""
     external: bool = False
     accurate: bool = False
 
     @property
     def si(self) -> Array:
+        """Return the values of the numbers [SI]."""
         return np.array([number.si for number in self.numbers])
 
     def leave(self, reason: str) -> Target:
-        """The same target, to be left as it is; the first reason counts."""
-        return self if self.left else replace(self, left=reason)
+        """Return the target, marked to remain unchanged; the first reason counts."""
+        return self if self.skip_reason else replace(self, skip_reason=reason)
 
 
 @dataclass(frozen=True, eq=False)
 class Given:
-    """What a program does not say itself.
+    """Tools, bases and units that come from outside the program.
 
     tools, bases : transforms (4, 4) [m] by the name or number that the program uses; "" for the
         only one
     texts : other files of the program in which tools and bases are looked up, by file name
-    units : rad or m of each joint's reading in the robot file; none: all rad
+    units : rad or m of each joint's reading in the robot file; empty: all rad
     """
 
     tools: dict[str, Array] = field(default_factory=dict)
@@ -113,10 +122,10 @@ class Given:
     units: tuple[str, ...] = ()
 
     def joint_units(self, joints: int) -> tuple[float, ...]:
-        """Degrees, millimetres of a linear axis, each as a factor to SI."""
+        """Return the unit of each joint in a program, degree or millimetre, as a factor to SI."""
         return tuple(MM if unit == "m" else DEG for unit in self.units or ("rad",) * joints)
 
 
 def numbers(tokens: Iterable[Any], units: Iterable[float], decimals: int | None = None) -> tuple[Number, ...]:
-    """Tokens as numbers of these units, each a factor to SI."""
+    """Return tokens as numbers with these units, each a factor to SI."""
     return tuple(Number(t.start_pos, t.end_pos, str(t), unit, decimals) for t, unit in zip(tokens, units, strict=True))

@@ -1,8 +1,8 @@
-"""URScript (.script): joint lists and poses p[...] of motions, `qnear` of get_inverse_kin.
+"""Program language URScript (.script): joint lists and poses p[...] that are motion targets.
 
-A pose is a target where a motion or get_inverse_kin takes it as it is; one that is part of an
-expression (pose_trans, pose_add) is relative to something that only the controller knows, and
-stays.
+A pose is a target where a motion or get_inverse_kin takes it as it is, `qnear` of which is read
+too; one that is part of an expression (pose_trans, pose_add) is relative to something that only the
+controller knows, and stays unchanged.
 """
 
 from collections import Counter
@@ -19,6 +19,7 @@ from casadical.export.controller.programs.grammar import ParsedText, is_number, 
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import DEG, Given, Number, Target, numbers
 
+# Lark grammar of assignments and calls, see `ParsedText`.
 URSCRIPT_GRAMMAR = r"""
 start: assign | call | _other
 assign: NAME "=" _value
@@ -35,6 +36,7 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
+# Motion commands, with their number of targets.
 _MOTIONS = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
 
 
@@ -47,6 +49,10 @@ class UrScript(ProgramLanguage):
     pose = "x, y, z in m and the rotation vector rx, ry, rz in rad"
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
+        """Return the targets of a program, those that must stay unchanged included.
+
+        Raises InputError: the robot has linear joints, or the tool centre point changes.
+        """
         if "m" in given.units:
             raise InputError(f"{source}: URScript has no linear axes; joint {given.units.index('m') + 1} is one")
         program = _Program(source, text, joints)
@@ -59,14 +65,17 @@ class UrScript(ProgramLanguage):
         return [replace(t, tool=tool, base=base, about=about) for t in program.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
+        """Return a movej motion to joints [deg]."""
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
 
     def matrix(self, values: Array) -> Array:
+        """Return the transform (4, 4) [m] of a position [m] and a rotation vector [rad]."""
         from scipy.spatial.transform import Rotation
 
         return frame(Rotation.from_rotvec(values[3:]).as_matrix(), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
+        """Return position [m] and rotation vector [rad] of a transform, nearest to `like`."""
         from scipy.spatial.transform import Rotation
 
         vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
@@ -78,7 +87,12 @@ class UrScript(ProgramLanguage):
 
 @dataclass
 class _Variable:
-    """A variable that is a pose or list of joints: its value, where it is set and used."""
+    """A variable that holds a pose or a list of joints.
+
+    line : where it is first assigned; value : that value; sets : lines of all assignments
+    target : whether a motion takes it; near : `qnear` of its inverse kinematics
+    read : number of places where it is read as a target or as `qnear`
+    """
 
     line: int
     value: Tree[Token]
@@ -89,7 +103,7 @@ class _Variable:
 
 
 class _Program:
-    """Poses and joint lists of a program, and what each is used for."""
+    """Poses and joint lists of a URScript program, and where each is used."""
 
     def __init__(self, source: str, text: str, joints: int) -> None:
         parsed = ParsedText(URSCRIPT_GRAMMAR, text)
@@ -111,6 +125,10 @@ class _Program:
                     self._call(call)
 
     def _call(self, call: Tree[Token]) -> None:
+        """Record the targets or the tool of a call.
+
+        Raises InputError: a tool whose length suggests millimetres.
+        """
         name, arguments = str(call.children[0]), parts(call, "argument")
         if name == "set_tcp" and arguments:
             tool = self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
@@ -130,7 +148,10 @@ class _Program:
                 self._take(argument, None, call)
 
     def _take(self, argument: Tree[Token], near: Tree[Token] | None, call: Tree[Token]) -> None:
-        """An argument that is to be reached."""
+        """Record a call's argument as a target, or with the reason why it cannot be corrected.
+
+        near : `qnear` of its inverse kinematics
+        """
         value = argument.children[-1]
         single = len([c for c in argument.children if c is not None]) == (2 if _keyword(argument) else 1)
         if single and (listed := _listed(value)):
@@ -141,10 +162,12 @@ class _Program:
             variable.near = variable.near if near is None else near
         elif not (single and isinstance(value, Tree) and str(value.children[0]) == "get_inverse_kin"):
             why = "is an expression that only the controller can evaluate"
-            self.made.append((call.meta.start_pos, Target(call.meta.line, str(call.children[0]), False, (), left=why)))
+            self.made.append(
+                (call.meta.start_pos, Target(call.meta.line, str(call.children[0]), False, (), skip_reason=why))
+            )
 
     def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
-        """A pose or list that is written there, or that its variable always has."""
+        """Return the pose or list that an argument is, or its variable always has; else None."""
         value = argument.children[-1]
         if isinstance(value, Token):
             own = self.variables.get(str(value))
@@ -152,6 +175,7 @@ class _Program:
         return _listed(value)
 
     def targets(self) -> list[Target]:
+        """Return the targets in the order of the text."""
         made = list(self.made)
         named = Counter(str(t) for t in self.tokens if t.type == "NAME")
         for name, variable in self.variables.items():
@@ -166,15 +190,17 @@ class _Program:
         return [target for _, target in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
+        """Return the target of a pose or list. Raises InputError: numbers look like other units."""
         line, joints = value.meta.line, value.data == "list"
         read, wanted = _numbers(value), self.joints if joints else 6
         if read is None or len(read) != wanted:
-            return Target(line, name, joints, (), left=f"is not made of {wanted} numbers")
+            return Target(line, name, joints, (), skip_reason=f"is not made of {wanted} numbers")
         made = Target(line, name, joints, read)
         self._refuse_units(made)
         return made if near is None or joints else replace(made, near=_si(near))
 
     def _refuse_units(self, target: Target) -> None:
+        """Check that a target's numbers are plausible in m and rad. Raises InputError."""
         size = np.abs(target.si)
         if not target.joints and size[:3].max() > 20.0:
             raise InputError(
@@ -189,23 +215,24 @@ class _Program:
 
 
 def _keyword(argument: Tree[Token]) -> str:
+    """Return the keyword of an argument, "" if it has none."""
     first = argument.children[0]
     return str(first) if len(argument.children) > 1 and isinstance(first, Token) and first.type == "NAME" else ""
 
 
 def _listed(value: Tree[Token] | Token | None) -> Tree[Token] | None:
-    """A value that is a pose or a list."""
+    """Return a value if it is a pose or a list, else None."""
     return value if isinstance(value, Tree) and value.data in ("pose", "list") else None
 
 
 def _si(value: Tree[Token] | None) -> Array | None:
-    """Six numbers [SI] of a pose or list; None where it is no such."""
+    """Return the six numbers [SI] of a pose or list; None if it is no such."""
     read = None if value is None else _numbers(value)
     return np.array([number.si for number in read]) if read and len(read) == 6 else None
 
 
 def _numbers(value: Tree[Token]) -> tuple[Number, ...] | None:
-    """A pose's or list's numbers, some as d2r(number); None where it has others."""
+    """Return the numbers of a pose or list, d2r(number) in degrees; None if it holds others."""
     read: list[Number] = []
     for part in value.children:
         token, unit = part, 1.0
