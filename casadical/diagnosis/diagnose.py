@@ -19,7 +19,7 @@ from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, scattering
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import FORM_NONE, State, next_cause, search, search_with_forms
+from casadical.diagnosis.search import MAX_P_NOTHING_UNDER_FORM, State, next_cause, search, search_with_forms
 from casadical.effects import Effect
 from casadical.identification.identification import Prepared, base_calibrated, compliance_tried, prepare, prepared_again
 from casadical.identification.plausibility import fault_of_orientations
@@ -146,7 +146,7 @@ class _Question:
             return found
         self.show(f"causes beside the scatter of joint {joint}")
         with_it, _, _ = search(case.with_scatter(joint, NOISY_JOINT_FACTOR), self.seed, 0, self.show)
-        if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > FORM_NONE:
+        if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > MAX_P_NOTHING_UNDER_FORM:
             return found
         plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / NOISY_JOINT_FACTOR))
         plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()

@@ -1,4 +1,4 @@
-"""A case: a campaign, the base model calibrated on it, and what every candidate would do to its residual."""
+"""The case to diagnose: a campaign, its calibrated base model and every candidate's columns."""
 
 from __future__ import annotations
 
@@ -30,28 +30,39 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# A pose is left out at first if its residual is beyond so many spreads (scaled median absolute deviations).
-GROSS = 5.0
-# Of tables of fewer numbers, so many at most, likelihoods are averaged over what their noise may be (of more it is
-# known to 7 %); not of one that is less than this share of all numbers, which tells little.
-UNSURE, MOST_UNSURE, LEAST_OF_ALL = 100, 2, 0.1
+# Residual beyond which a pose is a gross outlier, in robust standard deviations (scaled median
+# absolute deviations).
+GROSS_RESIDUAL_SPREADS = 5.0
+# Likelihoods are averaged over the noise ratio of tables with fewer numbers than this; that of
+# larger ones is known to 7 %.
+MAX_UNSURE_TABLE_NUMBERS = 100
+# At most this many tables are averaged over.
+MAX_UNSURE_TABLES = 2
+# A table with a smaller share of all numbers has too little influence to be averaged over.
+MIN_UNSURE_TABLE_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Everything that the diagnosis computes with.
+    """Data, base model, candidate causes and noise of one diagnosis.
 
-    robot : calibrated base model; m : all poses
-    given, values : the robot that was given, and its parameters that make it the calibrated one
-    candidates : that the logged columns allow; missing : label -> columns that were not logged
-    whole : residuals and columns of all poses; base : the base model's parameters behind it
-    kept : mask of those that are no outliers, shape (n,)
-    free : labels of effects of the given robot that are part of the base model, as uncertain as the effect says
-    prior : what is known from another campaign; units : parameters that are correlated in it, as sums of independent
-        ones of size one, shape (P, P), or None
-    observations : what was measured; assumed : for the user, in sentences
-    form : of the noise, by which causes are judged
-    selected : the problem of the poses that are no outliers, once it was made
+    robot : calibrated base model
+    given : the robot before calibration; values : its parameters after it, shape (P,) [SI]
+    m : all poses, with every logged and derived column
+    candidates : candidate causes whose columns were logged
+    missing : columns that were not logged, by label of the candidate that needs them
+    whole : linear model of all poses; base : the base model's parameters in it
+    kept : mask of the inlier poses, shape (n,)
+    columns : indices of each effect's columns in the linear model
+    observations : residuals and Jacobians of the measurement sets
+    free : labels of effects of the given robot that are free in the base model, with their own
+        priors
+    prior : prior knowledge from another campaign
+    units : parameters correlated by this prior as combinations of independent ones of standard
+        deviation one, shape (P, P), or None
+    assumed : assumptions made for the user, as sentences
+    form : form of noise under which causes are compared
+    selected : cached linear model of the inlier poses, at most one item
     """
 
     robot: Robot
@@ -74,79 +85,91 @@ class Case:
 
     @property
     def one_end(self) -> bool:
-        """Whether each row depends on one pose; a distance between two poses does not."""
+        """Return whether each row depends on one pose only, unlike a distance between two poses."""
         return self.observations.linear.far is None
 
     @property
     def rows(self) -> Array:
-        """Of each kept row of the measured sets the number of its pose among the kept ones, shape (rows,)."""
+        """Return the index of the inlier pose of each inlier row of the sets, shape (rows,)."""
         return self.observations.stops.kept(self.kept)
 
     @cached_property
     def positions(self) -> Array:
-        """Where the measured point was, shape (n, 3) [m]: as measured, else as the base model has it."""
+        """Return the measured (else predicted) points in the measuring frame, shape (n, 3) [m]."""
         if len(self.observations.sets) == 1 and self.m.position is not None:
             return self.m.position
         return predicted(self.robot, self.m)[0]
 
     @property
     def vectors(self) -> Array | None:
-        """Of each kept pose what the base model leaves of its position, shape (kept, 3) [m]; None without positions."""
+        """Return the position residuals of the inlier poses, shape (n_inliers, 3) [m], else None.
+
+        Residuals are None unless the campaign is one set of positions (not with covariances).
+        """
         several = len(self.observations.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
         return None if several else self.evidence.r[:, :3]
 
     @property
     def lengths(self) -> Array:
-        """What of it reports tell, shape (kept, numbers) [m]; no angles."""
+        """Return the length residuals of the inlier poses, shape (n_inliers, numbers) [m].
+
+        Angular residuals are zero; lengths are in their own unit again instead of scaled to equal
+        noise.
+        """
         e = self.evidence
         return e.r if e.size is None else e.r * e.size
 
     @property
     def evidence(self) -> Evidence:
-        """Residuals and columns of the poses that are no outliers."""
+        """Return the linear model of the inlier poses."""
         if not self.selected:
             self.selected.append(self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept)))
         return self.selected[0]
 
     @cached_property
     def progress(self) -> Array:
-        """Of each pose its place in the order of measuring, from 0 to 1, shape (n,)."""
+        """Return the position of each pose in the order of measuring, from 0 to 1, shape (n,)."""
         return derive(self.m, ["progress"])[0].conditions["progress"]
 
     @property
     def order(self) -> Array:
-        """The kept poses in the order of measuring, shape (kept,)."""
+        """Return the indices of the inlier poses in the order of measuring, shape (n_inliers,)."""
         return np.argsort(self.progress[self.kept], kind="stable")
 
     @cached_property
     def judged(self) -> Evidence:
-        """The same as its form of noise moves it: by this causes are judged."""
+        """Return the linear model of the inlier poses prewhitened for the form of noise.
+
+        Causes are compared by its likelihoods.
+        """
         return self.evidence if self.form is WHITE_FORM else prewhitened(self.evidence, self.form, self.order)
 
     def torques(self, m: Measurements) -> Array:
-        """Gravity torque of the base model at each joint at some poses, shape (len(m), joints) [N m]."""
+        """Return the gravity torque of each joint at some poses, shape (len(m), joints) [N m]."""
         w = m.condition_matrix(self.given.conditions, self.given.declared)
         tau = self.given.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, self.values)
         return np.asarray(tau.full().T)
 
     def with_form(self, form: Form) -> Case:
-        """The case with another form of noise."""
+        """Return the case with another form of noise."""
         return replace(self, form=form)._with_evidence(self.evidence)
 
     def with_scatter(self, joint: int, times: float) -> Case:
-        """The case in which a joint (1-based) repeats so many times as badly as it did."""
+        """Return the case with a joint's (1-based) repeatability error multiplied by a factor."""
         own = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, times, 1.0)
         return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * own))
 
     def _with_evidence(self, known: Evidence) -> Case:
-        """The case itself, whose problem without outliers is made already."""
+        """Cache the linear model of the inlier poses, made before, and return the case."""
         self.selected[:] = [known]
         return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
-        """Mean less present values and one sigma of the base model's parameters, shapes (P,) [SI], with a prior.
+        """Return mean, standard deviation and correlated blocks of the base parameters' prior.
 
-        And the covariances of the known effects' parameters that are correlated, each with its places.
+        mean : prior mean minus present value, shape (P,) [SI]; sigma : standard deviation, shape
+            (P,) [SI]
+        The blocks are (indices, covariance) of the prior's effects with correlated parameters.
         """
         mean, sigma = self.base.delta0.copy(), self.base.prior.copy()
         places = {name: k for k, name in enumerate(self.given.parameters.names)}
@@ -160,7 +183,10 @@ class Case:
         return mean, sigma, known
 
     def with_prior(self, prior: Prior, reference: float) -> Case:
-        """The case with what is known from another campaign in its base model; reference : the noise's sigma [m]."""
+        """Return the case with prior knowledge from another campaign in its base model.
+
+        reference : noise standard deviation at which the priors hold [m]
+        """
         mean, sigma, known = self.prior_parts(prior)
         units = np.eye(len(mean))
         for at, matrix in known:
@@ -171,10 +197,10 @@ class Case:
         return replace(self, whole=whole, base=base, prior=prior, units=units)
 
     def with_all_sigmas(self) -> Case:
-        """The case with the widest noise grid.
+        """Return the case with the widest noise grid.
 
-        Where the base model leaves more than the usual grid holds, its priors hold at this noise, and effects are
-        larger in the same proportion.
+        Where the rms residual of the base model exceeds the usual grid, the base priors hold at
+        this noise and the sizes of effects grow in the same proportion.
         """
         left, most = float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)), float(self.whole.sigmas[-1])
         whole = replace(self.whole, sigmas=WIDE_SIGMA_GRID_M)
@@ -187,11 +213,11 @@ class Case:
 
     @property
     def growth(self) -> float:
-        """Of the usual sizes of effects."""
+        """Return the factor on the usual sizes of effects."""
         return self.whole.E.growth if isinstance(self.whole.E, EffectColumns) else 1.0
 
     def screened(self, kept: Array) -> Case:
-        """The case without outliers. Raises InputError where most poses are."""
+        """Return the case with these inliers. Raises InputError if most poses are outliers."""
         if 2 * kept.sum() < len(kept):
             raise InputError(
                 f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
@@ -200,7 +226,7 @@ class Case:
         return self.with_kept(kept)
 
     def with_kept(self, kept: Array) -> Case:
-        """The case with other poses left out."""
+        """Return the case with other inliers; cached sums are updated if few poses change."""
         if np.array_equal(kept, self.kept):
             return self
         more = replace(self, kept=kept)
@@ -209,32 +235,37 @@ class Case:
             more.evidence.moving(self.evidence, lost, gained)
             if self.form.stays:
                 known, judged = self.judged, more.judged
-                judged.moving(known, known.at(_others(self, more)), judged.at(_others(more, self)))
+                judged.moving(known, known.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self)))
         return more
 
     @property
-    def _followed(self) -> Array:
-        """Of each pose in the order of measuring its number, and that of the one before or -1, shape (kept, 2)."""
+    def _successions(self) -> Array:
+        """Return each inlier pose and its predecessor or -1, shape (n_inliers, 2).
+
+        Poses are in the order of measuring.
+        """
         poses = np.flatnonzero(self.kept)[self.order]
         return np.column_stack([poses, np.append(-1, poses[:-1])])
 
     @cached_property
     def variants(self) -> tuple[tuple[int, int], ...]:
-        """(candidate, variant) of every group of columns."""
+        """Return (index of the candidate, index of its variant) of every group of columns."""
         return tuple((c, v) for c, k in enumerate(self.candidates) for v in range(len(k.variants)))
 
     @cached_property
     def groups(self) -> tuple[Array, ...]:
+        """Return the columns of every variant of every candidate, in the order of `variants`."""
         return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
 
     def group(self, effects: Sequence[Effect]) -> Array:
-        """Columns of effects that act together; none of no effects."""
+        """Return the columns of effects that act together, shape (k,); empty for no effects."""
         return np.concatenate([NO_COLUMNS, *(self.columns[e] for e in effects)])
 
     def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
-        """The case with the prior size of an effect's parts learnt, and the effect with these sizes.
+        """Return the case and the effect with learnt prior sizes of the effect's parts.
 
-        factors : on the size of each part; noise : that is left, at which the priors hold from now on
+        factors : factor on the size of each part
+        noise : remaining noise, at which the priors hold from now on
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
@@ -255,12 +286,15 @@ class Case:
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
-        """One unit of these columns' parameters [SI]."""
+        """Return the size that counts as one of these columns' parameters, shape (k,) [SI]."""
         assert isinstance(self.whole.E, EffectColumns)
         return self.whole.E.sizes[columns]
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
-        """The case with further settings of one candidate."""
+        """Return the case with additional variants (settings) of one candidate.
+
+        label : of the candidate; variants : effects of each new variant
+        """
         candidates = tuple(
             replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
         )
@@ -271,7 +305,7 @@ class Case:
         columns = {**self.columns, **column_numbers(effects, self.whole.width)}
         assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
-        # Sizes that were learnt stay.
+        # Learnt sizes are carried over.
         held = (
             E.held if self.whole.cause_prior is None else np.append(self.whole.cause_prior, E.held[self.whole.width :])
         )
@@ -283,10 +317,16 @@ class Case:
         return more
 
 
-def _others(case: Case, beside: Case) -> Array:
-    """Which poses of a case, in the order of measuring, follow another pose than beside, or are not kept there."""
-    known = set(map(tuple, beside._followed.tolist()))
-    return np.array([k for k, pair in enumerate(case._followed.tolist()) if tuple(pair) not in known], dtype=np.int64)
+def _changed_rows(case: Case, beside: Case) -> Array:
+    """Return the inlier poses of a case whose predecessor is another one in the other case.
+
+    Poses that are no inliers of the other case count, too: these rows of the prewhitened models
+    differ. Indices are in the order of measuring.
+    """
+    known = set(map(tuple, beside._successions.tolist()))
+    return np.array(
+        [k for k, pair in enumerate(case._successions.tolist()) if tuple(pair) not in known], dtype=np.int64
+    )
 
 
 def make_case(
@@ -295,9 +335,11 @@ def make_case(
     free: tuple[str, ...] = (),
     ratios: Ratios | None = None,
 ) -> Case:
-    """Residuals and signatures of an identification on its own measurements.
+    """Return the case of an identification on its own measurements.
 
-    free : see `Case`; ratios : of the noise of several sets or of angles, by default as the base fit has them
+    candidates : effects to consider; those whose columns were not logged are listed as missing
+    free : see `Case`
+    ratios : noise of the sets and of their angles, by default as in the base fit
     """
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
@@ -323,27 +365,28 @@ def _problem(
     values: Array,
     free: tuple[str, ...],
 ) -> tuple[Array, Evidence, BaseParameters]:
-    """Which poses are no outliers, the linear problem of all poses, and its base parameters.
+    """Return the mask of poses without gross errors, the linear model and its base parameters.
 
-    The priors hold at the usual noise of a tracker where positions alone were measured, else at the noise that the base
-    model leaves.
+    The priors hold at the usual noise of a laser tracker if only positions were measured, else at
+    the robust standard deviation of the base model's residuals.
     """
     robot, r, numbers = identification.given, seen.r, np.maximum(seen.measured.sum(axis=1), 1)
     delta0 = robot.parameters.values - values
     delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
     left = robust_std(r)
-    # Gross only: an effect that leaves the points in two clouds must not lose one of them as outliers.
-    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS * left)
+    # Only gross outliers are removed: an effect that splits the residuals into two clusters must
+    # not lose one of them.
+    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS_RESIDUAL_SPREADS * left)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
     lengths = [length for length, _ in seen.ratios.sigmas]
-    # In units of the residuals [m]; a set that declares it has this in the ratios, which make its lengths as noisy as
-    # those of the first set.
+    # Declared sigma in units of the residuals [m]; the ratios scale a declaring set's lengths to
+    # the noise of the first set.
     declared = lengths[0] if any(m.sigma for m in seen.sets) else 0.0
     each = zip(seen.sets, lengths, strict=True)
     sheet = 0.0 if declared else min((m.datasheet * lengths[0] / own for m, own in each if m.datasheet), default=0.0)
-    # Repeated poses count for no more degrees of freedom than this: those measured one after the
-    # other share slow errors.
+    # Repeated poses count for at most 60 degrees of freedom, because poses that are measured one
+    # after the other share slow errors.
     whole = Evidence(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
@@ -364,7 +407,11 @@ def _problem(
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:
-    """See `Evidence`: of lengths and angles of each set that declares no sigma of them, where others tell theirs."""
+    """Return the masks of `Evidence.unsure`: small tables without a declared sigma.
+
+    The lengths and the angles of a set are a table each.
+    One table stays out as the reference where no table declares its sigma.
+    """
     masks, declared = [], False
     for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):
         lengths = find_kind(m.kind).lengths
@@ -377,14 +424,14 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
                 masks.append(mask)
     counts = [int(mask.sum()) for mask in masks]
     rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
-    least = LEAST_OF_ALL * int(seen.measured.sum())
-    return tuple(masks[k] for k in rising if least <= counts[k] < UNSURE)[:MOST_UNSURE]
+    least = MIN_UNSURE_TABLE_SHARE * int(seen.measured.sum())
+    return tuple(masks[k] for k in rising if least <= counts[k] < MAX_UNSURE_TABLE_NUMBERS)[:MAX_UNSURE_TABLES]
 
 
 def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
-    """The noise of each set and of its angles as the fit with these causes leaves it; None where it is as assumed.
+    """Return the noise of each set that a fit with causes leaves; None if as assumed.
 
-    columns : of the causes, shape (k,)
+    columns : of the causes, shape (k,); noise : at which the fit is made
     """
     seen = case.observations
     if seen.plain:
@@ -409,35 +456,36 @@ def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     more = Ratios(tuple(sigmas))
     change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), known.of_set(k))])
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
-    # Logarithm by which the ratio of two noises may be off.
+    # Ratios count as assumed if their logarithms change by at most 0.2.
     return more if np.abs(change[counts]).max() > 0.2 else None
 
 
 def widths(effects: Sequence[Effect]) -> Array:
-    """One sigma of every parameter of the effects."""
+    """Return the typical size of every parameter of the effects, shape (parameters,) [SI]."""
     return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 
 def column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
-    """Numbers of every effect's columns, one after the other."""
+    """Return the indices of every effect's columns, consecutive from the index first."""
     edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
     return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
 
 
 def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:
-    """One sigma of every parameter of the base model, shape (P,) [SI]; effects that the robot has are held, but some.
+    """Return the prior standard deviation of every parameter of the base model, shape (P,) [SI].
 
-    free : labels of those that are not
+    Effects that the robot has already are fixed, except free, the labels of those that are not.
     """
     held = {e.label for e in robot.effects} - set(free)
 
     def sigma(p: Parameter) -> float:
         if p.group in held:
-            # One sigma, in sizes, of parameters of effects that the robot has: as good as fixed.
+            # A prior standard deviation of 1e-3 of the parameter's scale is practically fixed.
             return 1e-3 * p.scale
-        # Compliances are known from data sheets to about themselves: a joint 2.5 times softer is no
-        # rarity; a narrower prior makes an effect out of it (with 0.5, three of four false claims
-        # on such a robot in MuJoCo; with 1.0 none).
+        # The prior standard deviation of a data-sheet compliance is the compliance itself: a joint
+        # that is 2.5 times softer is no rarity, and a narrower prior makes an effect out of it
+        # (with 0.5 of the compliance three of four claims were false on such a robot in MuJoCo;
+        # with 1.0 none).
         return p.value if p.group == "compliance" and p.value > 0 else p.prior
 
     return np.array([sigma(p) for p in robot.parameters])

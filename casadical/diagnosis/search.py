@@ -1,4 +1,4 @@
-"""The search for causes: they are added one by one until no further one can be claimed."""
+"""Stepwise search for causes: they are added one by one until no additional one can be claimed."""
 
 from __future__ import annotations
 
@@ -25,14 +25,18 @@ from casadical.diagnosis.structure import lines_of
 from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.measurements import Noise
 
-# An effect of several joints at once is one where so many show it, each by so much log evidence beside the others; the
-# joints that do not are left out.
-SEVERAL, SHOWN = 3, 3.0
-# Times that causes are searched again under another form of noise. Under it something is there if "nothing" is less
-# probable than the second: what such noise is for sure is not known.
-MOST_FORMS, FORM_NONE = 3, 1e-3
+# An effect of several joints at once must be shown by at least this many joints ...
+MIN_JOINTS_AT_ONCE = 3
+# ... each by at least this log evidence [nats] given the others; other joints are left out of it.
+MIN_JOINT_LOG_EVIDENCE = 3.0
+# Number of times that causes are searched again under another form of noise.
+MAX_FORM_SEARCHES = 3
+# Under autocorrelated noise a cause is detected only if "nothing" is less probable than this,
+# because the form of such noise is not known for certain.
+MAX_P_NOTHING_UNDER_FORM = 1e-3
 
-# Why no further cause was taken, or that the last one was.
+# Why the search ended: nothing more is there, candidates cannot be told apart, an unlisted cause is
+# there, or the last cause was claimed.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
 
 
@@ -40,8 +44,9 @@ End = Literal["none", "ambiguous", "unknown", "claimed"]
 class Step:
     """A cause in the model.
 
-    ranking : that it was taken from; labels : itself, then those that this data cannot tell from it
-    effects : itself as effects of the model, settings refined
+    ranking : ranking from which it was taken
+    labels : its own label, then those of causes that the data cannot distinguish from it
+    effects : its effects with refined settings
     """
 
     ranking: Ranking
@@ -51,9 +56,10 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """How far a search has come: the case with its outliers, the causes in the model, the ranking of each round.
+    """State of a search: case with its inliers, causes in the model, ranking of each round.
 
-    doubted : labels of causes that are in the model so that others can be judged beside them, but are not named
+    doubted : labels of causes that are in the model so that others can be judged given them, but
+        that are not named
     """
 
     case: Case
@@ -63,28 +69,33 @@ class State:
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
+        """Return the candidates by label."""
         return {c.label: c for c in self.case.candidates}
 
     def columns(self, steps: Sequence[Step] | None = None) -> Array:
-        """Columns of the causes of some steps, by default of all, shape (k,)."""
+        """Return the columns of the causes of some steps, by default of all, shape (k,)."""
         parts = [self.case.group(s.effects) for s in (self.steps if steps is None else steps)]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
 
     def listed(self, ranking: Ranking) -> list[str]:
-        """Labels of listed effects, the most probable first."""
+        """Return the labels of the listed effects in a ranking, the most probable first."""
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
     def rank(
         self, beside: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None, keep: str = ""
     ) -> Ranking:
-        """Posterior over one more cause beside those of some steps; also : further ones beside them, by label.
+        """Return the posterior over one additional cause given those of some steps.
 
-        keep : label of one that stays although few of its joints show it
+        beside : steps whose causes are in the model; also : additional causes in the model, by
+            label
+        keep : label of an effect of several joints that stays a candidate even if few joints show
+            it
         """
         also = also or {}
         skip = frozenset((*(s.labels[0] for s in beside), *also))
         covers = frozenset[str]().union(*(self.by_label[label].covers for label in skip))
-        alone = {self.by_label[label].name for label in also}  # a set names one joint each, or several at once
+        # A set names an effect at single joints or at several at once, not both.
+        alone = {self.by_label[label].name for label in also}
         covered = frozenset(
             c.label for c in self.case.candidates if c.variants[0][0].name in covers or (c.together and c.name in alone)
         )
@@ -94,7 +105,7 @@ class State:
             *(e.joint for s in beside for e in s.effects),
             *(j for s in beside for e in s.effects for j in e.parts),
         )
-        # A search asks for the same ranking again when it looks at its causes once more.
+        # Rankings are cached: a search needs the same one again when it revisits its causes.
         known: dict[object, Ranking] = self.case.judged.cache.setdefault("rankings", {})
         key = (chosen.tobytes(), skip, covered, not also, joints, keep)
         if key not in known:
@@ -103,7 +114,7 @@ class State:
         return known[key]
 
     def _without_single(self, ranking: Ranking, chosen: Array, keep: str) -> Ranking:
-        """The ranking without effects of several joints that fewer than SEVERAL of them show."""
+        """Return the ranking without effects of several joints that too few joints show."""
         there = 1 - ranking.none
         likely = [self.by_label[k] for k, p in ranking.probability.items() if p > SETTINGS.min_ambiguous * there]
         lost = {
@@ -111,7 +122,8 @@ class State:
             for c in likely
             if c.together
             and c.label != keep
-            and sum(g > SHOWN for g in self._gains(c.variants[ranking.variant[c.label]], chosen)) < SEVERAL
+            and sum(g > MIN_JOINT_LOG_EVIDENCE for g in self._gains(c.variants[ranking.variant[c.label]], chosen))
+            < MIN_JOINTS_AT_ONCE
         }
         if not lost:
             return ranking
@@ -120,7 +132,7 @@ class State:
         return replace(ranking, log_mass=mass).weighed(float(np.log(prior["none"])))
 
     def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
-        """Log evidence that each of some effects adds beside the others and chosen columns."""
+        """Return each effect's log evidence given the other effects and chosen columns."""
         judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
         gains = []
         for own in every:
@@ -134,11 +146,14 @@ class State:
 
     @property
     def log_gain(self) -> float:
-        """Log evidence of its causes, over none."""
+        """Return the log evidence of all causes in the model over none."""
         return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
 
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
-        """Listed causes that explain together what the last ranking gives to no single one, and those in doubt."""
+        """Return the most probable set of additional listed causes, and those of them in doubt.
+
+        A set may explain what the last ranking assigns to no single cause (see `cause_sets`).
+        """
         return most_probable_set(
             self.rankings[-1],
             self._rank_sets,
@@ -148,29 +163,30 @@ class State:
         )
 
     def _rank_sets(self, sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
-        """The same beside each of some sets of further causes."""
+        """Return the ranking given each of some sets of additional causes."""
         effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
         self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
         return [self.rank(self.steps, also) for also in sets]
 
     def ranked(self) -> State:
-        """The state with one more round's ranking."""
+        """Return the state with the ranking of one more round."""
         return replace(self, rankings=(*self.rankings, self.rank(self.steps)))
 
     def refined(self, ranking: Ranking, labels: Sequence[str], beside: Sequence[Step]) -> tuple[Case, Step]:
-        """A cause (the first of the labels) with its settings refined beside others."""
+        """Return case and step of a cause (the first label), its settings refined given others."""
         label = labels[0]
         variant = self.by_label[label].variants[ranking.variant[label]]
         if self.by_label[label].together:
             gains = self._gains(variant, self.columns(beside))
-            variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > SHOWN)
+            variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > MIN_JOINT_LOG_EVIDENCE)
         case, effects = refined(self.case, label, variant, self.columns(beside), ranking.noise[label])
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
-        """The state with a cause of the last ranking in the model, outliers judged again.
+        """Return the state with a cause of the last ranking in the model and outliers updated.
 
-        The same state where no joint shows it: a set may name what its other causes leave nothing of.
+        The state itself is returned where no joint shows the cause: a set may name a cause that its
+        other causes explain completely.
         """
         ranking = self.rankings[-1]
         covers = self.by_label[labels[0]].covers
@@ -181,6 +197,7 @@ class State:
         return replace(self, case=case, steps=(*steps, step))._screened(ranking.noise[labels[0]])
 
     def _screened(self, noise: Noise) -> State:
+        """Return the state with outliers determined anew, with hysteresis in the limit."""
         case = self.case
         _, distance = remainders(case.whole, self.columns(), noise, case.kept)
         limit = np.where(case.kept, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
@@ -190,7 +207,7 @@ class State:
         return replace(self, case=screened)
 
     def revisited(self) -> State:
-        """Each cause compared again with the others in the model; a more probable one replaces it."""
+        """Return the state with each cause replaced if, given the others, another is more probable."""
         state = self
         for k in range(len(self.steps) if len(self.steps) > 1 else 0):
             others = (*state.steps[:k], *state.steps[k + 1 :])
@@ -204,22 +221,26 @@ class State:
 
 
 def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tuple[State, End, float | None]:
-    """The same as `search`, under the form of noise that is most probable beside the causes that are found under it.
+    """Return the result of `search` under the form of noise that is most probable given its causes.
 
-    Noise that follows itself is looked for beside the causes of each search, and these again where it is found, until
-    neither changes; with a noise that follows itself fitted before the causes, it would follow these.
+    Autocorrelated noise is fitted given the causes of each search, and causes are searched again
+    under it, until neither changes. Autocorrelated noise that is fitted before any cause would
+    absorb the causes.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show)
     if not case.observations.plain:
         return state, end, p_nothing
 
-    lines, lone = set[tuple[int, float]](), False  # that were seen so far; whether sets of causes were left for later
+    # Lines (joint, cycles per turn) that were seen so far, and whether sets of causes are still to
+    # be searched.
+    lines, lone = set[tuple[int, float]](), False
 
     def where_noise_follows(beside: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
-        """Causes under the noise that follows itself best beside those of a state; None where it does not, or none.
+        """Return the search under the best autocorrelated noise given the causes of a state.
 
-        least : log evidence that both need, over plain noise without causes
-        first : whether these causes are searched once more, so that sets of them can wait
+        Returns None if the noise is not autocorrelated or no cause is found under it.
+        least : log evidence that noise and causes need together over white noise without causes
+        first : whether the causes will be searched once more, so that sets of them can wait
         """
         follows = better_ar_form(beside.case, beside.columns())
         if not follows:
@@ -229,14 +250,15 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         lines.update(lines_of(beside.case, beside.columns(), noise, form))
         beside.case.judged.forget()
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)
-        there = other.steps and other.rankings[0].none <= FORM_NONE and gain + other.log_gain > least
+        there = other.steps and other.rankings[0].none <= MAX_P_NOTHING_UNDER_FORM and gain + other.log_gain > least
         return (other, other_end) if there else None
 
-    # What has so many parameters follows such noise, too, if that had no turn before.
+    # Effects with many parameters fit autocorrelated noise; so this noise is tried first without
+    # them.
     if any(e.parts for s in state.steps for e in s.effects):
         before, state, end = state, *(where_noise_follows(State(case), state.log_gain, first=True) or (state, end))
         lone = before is not state
-    for _ in range(MOST_FORMS):
+    for _ in range(MAX_FORM_SEARCHES):
         found = where_noise_follows(state)
         if not found:
             break
@@ -247,7 +269,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
 
 
 def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
-    """The case with sines of joints' angles among the settings of their ripple: (joint, cycles a turn) each."""
+    """Return the case with ripple at these (joint, cycles per turn) among its candidates."""
     labels = {c.label for c in case.candidates}
     for joint, cycles in sorted(lines):
         ripple = TransmissionRipple(joint, cycles=cycles)
@@ -257,10 +279,11 @@ def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
 
 
 def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = True) -> tuple[State, End, float | None]:
-    """The last state, why it is the last, and the bootstrap's p-value of "nothing" (None without a bootstrap).
+    """Return the final state, why the search ended, and the bootstrap's p-value of "nothing".
 
-    bootstrap : draws of noise alone, 0 for none; show : called with a line of progress; sets : whether causes that
-        explain only together are looked for
+    bootstrap : number of draws of noise alone; 0 for no bootstrap, whose p-value is then None
+    show : called with a line of progress
+    sets : whether sets of causes that explain the data only together are searched
     """
     state, p_nothing = State(case), None
     end: End = "none"
@@ -271,7 +294,8 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
-        if sets and (end in ("unknown", "ambiguous") or len(labels) > 1):  # several causes at once hide each other
+        # Several simultaneous causes can hide each other.
+        if sets and (end in ("unknown", "ambiguous") or len(labels) > 1):
             show("sets of causes")
             several, doubted = state.most_probable_set()
             state = replace(state, doubted=state.doubted | doubted)
@@ -289,7 +313,10 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
 
 
 def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -> tuple[End, tuple[str, ...]]:
-    """The next cause and those that this data cannot tell from it; or no label, and why not."""
+    """Return "claimed" and the labels of the next cause, or why there is none and no label.
+
+    The labels of a cause include those of causes that the data cannot distinguish from it.
+    """
     if not _detected(state, ranking, p_nothing):
         return "none", ()
     listed = state.listed(ranking)
@@ -299,7 +326,7 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
     if not listed:
         return "unknown", ()
     if there - sum(ranking.probability[k] for k in listed) > 0.5:
-        # On no list, unless it has a few names, a listed one among them.
+        # The cause is unlisted, unless it is one of a few labels, a listed one among them.
         known = ranking.probability[listed[0]] > SETTINGS.min_ambiguous * there
         few = together >= SETTINGS.ambiguous_share * there
         if not known or not few or any(state.by_label[k].name == "unknown" for k in alike):
@@ -312,7 +339,7 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
 
 
 def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
-    """Whether there is a (further) cause, listed or not."""
+    """Return whether there is an (additional) cause, listed or not."""
     if state.steps:
         return ranking.none <= SETTINGS.max_p_nothing_further
     if p_nothing is not None:
@@ -321,7 +348,12 @@ def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
 
 
 def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
-    """The most probable cause alone if it is certain, else with those that share the probability, listed ones first."""
+    """Return the most probable listed cause and those that the data cannot distinguish from it.
+
+    listed : labels of the listed causes, the most probable first; they precede the unlisted ones. A
+        certain
+    cause is returned alone.
+    """
     there = 1 - ranking.none
     if ranking.probability[listed[0]] >= SETTINGS.min_claim * there:
         return (listed[0],)

@@ -12,7 +12,7 @@ from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-MOST_FORMS = 4
+MAX_SMOOTH_FORMS = 4
 
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
@@ -40,7 +40,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
         return label, by_label[label].variants[ranking.variant[label]]
 
     while (
-        len(forms) < MOST_FORMS
+        len(forms) < MAX_SMOOTH_FORMS
         and ranking.none <= SETTINGS.max_p_nothing_further
         and ranking.probability[ranking.order[0]] > 0.5
     ):

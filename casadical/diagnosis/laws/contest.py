@@ -32,7 +32,7 @@ from casadical.diagnosis.noise_forms import (
 )
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.search import MOST_FORMS
+from casadical.diagnosis.search import MAX_FORM_SEARCHES
 from casadical.diagnosis.settings_search import refined
 from casadical.effects.base import CHOSEN
 from casadical.effects.formula_effect import Law
@@ -97,7 +97,7 @@ def beside_its_noise(
     All are compared again where the noise beside the law follows itself by another share, until it does not.
     chosen, causes : columns and labels of what is in the model already
     """
-    for _ in range(MOST_FORMS if case.observations.plain else 0):
+    for _ in range(MAX_FORM_SEARCHES if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
         other = own and better_ar_form(own, np.union1d(chosen, own.group((first.best.law,))))
         if not other:
