@@ -15,7 +15,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
-from casadical.identification.figures import correlated, held_table, parameter_tables
+from casadical.identification.figures import correlated, parameter_tables, unidentifiable_table
 
 # Where a long name may be broken.
 BREAK = "\u200b"
@@ -131,7 +131,7 @@ def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
     )
     yield from figures
     yield from parameter_tables(d.identification, whole=True)
-    yield held_table(d.identification)
+    yield unidentifiable_table(d.identification)
     yield from correlated(d.identification)
 
 

@@ -24,7 +24,7 @@ from casadical.core.telling.plain import WRITTEN, written
 from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
-from casadical.identification.misfit import FURTHER, RHOS, WideFit, wide_fit
+from casadical.identification.misfit import MAX_FITTED_HARMONIC, REPEATABILITY_RATIOS, WideFit, wide_fit
 from casadical.identification.remaining_errors import doubts_of, evaluated
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import clock_faults
@@ -181,7 +181,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
             "--out`, or give the folder of the problem"
         )
     drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
-    wide = doubted(robot, FURTHER)
+    wide = doubted(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
     turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
@@ -275,18 +275,21 @@ def _together(group: Sequence[Estimate]) -> list[Estimate]:
 
 
 def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
-    """Of each turning joint over the noise of a coordinate, the most probable of RHOS by all campaigns [rad/m]."""
+    """Return the most probable repeatability ratio of each revolute joint by all campaigns [rad/m].
+
+    It is one of REPEATABILITY_RATIOS, a joint's repeatability over the noise of a coordinate.
+    """
 
     def log_likelihood(rhos: tuple[float, ...]) -> float:
         return sum(fit.log_likelihood(rhos) for fit in fits)
 
-    best = best_of(((rho,) * fits[0].joints for rho in RHOS), log_likelihood, logs=True)
+    best = best_of(((rho,) * fits[0].joints for rho in REPEATABILITY_RATIOS), log_likelihood, logs=True)
     better = True
     while better:
         better = False
         for j, own in enumerate(best):
-            at = RHOS.index(own)
-            for rho in RHOS[max(0, at - 1) : at] + RHOS[at + 1 : at + 2]:
+            at = REPEATABILITY_RATIOS.index(own)
+            for rho in REPEATABILITY_RATIOS[max(0, at - 1) : at] + REPEATABILITY_RATIOS[at + 1 : at + 2]:
                 other = (*best[:j], rho, *best[j + 1 :])
                 # A joint repeats otherwise than the rest where that makes the campaigns more
                 # probable by so much, as a logarithm.

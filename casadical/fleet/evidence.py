@@ -24,7 +24,7 @@ from casadical.core.linear_gaussian.grid import gain
 from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_inverse
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import first_of_best
-from casadical.identification.misfit import ORDERS
+from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
@@ -88,7 +88,7 @@ class Candidate:
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
     """Those parameters that two campaigns share: without high harmonics, tool and base unless these are the same."""
     gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
-    low = doubted(robot, ORDERS).parameters
+    low = doubted(robot, MAX_COMPARED_HARMONIC).parameters
     return tuple(n for n in names if n in low.names and low[n].group not in gone)
 
 
@@ -138,7 +138,7 @@ def _size(kind: str, p: Parameter) -> float:
 def _joints(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
     for j, joint in enumerate(robot.joints, 1):
         zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
-        curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, ORDERS + 1) for w in "sc"]
+        curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"]
         row = {f"alpha{j - 1}", f"a{j - 1}", f"beta{j - 1}", f"b{j - 1}", f"d{j}", f"theta{j}"} - {zero}
         yield _candidate("joint_zero", j, [zero], chosen)
         yield _candidate("joint_stiffness", j, [f"c{j}"], chosen)

@@ -1,4 +1,4 @@
-"""Position errors of a model against measurements, and the figures that sum them up."""
+"""Position errors of a robot model against measurements, and the statistics that summarise them."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,9 +17,11 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Accuracy(Shown):
-    """Error figures of one set of poses [m]: mean, maximum, standard deviation, root mean square, 95th percentile.
+    """Statistics of the errors of one set of poses [m], over the poses.
 
     n : number of poses
+    mean, max, std, rms, p95 : mean, maximum, sample standard deviation, root mean square, 95th
+        percentile [m]
     """
 
     line: ClassVar[str] = (
@@ -35,7 +37,7 @@ class Accuracy(Shown):
 
 
 def summarise(errors: Array) -> Accuracy:
-    """Figures of errors, shape (n,) [m]; the standard deviation is the sample's (n - 1)."""
+    """Return the statistics of errors, shape (n,) [m]; the standard deviation divides by n - 1."""
     return Accuracy(
         n=len(errors),
         mean=float(errors.mean()),
@@ -47,10 +49,13 @@ def summarise(errors: Array) -> Accuracy:
 
 
 def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
-    """Positions, shape (n, 3) [m], and orientations, shape (n, 3, 3), of the robot as it is.
+    """Return the robot's tool poses at some readings, in the measuring frame, as the model computes
+    them.
+
+    Positions have shape (n, 3) [m], orientations shape (n, 3, 3).
 
     m : poses and their conditions
-    values : instead of its own, by parameter name [SI]
+    values : parameter name -> value [SI], used in place of the robot's own
 
     Examples
     --------
@@ -67,7 +72,9 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
 
 
 def residual_mm(robot: Robot, m: Measurements) -> Array:
-    """Measured less computed positions, shape (n, 3) [mm] (paper, eq. 9).
+    """Return measured minus computed positions, shape (n, 3) [mm], in the measuring frame.
+
+    Source: paper, eq. 9.
 
     m : poses with their observations
     Raises InputError: where the measurements do not say where the point is.
@@ -83,10 +90,11 @@ def residual_mm(robot: Robot, m: Measurements) -> Array:
 
 
 def errors(robot: Robot, m: Measurements) -> Array:
-    """What is left between model and measurement, shape (n,) [m], as its kind says (`MeasurementKind.errors`).
+    """Return the size of the residual at each pose, shape (n,) [m], as defined by the kind.
 
-    Position and pose: the distance between the points. Distances: the absolute difference. Contact: the distance from
-    the mean of all poses at the same point, which is all that can be known of it.
+    Position and pose: the distance between measured and computed point. Distances: the absolute
+    difference. Contact: the distance from the mean of all poses at the same point, the only
+    reference there is. See `MeasurementKind.errors`.
 
     m : poses with their observations
 
@@ -99,5 +107,9 @@ def errors(robot: Robot, m: Measurements) -> Array:
 
 
 def positions_at(robot: Robot, m: Measurements) -> PositionsAt:
-    """Positions of the robot, shape (n, 3) [m], as a function of other readings under the conditions of these poses."""
+    """Return a function from other readings q, shape (n, joints), to the robot's positions there,
+    shape (n, 3) [m].
+
+    The conditions (payload, temperature and others) are those of the poses m.
+    """
     return lambda q: predicted(robot, replace(m, q=q))[0]

@@ -1,4 +1,4 @@
-"""An identification as tables, sentences and figures: departures from nominal, and whether the fit can be trusted."""
+"""Tables, sentences and figures of an identification: parameter departures and fit quality."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,30 +11,34 @@ from casadical.core.basics import Array
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Series, Values
 from casadical.identification.gravity import in_words
-from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identifiability import CONFOUNDED_CONDITION_NUMBER
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Unit of parameters -> name and title of their figure.
-KINDS = {"mm": ("lengths", "Lengths"), "deg": ("angles", "Angles"), "urad/(N m)": ("compliance", "Joint compliance")}
-# More residuals than this are drawn by so many of their quantiles; of readings, so many are drawn.
-MOST_DRAWN = 600
-# Parameters of the pair plot, and the least correlation that is worth one; pairs that are told in words.
-MOST_TOLD = 8
-_RESIDUALS = (
+# Unit of a parameter -> name and title of the figure of all parameters with that unit.
+FIGURE_OF_UNIT = {
+    "mm": ("lengths", "Lengths"),
+    "deg": ("angles", "Angles"),
+    "urad/(N m)": ("compliance", "Joint compliance"),
+}
+# At most this number of residuals (their quantiles) or of readings is drawn, to keep the page small.
+MAX_POINTS_DRAWN = 600
+# At most this number of correlated_words pairs is named in a sentence.
+MAX_PAIRS_NAMED = 8
+_RESIDUALS_CAPTION = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
 )
-_COVERAGE = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
-_PAIRS = (
+_COVERAGE_CAPTION = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
+_PAIRS_CAPTION = (
     "Joint 95 % regions of the most correlated parameters, in standard errors. A thin ellipse (red: above 0.95) means "
     "that the poses determine a combination of both, and neither alone."
 )
 
 
 def identification_figures(result: Identification) -> list[Figure]:
-    """Departures from nominal, and whether the fit can be trusted."""
+    """Return the figures of parameter departures from nominal and of the quality of the fit."""
     return [*parameter_figures(result), *fit_figures(result, {"poses that identified": result.used})]
 
 
@@ -51,7 +55,13 @@ def intervals(
     colours: Sequence[str] = (),
     **more: Any,
 ) -> Figure:
-    """A row for each label: a dot with the interval low .. high; tip : how the tooltip shows the value, as %{x:.2f}."""
+    """Return a figure with a row for each label: a dot at the value with its interval from low to
+    high.
+
+    value, low, high : of each row, in the unit of the axis x
+    notes : text of each row's tooltip; tip : format of the value in the tooltip, such as %{x:.2f}
+    more : further arguments of `Figure`
+    """
     dots = Series(
         "points",
         np.round(value, 5),
@@ -68,21 +78,25 @@ def intervals(
 
 
 def banded(x: Array, low: Array, high: Array, **style: Any) -> Series:
-    """An area between two curves over x, shapes (n,)."""
+    """Return the area between two curves over x as a series; x, low and high have shape (n,)."""
     return Series("area", np.concatenate([x, x[::-1]]), np.concatenate([high, low[::-1]]), **style)
 
 
 def parameter_figures(result: Identification) -> Iterator[Figure]:
-    """Identified value less nominal with its 95 % interval, a figure for each unit; base and tool frames are left out.
+    """Yield a figure for each unit: identified minus nominal values with their 95 % intervals.
 
-    Their departures tell how the robot was set up, and are so much greater that they would hide the others.
+    Base and tool frames are left out: their departures depend on how the robot was set up, and are
+    so much larger that they would hide the others.
     """
     table = result.shown
     table = table[table.status.isin(["identified", "at bound"]) & ~table.group.isin(["base", "tool"])]
-    order = list(KINDS)
-    for unit in sorted(set(table["unit"]), key=lambda unit: (order.index(unit) if unit in KINDS else len(KINDS), unit)):
+    order = list(FIGURE_OF_UNIT)
+    for unit in sorted(
+        set(table["unit"]),
+        key=lambda unit: (order.index(unit) if unit in FIGURE_OF_UNIT else len(FIGURE_OF_UNIT), unit),
+    ):
         rows = table[table["unit"] == unit]
-        name, words = KINDS.get(unit, (unit, f"Parameters in {unit}"))
+        name, words = FIGURE_OF_UNIT.get(unit, (unit, f"Parameters in {unit}"))
         value, low, high = (np.nan_to_num((rows[c] - rows["nominal"]).to_numpy()) for c in ("value", "low", "high"))
         sure = rows["std_error"].notna().to_numpy()
         notes = [
@@ -106,9 +120,10 @@ def parameter_figures(result: Identification) -> Iterator[Figure]:
 def fit_figures(
     result: Identification, sets: Mapping[str, Sequence[Measurements]], residuals: Array | None = None
 ) -> Iterator[Figure]:
-    """Residuals, coverage and, where parameters are correlated, pairs.
+    """Yield the figures of residuals, joint coverage and pairs of correlated parameters.
 
-    sets : poses by what a legend calls them, each in parts of one kind; residuals : in place of the fit's own, [sigma]
+    sets : legend entry -> poses, each in parts of one kind
+    residuals : used in place of the fit's own, any shape [sigma]
     """
     if residuals is None:
         own = np.concatenate([r.ravel() for r in result.problem.residuals(result.solution.v)])
@@ -120,16 +135,16 @@ def fit_figures(
 
 
 def residual_quantiles(residuals: Array) -> Figure:
-    """Sorted residuals in units of their scatter over the quantiles of a normal distribution, with a 95 % band.
+    """Return the normal quantile plot of the residuals, with a 95 % band for normal noise.
 
     residuals : of every coordinate of every used pose, any shape [sigma]
     """
     residuals = np.sort(residuals, axis=None)
     n = len(residuals)
-    k = np.unique(np.linspace(0, n - 1, min(n, MOST_DRAWN)).round().astype(int))
+    k = np.unique(np.linspace(0, n - 1, min(n, MAX_POINTS_DRAWN)).round().astype(int))
     share = (k + 0.5) / n
     expected = ndtri(share)
-    # Standard error of an order statistic, from the density there.
+    # The standard error of an order statistic follows from the normal density at its quantile.
     density = np.exp(-0.5 * expected**2) / np.sqrt(2 * np.pi)
     width = 1.96 * np.sqrt(share * (1 - share) / n) / density
     low, high = (expected - width).round(4), (expected + width).round(4)
@@ -137,17 +152,20 @@ def residual_quantiles(residuals: Array) -> Figure:
     tip = "%{y:.2f} sigma, of noise %{x:.2f}"
     dots = Series("points", expected.round(4), residuals[k].round(4), name="residuals", size=4.5, tip=tip)
     x, y = Axis("expected of noise [sigma]", count=8), Axis("residual [sigma]")
-    return Figure("fit/residuals", "Residuals: are they noise?", [band, dots], x, y, 380, _RESIDUALS)
+    return Figure("fit/residuals", "Residuals: are they noise?", [band, dots], x, y, 380, _RESIDUALS_CAPTION)
 
 
 def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
-    """Readings of each joint within its limits, in % of its range; a set is a line of ticks."""
+    """Return the figure of the readings of each joint within its limits, in % of its range.
+
+    Each set, by its legend entry, is drawn as a line of ticks.
+    """
     lower, upper = robot.limits
     units = [(key.split("_")[1], factor) for key, factor in robot.reading_units.items()]
     series = [Series("bars", [100] * robot.n, list(range(robot.n)), width=0.7, colour="line", opacity=0.4)]
     for k, ((words, parts), colour) in enumerate(zip(sets.items(), ("blue", "orange", "muted", "ink"), strict=False)):
         q = np.concatenate([m.q for m in parts])
-        q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), MOST_DRAWN)).round().astype(int))]
+        q = q[np.unique(np.linspace(0, len(q) - 1, min(len(q), MAX_POINTS_DRAWN)).round().astype(int))]
         places = np.arange(robot.n) + 0.36 * ((k + 0.5) * 2 / len(sets) - 1)
         readings = [f"{v / f:.4g} {unit}" for row in q for v, (unit, f) in zip(row, units, strict=True)]
         series.append(
@@ -167,19 +185,24 @@ def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> 
     rows = [f"q{i} [{unit}]" for i, (unit, _) in enumerate(units, 1)]
     x = Axis("from the lower to the upper limit [%]", (-1, 101), ticks=[0, 25, 50, 75, 100])
     title, height = "Readings of each joint within its limits", 120 + 40 * robot.n
-    return Figure("fit/coverage", title, series, x, rows=rows, height=height, caption=_COVERAGE)
+    return Figure("fit/coverage", title, series, x, rows=rows, height=height, caption=_COVERAGE_CAPTION)
 
 
 def most_correlated(result: Identification) -> tuple[str, ...]:
-    """Parameters of the strongest correlations, the strongest first; () where none is worth a figure."""
-    # Four parameters at most, of pairs that are correlated above 0.5.
+    """Return at most four names of the most correlated parameters, the strongest correlation first.
+
+    Only pairs with an absolute correlation above 0.5 count; () where there is none.
+    """
+    # Four parameters at most, of pairs that are correlated_words above 0.5.
     return tuple(dict.fromkeys(name for a, b, _ in _pairs(result, 0.5) for name in (a, b)))[:4]
 
 
 def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
-    """The joint 95 % region of every two of some parameters, in standard errors from their values.
+    """Return the joint 95 % region of every two of some parameters, in standard errors from their
+    estimates.
 
-    An ellipse that reaches 2.45 standard errors along each axis, so that its shape is the correlation.
+    Each ellipse extends 2.45 standard errors along each axis, so that its shape shows the
+    correlation.
     """
     n = len(names) - 1
     place = [result.names.index(name) for name in names]
@@ -207,27 +230,28 @@ def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
         "Correlated parameters",
         series,
         height=110 + 130 * n,
-        caption=_PAIRS,
+        caption=_PAIRS_CAPTION,
         marks=notes,
         panels=panels,
         shared="xy",
     )
 
 
-NEARLY_CONFOUNDED = (
-    f" A condition number above {CONFOUNDED} means that some parameters are nearly confounded: trust the robot as a "
+_CONFOUNDED_WARNING = (
+    f" A condition number above {CONFOUNDED_CONDITION_NUMBER} means that some parameters are nearly confounded: "
+    "trust the robot as a "
     "whole, by its held-out errors, more than each value. Standard errors and correlations tell which; poses spread "
     "wider (casadical plan) would separate them."
 )
-PLACED = Words(
+_PLACED_NOTE = Words(
     "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in the robot "
     "file",
     "note",
 )
 
 
-def how_sure(result: Identification) -> Words:
-    """Scatter of the residuals, condition and optimality in a sentence."""
+def fit_quality(result: Identification) -> Words:
+    """Return a sentence with residual scatter, condition number and check of the optimum."""
     noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
     condition = result.identifiability.condition
@@ -235,19 +259,23 @@ def how_sure(result: Identification) -> Words:
         noise += " (an upper end: so few poses do not tell it beside the prior; say sigma_mm in problem.toml)"
     return Words(
         f"Residual scatter {noise}; condition number {condition:.0f}; optimum {optimal} by recomputation; "
-        f"{result.degrees_of_freedom} degrees of freedom." + (NEARLY_CONFOUNDED if condition > CONFOUNDED else "")
+        f"{result.degrees_of_freedom} degrees of freedom."
+        + (_CONFOUNDED_WARNING if condition > CONFOUNDED_CONDITION_NUMBER else "")
     )
 
 
 def parameter_tables(result: Identification, whole: bool = False) -> list[Table | Words]:
-    """Nominal, value, standard error and 95 % interval; bold at a bound.
+    """Return the table of nominal value, estimate, standard error and 95 % interval, with notes.
 
-    whole : with the parameters that were held, grey, and folded; else those that were identified alone
+    Parameters at a bound are bold.
+
+    whole : True gives a folded table that has the fixed parameters too, in grey; False the
+        identified ones alone
     """
     strong: set[int] = set()
     faint: set[int] = set()
     rows: list[tuple[str, ...]] = []
-    for r in _parameters(result):
+    for r in _shown_rows(result):
         status = "" if r["status"] == "identified" else "AT BOUND" if r["status"] == "at bound" else r["status"]
         known = status in ("", "AT BOUND")
         if not (known or whole):
@@ -260,25 +288,30 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     columns = ("parameter", "nominal", "value", "std error", "95 % low", "high", "unit")
     title = f"{'All parameters of' if whole else 'Parameters identified by'} {result.method}"
     table = Table(title, columns, rows, frozenset(range(1, 6)), frozenset(strong), frozenset(faint), folded=whole)
-    # Nominal values of base and tool then come from a first placement (see `placement.place_frames`).
+    # Nominal base and tool values then come from a first placement (see `placement.place_frames`).
     placed = result.given.base.unknown == "pose" and any(m.position is not None for m in result.measurements)
     summaries = []
     for effect in (e for e in result.start.effects if e.summary):  # too many parameters to be shown
         text = ", ".join(f"{name} {value} {unit}".rstrip() for name, value, unit in effect.summary)
         summaries.append(Words(f"{effect.label}: {text}; coefficients in the robot file", "note"))
-    return [table, *([PLACED] if placed else []), *_stiffness(result), *summaries]
+    return [table, *([_PLACED_NOTE] if placed else []), *_stiffness_words(result), *summaries]
 
 
-def _parameters(result: Identification) -> list[dict[Any, Any]]:
+def _shown_rows(result: Identification) -> list[dict[Any, Any]]:
+    """Return the shown parameters of the result, a dictionary per row."""
     return result.shown.to_dict("records")
 
 
-def _stiffness(result: Identification) -> list[Words]:
-    """Compliances in the unit that people compare: joint stiffness; where masses are not known, the deflection."""
+def _stiffness_words(result: Identification) -> list[Words]:
+    """Return a sentence with the joint stiffness, the unit that people compare; empty without
+    identified compliance.
+
+    Where the masses are estimates, it gives the deflections under gravity instead.
+    """
     if result.robot.masses == "estimated":
         gives = any(result.start.parameters[name].group == "compliance" for name in result.names)
         return [Words(in_words(result).capitalize())] if gives else []
-    identified = [r for r in _parameters(result) if r["status"] == "identified" and r["group"] == "compliance"]
+    identified = [r for r in _shown_rows(result) if r["status"] == "identified" and r["group"] == "compliance"]
     text = ", ".join(
         f"joint {r['name'][1:]} {stiffness(r['value'], r['std_error'])}" for r in identified if r["value"] > 0
     )
@@ -286,28 +319,35 @@ def _stiffness(result: Identification) -> list[Words]:
 
 
 def stiffness(compliance: float, error: float) -> str:
-    """Stiffness [N m/rad] of a compliance [urad/(N m)], or the least it can be where zero compliance is possible."""
+    """Return the stiffness [N m/rad] of a compliance [urad/(N m)] with its standard error, as text.
+
+    Where zero compliance lies within the 95 % interval, it is a lower bound.
+    """
     if compliance <= 1.96 * error:
         return f"above {1e6 / (compliance + 1.96 * error):.2g} (rigid is possible)"
     return f"{1e6 / compliance:.3g}"
 
 
-def held_table(result: Identification) -> Table | Words:
-    """What could not be identified, and why."""
-    rows = [(r["name"], r["reason"]) for r in _parameters(result) if r["status"] == "not identifiable"]
+def unidentifiable_table(result: Identification) -> Table | Words:
+    """Return the table of the parameters that could not be identified, each with its reason."""
+    rows = [(r["name"], r["reason"]) for r in _shown_rows(result) if r["status"] == "not identifiable"]
     if not rows:
         return Words("Every parameter was identified.")
     return Table("Not identifiable: held at nominal", ("parameter", "why"), rows)
 
 
 def correlated(result: Identification) -> list[Words]:
-    """The strongest of the pairs of estimates that are correlated above 0.95, if there are any."""
+    """Return a sentence with the most correlated pairs of estimates above 0.95; empty if there are
+    none.
+    """
     pairs = _pairs(result, 0.95)
-    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MOST_TOLD])
-    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MOST_TOLD else ""))] if text else []
+    text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MAX_PAIRS_NAMED])
+    return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MAX_PAIRS_NAMED else ""))] if text else []
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:
-    """Correlations of parameters that are shown, the strongest first."""
+    """Return (name, name, correlation) of the shown parameters correlated above a threshold, the
+    strongest first.
+    """
     pairs = result.correlations(above)
     return [*pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)].itertuples(index=False)]

@@ -1,4 +1,7 @@
-"""Statistics of a fit, of an identification problem at its optimum v, shape (size,)."""
+"""Statistics of a fit at its optimum: covariance, residual variance and redundancy.
+
+v, shape (size,), are the scaled variables of the problem (see `least_squares`).
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,11 +16,14 @@ from casadical.identification.solver import bounded_step
 
 
 def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
-    """Of the parameters, shape (p, p) [SI], points marginalised; NaN for those at a bound.
+    """Return the covariance of the parameters, shape (p, p) [SI], with the unknown points
+    marginalised.
 
-    variance : of a residual in units of sigma, one if the sigmas are right
+    Rows and columns of parameters at a bound are NaN. With a robust loss it is the sandwich H^-1
+    (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
 
-    With a robust loss it is the sandwich H^-1 (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
+    v : the optimum, shape (size,); variance : of a residual in units of sigma, one if the sigmas
+        are right
     """
     free = np.flatnonzero(~problem.at_bounds(v))
     inverse = scaled_inverse(problem.gradient(v)[1][np.ix_(free, free)])
@@ -31,10 +37,12 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
-    """Of a residual, in units of sigma: the sum of squares over the degrees of freedom.
+    """Return the variance of a residual in units of sigma: the sum of squares over the degrees of
+    freedom.
 
-    With a robust loss, and unless outliers were trimmed, from the median absolute residuals instead. With what is
-    known from elsewhere at least one: that the prior leaves little is no sign that it or the instrument is better.
+    With a robust loss, and unless outliers were trimmed, it comes from the median absolute
+    residuals instead. With a correlated prior it is at least one: small residuals relative to the
+    prior are no sign that the prior or the instrument is better than stated.
     """
     least = 1.0 if problem.known else 0.0
     freedom = max(1, problem.degrees_of_freedom)
@@ -45,9 +53,13 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
 
 def redundancies(problem: LeastSquares, v: Array) -> Array:
-    """Return the degrees of freedom of each observed number, one less its leverage; they sum to those of the fit."""
+    """Return the redundancy of each observed number, one minus its leverage, shape (residuals,).
+
+    Their sum is the number of degrees of freedom of the fit.
+    """
 
     def computed(v: Array) -> Array:
+        """Return the redundancies at v from the Jacobian, a part of the rows at a time."""
         inverse = scaled_inverse(problem.gradient(v)[1])
         return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in _weighted(problem, v)])
 
@@ -56,21 +68,24 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
 
 
 def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
-    """Some rows of the Jacobian at a time, shape (rows, size), with the weight that the loss gives each."""
+    """Yield (weights of the loss, Jacobian of shape (rows, size)) for some rows at a time."""
     for k, r, J in problem.parts(v):
         yield np.repeat(loss_slope(problem.loss_of(k), r), r.shape[1]), J
 
 
 def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> Array:
-    """Return Gauss-Newton steps inside the bounds from v, each without one group of rows, shape (groups, size).
+    """Return bounded Gauss-Newton steps from v, each without one group of rows.
 
-    groups : number of each row's group in every set, shape (n,). What a group alone tells of stays where it is.
+    The shape is (groups, size). A variable on which the omitted group alone has information keeps
+    its value.
+
+    groups : for every set the number of each row's group, shape (n,)
     """
     count = 1 + max(int(own.max()) for own in groups)
     lost = [(np.zeros(problem.size), np.zeros((problem.size, problem.size))) for _ in range(count)]
     first = [0] * len(problem.sets)
     for k, r, J in problem.parts(v):
-        if k == len(problem.sets):  # known separations belong to no row
+        if k == len(problem.sets):  # known distances between points belong to no row
             continue
         at = np.repeat(groups[k][first[k] : first[k] + len(r)], r.shape[1])
         first[k] += len(r)
@@ -82,7 +97,7 @@ def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> A
     g, H = problem.gradient(v)
     lower, upper = problem.bounds
     near = lower - v, upper - v, problem.at_bounds(v)
-    # Below this share of what is known of a variable, rounding alone is left of it.
+    # Below this share of a variable's information, the difference is only rounding error.
     alone = [np.diag(H - information) > 1e-9 * np.diag(H) for _, information in lost]
     without = zip(lost, alone, strict=True)
     return np.stack([bounded_step(g - of[0], H - of[1], *near, some) for of, some in without])

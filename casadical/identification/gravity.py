@@ -1,4 +1,8 @@
-"""How far gravity deflects the joints of an identified robot, also where masses, and so its stiffness, are unknown."""
+"""Deflections of the joints under gravity from an identification, also where masses are only
+estimates.
+
+With estimated masses the stiffness is not determined, but the product of compliance and torque is.
+"""
 
 from dataclasses import dataclass
 
@@ -11,7 +15,12 @@ from casadical.identification.result import Identification
 
 @dataclass(frozen=True)
 class Deflection:
-    """Of one joint under gravity: its number, by how much it differs between poses, standard error [rad or m]."""
+    """The deflection of one joint under gravity.
+
+    joint : number of the joint, from 1
+    change : its range over the poses, largest minus smallest deflection [rad or m]
+    error : standard error of the change [rad or m]
+    """
 
     joint: int
     change: float
@@ -19,18 +28,19 @@ class Deflection:
 
     @property
     def sure(self) -> bool:
-        """Whether the poses show it with certainty."""
-        # A deflection is named from this many standard errors on; below, what it is at most, with
-        # 95 %.
+        """Whether the poses determine the deflection: it exceeds four standard errors."""
+        # Below this the sentence gives a 95 % upper limit instead.
         return self.change > 4.0 * self.error > 0
 
 
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
-    """Of every joint whose compliance was identified, at the poses of an identification.
+    """Return the deflection of every joint whose compliance was identified, over the poses of an
+    identification.
 
-    What counts is the deflection's course over the poses: a constant one is a joint's zero. Its error follows from the
-    covariance of all that was identified, to first order: masses and compliances, that estimated masses leave open,
-    move it together. Bounds do not count, so that a joint that came out rigid has an error, too.
+    Only the variation over the poses counts: a constant deflection is indistinguishable from a
+    joint's zero. Its standard error follows to first order from the covariance of all identified
+    parameters: masses and compliances, which estimated masses leave open, change it together.
+    Bounds are ignored, so that a joint that came out rigid has an error too.
     """
     robot, problem = found.robot, found.problem
     soft = [i for i in robot.numbers if f"c{i}" in problem.names]
@@ -41,6 +51,7 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
     best, place = robot.parameters.values, robot.parameters.index_of
 
     def courses(values: Array) -> Array:
+        """Return each compliant joint's deflection minus its mean, shape (joints, poses)."""
         tau = robot.model.evaluate(("tau",), q, w, values)[0].reshape(robot.n, len(q))
         bent = np.array([values[place(f"c{i}")] * tau[i - 1] for i in soft])
         return np.asarray(bent - bent.mean(axis=1, keepdims=True))
@@ -55,7 +66,7 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
         slopes[k] = (courses(ends[0]) - courses(ends[1])) / 2
     deflections = []
     for j, i in enumerate(soft):
-        # The course as it is, or of a rigid joint as it would be.
+        # A joint that came out rigid has no deflection: its shape is that of a compliant one.
         course = own[j] if own[j].any() else slopes[problem.names.index(f"c{i}"), j]
         along = slopes[:, j] @ course / max(course @ course, 1e-300)
         deflections.append(Deflection(i, float(np.ptp(own[j])), float(np.sqrt(along @ C @ along) * np.ptp(course))))
@@ -63,7 +74,7 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
 
 
 def as_json(found: Identification) -> list[dict[str, float]]:
-    """Those that are certain as plain data, in mrad."""
+    """Return the deflections that the poses determine as plain data, in mrad."""
     return [
         {"joint": d.joint, "deflection_mrad": round(1e3 * d.change, 5), "std_error_mrad": round(1e3 * d.error, 5)}
         for d in gravity_deflections(found)
@@ -72,7 +83,7 @@ def as_json(found: Identification) -> list[dict[str, float]]:
 
 
 def in_words(found: Identification) -> str:
-    """What is known of deflections where masses are not: empty for a robot with declared masses."""
+    """Return a sentence on the deflections where masses are estimates; empty for declared masses."""
     if found.robot.masses != "estimated" or not (every := gravity_deflections(found)):
         return ""
     why = "the masses are estimates from the reach, so that no stiffness follows"

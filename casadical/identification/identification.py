@@ -1,6 +1,7 @@
-"""Identify a robot's parameters by bounded least squares, from a robot and measurements that are made ready first.
+"""Identification of robot parameters by bounded least squares, and the preparation it needs.
 
-`prepare` is the one way into a question: to be identified or diagnosed.
+`prepare` brings a robot and its measurements into the form from which identifications and diagnoses
+start.
 """
 
 from __future__ import annotations
@@ -33,20 +34,28 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Knowledge, Robot
 
 Method = Literal["KM", "SKCM"]
+# Method of the paper -> the parameter groups that it identifies.
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
-# What of the links' masses is in the model: as the file says; and what nobody knows of them; and all of them.
+# Treatment of the links' masses: "declared" as in the robot file; "unknown" frees the errors of
+# masses that the file does not declare; "free" frees those of declared masses too.
 Masses = Literal["declared", "unknown", "free"]
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared(Shown):
-    """A robot and its measurements, as identifications and diagnoses start from them (see `prepare`).
+    """A robot and its measurements as identifications and diagnoses start from them.
 
-    robot : nominal, with all in its model that measurements and prior ask for; knowledge : of the robot as it was given
-    free : labels of the effects that were added to the base model: masses, sessions
-    prior : of what is known from elsewhere; method : of the paper, None for parameters of one's own
+    robot : nominal, with all effects in its model that measurements and prior require (see
+        `prepare`)
+    sets : the measurements
+    free : labels of the effects that were added to the base model (masses, sessions) and are to be
+        freed
+    prior : of parameters from another campaign
+    knowledge : of the robot as it was given
+    method : of the paper, None for a user's own choice of parameters
     identification : of the base model, where there is one already
-    tried : whether the data carry a compliance that is not declared, where that was tried
+    tried : result of the test for a compliance that the robot file does not declare, where it was
+        made
     """
 
     line: ClassVar[str] = " {{ it.robot.name | repr }} and {{ it.sets | map('length') | sum }} poses"
@@ -62,14 +71,21 @@ class Prepared(Shown):
 
     @cached_property
     def start(self) -> Robot:
-        """The robot with base and tool placed. Raises InputError for what this robot cannot have measured."""
+        """The robot with base and tool frames placed.
+
+        Raises InputError: for measurements that this robot cannot have made.
+        """
         for m in self.sets:
             check_against(self.robot, m)
         return place_sessions(self.robot, self.sets)
 
     @property
     def compliant(self) -> Prepared | None:
-        """The same with compliance of all turning joints in the model; None where the robot file declares some."""
+        """The same with compliance of all revolute joints in the model.
+
+        None where the robot file declares a compliance, no joint is revolute, or an identification
+        exists.
+        """
         if self.identification or not undeclared(self.robot):
             return None
         robot, free = all_compliant(self.robot, self.sets)
@@ -85,10 +101,14 @@ def prepare(
     masses: Masses = "declared",
     tool_turns: bool = False,
 ) -> Prepared:
-    """Make a robot and measurements ready: prior, method, masses that nobody knows, sessions, turn of the tool.
+    """Return a robot and measurements ready for identification, with all that they require.
 
-    prior : the robot from another campaign, or as of `carry_over`; method : of the paper, which knows about masses
-    tool_turns : whether an unknown tool turns freely where orientations were measured
+    That is: the prior's effects, the method's parameters, errors of unknown masses, sessions, and
+    the tool's orientation.
+
+    prior : the robot from another campaign, or a prior as `carry_over` returns it
+    method : of the paper; it determines how masses are treated
+    tool_turns : whether the orientation of an unknown tool is free where orientations were measured
     Raises InputError.
     """
     sets = _sets_of(measurements)
@@ -108,7 +128,9 @@ def prepare(
             free = tuple(e.label for e in robot.effects if isinstance(e, LinkMasses))
     robot, sessions = with_sessions(robot, sets)
     oriented = next((m for m in sets if m.orientation is not None), None)
-    if tool_turns and oriented is not None and robot.tool.unknown != "none":  # turned as first seen, and free to turn
+    if (
+        tool_turns and oriented is not None and robot.tool.unknown != "none"
+    ):  # its orientation starts as measured, and is free
         robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
         turned = frame(place_frames(robot, oriented).tool.T[:3, :3], robot.tool.T[:3, 3])
         robot = replace(robot, tool=replace(robot.tool, T=turned))
@@ -116,6 +138,7 @@ def prepare(
 
 
 def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return the measurements as a tuple of sets. Raises InputError for anything else."""
     sets = (measurements,) if isinstance(measurements, Measurements) else tuple(measurements)
     wrong = [type(m).__name__ for m in sets if not isinstance(m, Measurements)]
     if wrong or not sets:
@@ -127,7 +150,10 @@ def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measu
 
 
 def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """The robot as a method of the paper takes it, and the labels of effects that it adds. Raises InputError."""
+    """Return the robot as a method of the paper models it, and the labels of added effects.
+
+    Raises InputError.
+    """
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
     if method == "KM":  # rigid joints
@@ -136,24 +162,29 @@ def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[
 
 
 def undeclared(robot: Robot) -> bool:
-    """Whether the robot file says of no joint that it gives, and there is one that turns."""
+    """Return whether the robot file declares no compliance though a joint is revolute."""
     return all(j.compliance is None for j in robot.joints) and bool(robot.revolute)
 
 
 def all_compliant(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with compliance at all joints that turn, and labels as of `with_unknown_masses`."""
+    """Return the robot with compliance at all revolute joints, and its added effects' labels.
+
+    The labels are as of `with_unknown_masses`.
+    """
     joints = (replace(j, compliance=0.0 if j.kind == "revolute" else None) for j in robot.joints)
     return with_unknown_masses(replace(robot, joints=tuple(joints)), sets)
 
 
 def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with all that is unknown of its masses in the model, and the labels of the effects to be free.
+    """Return the robot with errors of its estimated masses in the model, and their labels.
 
-    As it is, and no labels, where its masses are declared, no joint gives, or an earlier fit has found them.
-    Compliances are fitted to the torques of estimated masses (`parts.with_estimated_masses`), and what the estimates
-    may be off by is fitted with them: mass and mass centre of every link, of a logged payload its mass centre. Gravity
-    then deflects each joint as it does (see `gravity`), while its stiffness stays unknown: twice the masses at
-    twice the stiffness is the same robot.
+    The labels are those of the effects to free. The robot is unchanged, and there are no labels,
+    where its masses are declared, no joint is compliant, or an earlier fit has found them.
+    Compliances are fitted to the torques of estimated masses (`parts.with_estimated_masses`), and
+    the errors of these estimates are fitted with them: mass and mass centre of every link, and the
+    mass centre of a logged payload. The deflection of each joint under gravity is then determined
+    (see `gravity`), while its stiffness is not: twice the masses at twice the stiffness give the
+    same deflections.
     """
     if all(j.compliance is None for j in robot.joints):
         return robot, ()
@@ -170,7 +201,11 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
 
 
 def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> Prepared:
-    """What an identification started from; or with other measurements of its robot, which are still to be fitted."""
+    """Return what an identification started from, or the same for other measurements of its robot.
+
+    sets : other measurements, still to be fitted; without any, the identification itself is part of
+        what is returned
+    """
     freed = {found.given.parameters[name].group for name in found.names}
     unknown = [e.label for e in found.given.effects if isinstance(e, (LinkMasses, PayloadError))]
     free = tuple(label for label in unknown if label in freed and found.given.masses == "estimated")
@@ -180,8 +215,8 @@ def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> 
     return replace(prepared, free=(*free, *prepared.free))
 
 
-# Of a set with more poses, so many are enough to see it.
-MOST_TRIED = 1_000
+# The test for undeclared compliance uses at most this number of poses of each set, to save time.
+MAX_POSES_TRIED = 1_000
 
 
 def identify(
@@ -200,23 +235,28 @@ def identify(
 
     robot : nominal model
     measurements : one set, or several of different kinds, each with its own sigma
-    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic, placement), name or pattern
-    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the robot file declares
-        none, if the measurements carry it), instead of `free`
-    loss : the robust ones, huber and soft_l1, leave poses that noise explains once in 100 000 out of a last solve; auto
-        is huber where that finds such poses, else linear, as in the command `calibrate`
-    priors : whether departures from nominal are held back by the robot's prior widths; or name -> (mean, one sigma)
-        [SI] of parameters with another prior, the others' being the robot's own
-    prior : the same robot from another campaign, whose effects are put into the model and freed, with their values and
-        covariance as a prior, and all other parameters held back by the robot's own priors; or as of `carry_over`
-    screen : whether a robust loss leaves far poses out of further solves, or only gives them less weight
+    free : parameters by group (base, geometry, loop, tool, compliance), union (kinematic,
+        placement), name or pattern
+    method : the paper's KM (kinematics only, joints rigid) or SKCM (with compliance, also where the
+        robot file declares none, if the measurements support it), instead of `free`
+    loss : linear, or a robust loss, huber or soft_l1, with which poses beyond what noise reaches
+        once in 100 000 are left out of a last solve; auto is huber where that finds such poses,
+        else linear, as in the command `calibrate`
+    priors : whether the robot's own prior widths constrain departures from nominal; or name ->
+        (mean, one sigma) [SI] of parameters with another prior, the others having the robot's own
+    prior : the same robot from another campaign, whose effects are put into the model and freed,
+        with their values and covariance as a prior, while the robot's own priors constrain all
+        other parameters; or as of `carry_over`
+    screen : True leaves outliers out of further solves, with a robust loss; False only gives them
+        less weight
     progress : called with iteration number and cost
     Raises InputError: where the measurements do not fit the robot.
     Raises ConvergenceError: where Ipopt finds no optimum.
 
     References
     ----------
-    paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter 8.
+    paper, section 3; Hollerbach, Khalil and Gautier, Springer Handbook of Robotics (2016), chapter
+    8.
 
     Examples
     --------
@@ -246,7 +286,7 @@ def identify(
 def judged(
     prepared: Prepared, outliers: tuple[tuple[int, int], ...], loss: AnyLoss = "auto", **options: Any
 ) -> Identification:
-    """Identify without rows that another model, which explains more, calls outliers.
+    """Identify without the poses that a more complete model found to be outliers.
 
     outliers : (set, pose) indices; options : of `calibrated`
     """
@@ -258,20 +298,23 @@ def judged(
 
 
 def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Prepared:
-    """The same, with compliance in the model where the robot file declares none and the measurements carry it.
+    """Return the same, with undeclared compliance in the model if the measurements support it.
 
-    They do where it leaves visibly less, BIC prefers the compliant model (Schwarz 1978), with the degrees of freedom
-    of the rigid one in the place of the numbers, and so much less is left by chance (F-test) with a probability below
-    1e-3, which few numbers need; the parameters are counted that the data determine, and both models are held back
-    by the robot's priors. Outliers are those of the compliant model: what a rigid one leaves of a robot that sags is
-    no wrong row. Of more than MOST_TRIED poses of a set, as many are drawn by chance.
+    They do where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
+    compliant model (Schwarz 1978; the degrees of freedom of the rigid model replace the number of
+    data), and an F-test gives such a reduction by chance a probability below 1e-3, which few data
+    require. Only parameters that the data determine are counted, and the robot's priors constrain
+    both models. Outliers are those of the compliant model: the residuals of a rigid model of a
+    compliant robot are no gross errors. At most MAX_POSES_TRIED poses of a set, drawn at random,
+    are used.
     """
     wider = prepared.compliant
     if wider is None:
         return prepared
     rng = np.random.default_rng(0)
     sets = tuple(
-        m if len(m) <= MOST_TRIED else m[np.sort(rng.choice(len(m), MOST_TRIED, replace=False))] for m in prepared.sets
+        m if len(m) <= MAX_POSES_TRIED else m[np.sort(rng.choice(len(m), MAX_POSES_TRIED, replace=False))]
+        for m in prepared.sets
     )
     by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)
     try:
@@ -287,8 +330,7 @@ def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Pr
         freedom.append(max(float(redundancies(problem, v).sum()), 1.0))
     more, ratio = max(freedom[0] - freedom[1], 1.0), max(squares[0], 1e-300) / max(squares[1], 1e-300)
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
-    # A compliance is visible where less than this share of the scatter is left with it, and so much
-    # by chance so rarely.
+    # BIC in terms of the logarithm of the ratio of both sums of squares, and the F-test.
     carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < 1e-3
     left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
@@ -306,7 +348,9 @@ def calibrated(
     weighed: bool = False,
     progress: Progress | None = None,
 ) -> Identification:
-    """Identify what was prepared; arguments as of `identify`, a method brings its own parameters.
+    """Identify the parameters of a prepared problem; arguments as of `identify`.
+
+    A method brings its own parameters in place of `free`.
 
     weighed : see `LeastSquares`
     Raises InputError, ConvergenceError.
@@ -352,9 +396,10 @@ def calibrated(
 
 
 def base_calibrated(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
-    """As a diagnosis starts: gross errors have little weight, but stay, and priors hold back what nobody measured.
+    """Identify the base model from which a diagnosis starts.
 
-    A foot that stands aslant loads the joints as a cause might: its turns are sought even where no reading shows them.
+    Gross errors have little weight but stay, and the robot's own priors apply. A tilted pedestal
+    loads the joints as a cause might: its tilt is sought even where no reading at rest shows it.
     Raises InputError, ConvergenceError.
     """
     return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True)

@@ -1,6 +1,7 @@
-"""What a joint log with torques tells of an arm's bodies, and where it contradicts the arm's model.
+"""Inertial parameters from a joint log with torques: which ones it determines, and contradictions.
 
-Dependent columns of the regressor along the logged motion are found as those of a pose model are (`identifiability`).
+Contradictions are those between the log and the arm's model. Dependent columns of the torque
+regressor along the logged motion are found as those of a pose model are (`identifiability`).
 """
 
 from collections.abc import Iterator
@@ -17,13 +18,18 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-# Torques so many times smaller than the model's stand at the motor's side.
-GEARED = 8.0
+# Logged torques that differ from the model's by more than this factor are probably those of the
+# motors, before the gears, or in another unit.
+MAX_TORQUE_RATIO = 8.0
 
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """Of a log with its torques, shape (N, joints) each: q, v, a [rad or m, per s, per s^2], tau [N m, N or A]."""
+    """Joint states of a log with their torques, shape (N, joints) each.
+
+    q, v, a : positions, velocities and accelerations [rad or m, per s, per s^2]
+    tau : torques [N m or N] or motor currents [A]
+    """
 
     q: Array
     v: Array
@@ -31,25 +37,30 @@ class States:
     tau: Array
 
     def turned(self, joint: int, *, torque_alone: bool = False) -> "States":
-        """With joint and torque, or the torque alone, counted the other way."""
+        """Return the states with the sign of one joint's motion and torque, or its torque alone,
+        reversed.
+        """
         sign = np.where(np.arange(self.q.shape[1]) == joint, -1.0, 1.0)
         q, v, a = (each if torque_alone else sign * each for each in (self.q, self.v, self.a))
         return States(q, v, a, sign * self.tau)
 
     def swapped(self, first: int, second: int) -> "States":
-        """With the columns of two joints exchanged."""
+        """Return the states with the columns of two joints exchanged."""
         order = np.arange(self.q.shape[1])
         order[[first, second]] = second, first
         return States(*(each[:, order] for each in (self.q, self.v, self.a, self.tau)))
 
 
 def states_of(log: JointLog) -> States | None:
-    """States in the middle of windows of a log, with the mean torque in each; None without a signed torque."""
+    """Return at most about 500 states of a log, each with the mean torque of its window.
+
+    None without signed torques or currents, or with too few states. States are those at the middle
+    of windows, by the least squares parabola through the positions.
+    """
     torque = log.torque if log.torque is not None else None if log.current_unsigned else log.current
     if torque is None:
         return None
-    # Speeds and accelerations are those of parabolas over this time [s]; so many states at most are
-    # looked at.
+    # Positions, speeds and accelerations are those of parabolas fitted over windows of 0.15 s.
     half = max(2, round(0.15 / max(log.step, 1e-9) / 2))
     t = np.arange(-half, half + 1) * log.step
     fit = np.linalg.pinv(np.vander(t, 3, increasing=True)) * np.array([[1.0], [1.0], [2.0]])
@@ -68,10 +79,10 @@ def states_of(log: JointLog) -> States | None:
 
 
 def determined(robot: Robot, log: JointLog) -> Identifiability | None:
-    """Which inertial parameters (names of `Dynamics`) the motion in a log determines; None without a signed torque.
+    """Return which inertial parameters (names of `Dynamics`) the motion in a log determines.
 
-    Beside an offset, Coulomb and viscous friction of each joint, which every drive has; preferred are those of the
-    last links, and masses before moments.
+    None without a signed torque. Each joint also has an offset, Coulomb and viscous friction, as
+    every drive does. The parameters of the last links are preferred, and masses to moments.
     """
     states = states_of(log)
     if states is None:
@@ -80,7 +91,7 @@ def determined(robot: Robot, log: JointLog) -> Identifiability | None:
     Y = dynamics.regressor(states.q, states.v, states.a)
     friction = np.zeros((*states.q.shape, 3 * n))
     for k in range(n):
-        friction[:, k, 3 * k : 3 * k + 3] = _friction(states.v[:, k])
+        friction[:, k, 3 * k : 3 * k + 3] = _friction_columns(states.v[:, k])
     unit = np.linalg.norm(Y, axis=(0, 2)).clip(1e-9)[None, :, None]
     order = [*sorted(range(10 * n), key=lambda k: (-(k // 10), k % 10)), *range(10 * n, 11 * n)]
     felt = np.linalg.norm(friction, axis=(0, 1)) > 1e-6  # a joint at rest has no friction of motion
@@ -89,20 +100,21 @@ def determined(robot: Robot, log: JointLog) -> Identifiability | None:
     return analyse(J.reshape(-1, J.shape[2]), names, int(felt.sum()), {}, "loads the joints")
 
 
-def _friction(v: Array) -> Array:
-    # Coulomb friction turns its sign over such a speed [rad/s or m/s].
+def _friction_columns(v: Array) -> Array:
+    """Return the regressors of offset, Coulomb and viscous friction at velocities v, shape (N, 3)."""
+    # Coulomb friction changes its sign smoothly over 0.01 rad/s or m/s.
     return np.column_stack([np.ones(len(v)), np.tanh(v / 0.01), v])
 
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
-    """Sentences: what a robot file does not say that the log would need, and joints in another order or sign."""
+    """Return sentences on what the model lacks for a log, and on joints in another order or sign."""
     states = None if without_masses(robot) else states_of(log)
-    ends = () if states is None else (*_side(robot, log, states), *_order(robot, log, states))
-    return (*_missing(robot, log), *ends)
+    ends = () if states is None else (*_torque_scale_faults(robot, log, states), *_column_faults(robot, log, states))
+    return (*_missing_data(robot, log), *ends)
 
 
-def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
-    """What is not known of arm and drives, with what is told all the same."""
+def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
+    """Yield a sentence for each datum of arm or drives that the log would need and that is unknown."""
     signed = log.torque is not None or (log.current is not None and not log.current_unsigned)
     if without_masses(robot) or robot.masses == "estimated":
         yield (
@@ -126,15 +138,15 @@ def _missing(robot: Robot, log: JointLog) -> Iterator[str]:
             )
 
 
-def _side(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Torques that are so much smaller than the model's as a gear makes them, or so much greater."""
+def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
+    """Yield a sentence where torques differ from the model's by a factor as that of a gear."""
     if log.torque is None:
         return
     model = Dynamics(robot).torque(states.q, states.v, states.a)
     sizes = [np.abs(each).mean(axis=0) for each in (model, states.tau)]
     strong = (sizes[0] > 0.2 * sizes[0].max()) & (sizes[1] > 0)
     ratio = float(np.median(sizes[0][strong] / sizes[1][strong])) if strong.any() else 1.0
-    if not 1 / GEARED < ratio < GEARED:
+    if not 1 / MAX_TORQUE_RATIO < ratio < MAX_TORQUE_RATIO:
         yield (
             f"torques are {1 / ratio:.2g} times the model's: at the motor's side of the gears, or in another unit, and "
             "no ratio is known; friction and its causes are told in the log's own unit, payload and masses are not. "
@@ -142,31 +154,31 @@ def _side(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
         )
 
 
-def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """A joint that counts the other way than the model, or two that stand in each other's place, by the torques."""
+def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
+    """Yield a sentence for a joint with the opposite sign, or two exchanged joints, by the torques."""
     dynamics, n, names = Dynamics(robot), robot.n, log.joints
     against = "the torque or current of {} counts against its angle"
-    plain = _left(dynamics, states)
+    plain = _unexplained_shares(dynamics, states)
     tries = {f"{names[k]} counts the other way than the model, torque included": states.turned(k) for k in range(n)}
     tries |= {against.format(names[k]): states.turned(k, torque_alone=True) for k in range(n)}
     tries |= {
         f"{names[i]} and {names[k]} stand in each other's columns": states.swapped(i, k)
         for i, k in combinations(range(n), 2)
     }
-    left = {words: _left(dynamics, other) for words, other in tries.items()}
+    left = {words: _unexplained_shares(dynamics, other) for words, other in tries.items()}
     words, rest = best_of(left.items(), lambda each: float(np.log(plain / each[1]).sum()))
-    # Joints in another order or sign must lower the sum of logarithms of the shares of torque that
-    # are left by this much: true models gained at most .37 in 40 logs. Friction that drives must be
-    # so great a share of a joint's torque.
+    # Another order or sign must lower the sum of the logarithms of the unexplained shares of torque
+    # by 0.8: correct models gained at most 0.37 in 40 logs.
     if np.log(plain / rest).sum() > 0.8:
         k = int(np.argmax(plain / rest))
         yield (
             f"{words}: so the model explains {100 * (1 - rest[k]):.0f} % of the torque of {names[k]} beside friction, "
             f"as it stands {100 * (1 - plain[k]):.0f} %. Turn the sign or the order of columns (or of the model's axes)"
         )
+    # Friction that drives a joint is reported from 20 % of the variance of its torque.
     model = dynamics.torque(states.q, states.v, states.a)
     for k, name in enumerate(names):
-        share = _driving(states.v[:, k], states.tau[:, k], model[:, k])
+        share = _driving_friction_share(states.v[:, k], states.tau[:, k], model[:, k])
         if share > 0.2 and words != against.format(name):
             yield (
                 f"{against.format(name)}: its friction would drive it ({100 * share:.0f} % of what it moves by). Turn "
@@ -174,21 +186,27 @@ def _order(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
             )
 
 
-def _driving(v: Array, tau: Array, model: Array) -> float:
-    """Share of a joint's torque that goes with its speed and its sign where that is against friction, else 0."""
-    A = np.column_stack([_friction(v), model])
+def _driving_friction_share(v: Array, tau: Array, model: Array) -> float:
+    """Return the share of a joint's torque variance that is friction driving the joint; else 0.
+
+    Friction that delivers power contradicts physics: the sign of torque or speed is wrong.
+    """
+    A = np.column_stack([_friction_columns(v), model])
     x = np.linalg.lstsq(A / (size := np.linalg.norm(A, axis=0).clip(1e-12)), tau, rcond=None)[0] / size
     friction = A[:, 1:3] @ x[1:3]
     varying = float(np.var(tau))
     return float(np.var(friction)) / varying if varying > 0 and float(friction @ v) < 0 else 0.0
 
 
-def _left(dynamics: Dynamics, states: States) -> Array:
-    """Share of each joint's torque, beside friction, that the model's torque (times a positive factor) leaves, (n,)."""
+def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:
+    """Return the share of each joint's torque that friction and the model leave, shape (joints,).
+
+    The model's torque is scaled by the best positive factor.
+    """
     model = dynamics.torque(states.q, states.v, states.a)
     shares = np.ones(states.q.shape[1])
     for k in range(len(shares)):
-        friction = np.linalg.qr(_friction(states.v[:, k]))[0]
+        friction = np.linalg.qr(_friction_columns(states.v[:, k]))[0]
         seen, wanted = (x - friction @ (friction.T @ x) for x in (states.tau[:, k], model[:, k]))
         both, size = float(seen @ wanted), float(seen @ seen) * float(wanted @ wanted)
         if both > 0 and size > 0:

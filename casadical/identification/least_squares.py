@@ -1,8 +1,9 @@
-"""The identification problem: sets of measurements, chosen parameters, unknown points; and its solve.
+"""The identification problem: measurements, free parameters and unknown points, and its solution.
 
-Variables are v = (x, u): departures of the chosen parameters from nominal in units of their scale, then three
-coordinates [mm] per unknown point. The cost is half the sum of squared residuals in units of sigma (through the robust
-loss), of known separations between points, and of priors where they are asked for.
+Variables are v = (x, u): departures x of the free parameters from nominal in units of their scale,
+then three coordinates u [mm] per unknown point, relative to the start. The cost is half the sum of
+squared residuals in units of sigma (through the robust loss), of known distances between points,
+and of the priors that apply.
 """
 
 from __future__ import annotations
@@ -25,30 +26,44 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Taken where no sigma is given, until it is estimated from the residuals.
-SIGMA_GUESS, SIGMA_ANGLE_GUESS = 1e-4, 1e-4
-# The same where a search creeps, for what priors hold is much: guesses, along their common scale, and what another
-# campaign has told; a tenth of a standard error.
-SETTLED = 5e-3
-# Of more parameters than this, held back by priors, not all are tested for independence, and a solve starts where so
-# many steps at most lead.
-WIDE, APPROACH = 200, 8
+# Initial standard deviation of a coordinate [m] where none is given, until residuals estimate it.
+INITIAL_SIGMA_M = 1e-4
+# The same of an angle [rad].
+INITIAL_SIGMA_ANGLE_RAD = 1e-4
+# Gain of one more step [cost, half of chi-squared] below which a slow search has converged: a tenth
+# of a standard error. A search is slow along what only priors determine, such as the common scale of
+# estimated masses and compliances, or parameters with a prior from another campaign.
+SETTLED_COST_GAIN = 5e-3
+# Above this number of parameters with priors, those of effects are not tested for independence, and
+# a solve starts with Gauss-Newton steps.
+MANY_PARAMETERS = 200
+# Maximum number of these first steps.
+MAX_APPROACH_STEPS = 8
 # Groups of parameters that belong to a campaign, not to the robot.
-FRAMES = ("base", "tool")
+FRAME_GROUPS = ("base", "tool")
 
+# Index of the set, residuals of some of its poses, shape (n, m), and their Jacobian, (n m, size).
 _Part = tuple[int, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
 class LeastSquares:
-    """One identification problem; see the module's text.
+    """One identification problem; the module's docstring defines its variables and cost.
 
-    names : parameters that are variables; sigmas : of one coordinate [m] and angle [rad], for each set
-    known : correlated priors: names and their covariance [SI]; their means are those of `priors`
-    priors : whether the robot's own priors hold the variables back, or name -> (mean, one sigma) [SI] of other priors
+    robot : nominal; sets : measurements
+    names : parameters that are variables
+    loss : robust loss of the residuals
+    priors : whether the robot's own priors constrain the variables, or name -> (mean, one sigma)
+        [SI] of other priors
+    sigmas : standard deviations of one coordinate [m] and one angle [rad], for each set
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
-    weighed : whether turns of a foot with nothing at rest about it are sought, which the weight of the links shows
-    most_kept : numbers of a Jacobian or of residuals that are kept from one question to the next; poses whose data are
+    weighed : whether the tilt of a pedestal is sought that nothing at rest shows, but the weight of
+        the links does
+    known : correlated priors, each as names and their covariance [SI]; their means are those of
+        `priors`
+    most_kept : maximum number of values of a Jacobian or of residuals, and of poses' data, that are
+        cached
+    kept : cache of what was computed
     """
 
     robot: Robot
@@ -65,22 +80,25 @@ class LeastSquares:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of all unknown points."""
+        """Names of all unknown points, as "set number/point name"."""
         return self.kept.once("labels", self._labels)
 
     def _labels(self) -> tuple[str, ...]:
+        """Return the names of all unknown points."""
         return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
 
     def pose_labels(self, k: int) -> list[str]:
+        """Return the name of each pose's unknown point in set k; empty if the kind has none."""
         m = self.sets[k]
         return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
     @property
     def points(self) -> Array:
-        """Start of every unknown point, shape (K, 3) [m]."""
+        """Initial position of every unknown point in the measuring frame, shape (K, 3) [m]."""
         return self.kept.once("points", self._points)
 
     def _points(self) -> Array:
+        """Return the initial position of every unknown point, from the robot's positions."""
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
             if labels := self.pose_labels(k):
@@ -90,9 +108,11 @@ class LeastSquares:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
+        """The sets of measurements, ready to be evaluated."""
         return self.kept.once("blocks", self._blocks)
 
     def _blocks(self) -> tuple[Block, ...]:
+        """Return a block for each set of measurements."""
         index = {name: k for k, name in enumerate(self.labels)}
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
@@ -103,48 +123,51 @@ class LeastSquares:
 
     @property
     def size(self) -> int:
+        """Number of variables: parameters, and three coordinates per unknown point."""
         return len(self.names) + 3 * len(self.labels)
 
     @cached_property
     def residual_count(self) -> int:
+        """Number of residuals of all sets."""
         return sum(m.residuals for m in self.sets)
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Numbers that were measured or known before, less variables."""
+        """Number of residuals and of informative priors, minus the number of variables."""
         return self.residual_count - self.size + int(np.count_nonzero(np.diag(self.prior_matrix)[self._informed]))
 
     @cached_property
     def _informed(self) -> Array:
-        """Mask of the variables whose priors tell something, shape (size,).
+        """Mask of the variables whose priors are information, shape (size,).
 
-        The own priors of base and tool say where to look, not where they are: they count as nothing known.
+        The robot's own priors of base and tool only limit the search: they do not count.
         """
         known_before = {*self.given, *(n for names, _ in self.known for n in names)}
-        own = [p.group not in FRAMES or p.name in known_before for p in self._own]
+        own = [p.group not in FRAME_GROUPS or p.name in known_before for p in self._own]
         return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
 
     @property
     def given(self) -> Mapping[str, tuple[float, float]]:
-        """Priors that are not the robot's own."""
+        """Priors that are not the robot's own, name -> (mean, one sigma) [SI]."""
         return self.priors if isinstance(self.priors, Mapping) else {}
 
     @cached_property
     def _own(self) -> list[Parameter]:
-        """The chosen parameters."""
+        """The free parameters."""
         return [self.robot.parameters[n] for n in self.names]
 
     def _parameter(self, what: str) -> Array:
-        """Values of an attribute of the chosen parameters, in solver units where it is a length or angle."""
+        """Return an attribute of the free parameters, shape (p,), in SI units if it is a value."""
         return np.array([getattr(p, what) for p in self._own])
 
     @cached_property
     def scale(self) -> Array:
+        """Unit of each parameter's variable, shape (p,) [SI]."""
         return self._parameter("scale")
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Of v, in solver units."""
+        """Lower and upper bounds of v, shape (size,) each."""
         free = np.full(3 * len(self.labels), np.inf)
         value = self._parameter("value")
         lower = (self._parameter("lower") - value) / self.scale
@@ -153,7 +176,10 @@ class LeastSquares:
 
     @cached_property
     def prior_matrix(self) -> Array:
-        """Inverse of the priors' covariance, shape (size, size) in solver units; zero without priors."""
+        """Inverse of the priors' covariance in units of v, shape (size, size).
+
+        Zero where no prior applies.
+        """
         weights = np.zeros(self.size)
         held_back = self.guesses | bool(self.priors)
         weights[: len(self.names)] = np.where(held_back, (self.scale / self._prior[1]) ** 2, 0.0)
@@ -168,16 +194,19 @@ class LeastSquares:
 
     @cached_property
     def guesses(self) -> Array:
-        """Mask of the chosen parameters whose priors always hold them back."""
+        """Mask of the free parameters whose own priors always apply, shape (p,)."""
         return self._parameter("guess").astype(bool)
 
     @cached_property
     def _free(self) -> bool:
-        """Whether no prior holds any variable back."""
+        """Whether no prior applies to any variable."""
         return not (self.priors or self.known or self.guesses.any())
 
     def prior_square(self, v: Array, *, counted: bool = False) -> float:
-        """Squared distance of v from the priors' mean in units of their covariance; counted : of those that count."""
+        """Return the squared Mahalanobis distance of v from the priors' mean.
+
+        counted : True includes only the priors that count as information (see `_informed`)
+        """
         if self._free:
             return 0.0
         departure = np.where(self._informed, v - self.prior_mean, 0.0) if counted else v - self.prior_mean
@@ -185,64 +214,73 @@ class LeastSquares:
 
     @cached_property
     def prior_mean(self) -> Array:
-        """Of each variable; zero, which is nominal, with the robot's own priors."""
+        """Prior mean of each variable, shape (size,); zero (nominal) with the robot's own priors."""
         mean = np.zeros(self.size)
         mean[: len(self.names)] = (self._prior[0] - self._parameter("value")) / self.scale
         return mean
 
     @cached_property
     def _prior(self) -> Array:
-        """Mean and one sigma of each chosen parameter's prior, shape (2, p) [SI]."""
+        """Mean and one sigma of each free parameter's prior, shape (2, p) [SI]."""
         return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._own]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
-        """x, shape (p,), and u, shape (K, 3)."""
+        """Return the two parts of v: x, shape (p,), and u, shape (K, 3)."""
         p = len(self.names)
         return v[:p], v[p:].reshape(-1, 3)
 
     def values(self, v: Array) -> dict[str, float]:
-        """Parameters by name [SI]; round-off takes none beyond its bounds."""
+        """Return the parameters at v by name [SI].
+
+        They are clipped to their bounds, which rounding may exceed.
+        """
         x, _ = self.separate(v)
         values = np.clip(self._parameter("value") + self.scale * x, self._parameter("lower"), self._parameter("upper"))
         return dict(zip(self.names, values, strict=True))
 
     def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
-        """The bounded optimum, sought from a start, by default the robot as it is. Raises ConvergenceError.
+        """Return the optimum within the bounds, by default from the robot's own values.
 
-        Where the cost's round-off stops Ipopt's line search, the solver cannot know that it stands at an optimum.
+        Where round-off of the cost stops Ipopt's line search, the solver cannot tell that it is at
+        an optimum; the size of one more Gauss-Newton step decides.
+
+        start : shape (size,)
+        Raises ConvergenceError.
         """
         scale = 0.5 * self.residual_count
-        if start is None and self.priors and len(self.names) > WIDE:
+        if start is None and self.priors and len(self.names) > MANY_PARAMETERS:
             start = self._approached()
         creeps = bool(self.guesses.any() or self.known)
-        settled = (lambda v: self.decrement(v) < SETTLED) if creeps else None
+        settled = (lambda v: self.decrement(v) < SETTLED_COST_GAIN) if creeps else None
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled
         )
-        # What one more step gains at an optimum [chi-squared]: a ten-thousandth of a standard
-        # error.
+        # An optimum is where one more step gains less than 1e-8 in cost: a ten-thousandth of a
+        # standard error.
         sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < 1e-8
         return replace(solution, message=OPTIMUM) if sharp else solution
 
     def _approached(self) -> Array:
-        """Where Gauss-Newton steps inside the bounds lead from the start, while each gains what counts.
+        """Return the point that bounded Gauss-Newton steps reach while each reduces the cost
+        noticeably.
 
-        Of many parameters one meets its bound on the way, where Ipopt shortens the whole step.
+        With many parameters one of them meets its bound on the way, where Ipopt shortens the whole
+        step.
         """
         v = np.zeros(self.size)
         cost = self.cost(v)
-        for _ in range(APPROACH):
+        for _ in range(MAX_APPROACH_STEPS):
             closer = v + self.step(v)
-            if not (then := self.cost(closer)) < cost - SETTLED:
+            if not (then := self.cost(closer)) < cost - SETTLED_COST_GAIN:
                 break
             v, cost = closer, then
         return v
 
     def cost(self, v: Array) -> float:
-        """Half the sum of squares at v, through the robust loss, with the priors.
+        """Return half the sum of squares at v, through the robust loss, with the priors.
 
-        A line search asks for further points where it did not step to the last one, which its gradient would show:
-        there residuals are evaluated without derivatives.
+        If Ipopt did not take the gradient at the last point, it is in a line search: residuals are
+        then evaluated without derivatives.
         """
         last = self.kept.sums
         if last.point is None or last.holds(v) or self.kept.gradient.holds(last.point):
@@ -255,6 +293,7 @@ class LeastSquares:
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
+        """Compute what `gradient` returns."""
         sums = self._sums(v)
         if self._free:
             return sums.gradient, sums.information
@@ -262,10 +301,13 @@ class LeastSquares:
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P
 
     def triangle(self, v: Array, of: Sequence[int] | None = None) -> Array:
-        """Triangular factor of the Jacobian at v, without loss and priors, shape (size, size) or less rows.
+        """Return the triangular factor R of the Jacobian at v, without loss and priors.
 
-        As good as the whole Jacobian, and as small as the variables are; the sums at v come with it.
-        of : some of its columns, without the sums
+        Its shape is (size, size), with fewer rows if there are fewer residuals. It carries the same
+        information as the Jacobian in a size that does not grow with the residuals; the sums at v
+        are computed along with it.
+
+        of : indices of some columns to which it is limited, without the sums
         """
         if of is not None:
             return reduce(_with_rows, (J[:, of] for _, _, J in self.parts(v)), np.zeros((0, len(of))))
@@ -277,7 +319,11 @@ class LeastSquares:
         return known.triangle
 
     def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
-        """The first set with a residual, or a slope of one, that is no finite number, and at which of its poses."""
+        """Return the first set with a residual or derivative that is not finite, and a mask of its
+        poses.
+
+        None where all are finite.
+        """
         bad: list[list[Array]] = [[] for _ in self.sets]
         for k, r, J in self.parts(v):
             if k < len(self.sets):  # not of separations
@@ -286,11 +332,15 @@ class LeastSquares:
         return next((each for each in at if each[1].any()), None)
 
     def information(self, v: Array) -> Array:
-        """J'WJ at v without the priors, shape (size, size); W : the weights that the loss gives."""
+        """Return J'WJ at v without the priors, shape (size, size), with the weights W of the loss."""
         return self._sums(v).information
 
     def residuals(self, v: Array) -> list[Array]:
-        """Of every set, shape (n, m), and of the known separations, where there are any, shape (separations, 1)."""
+        """Return the residuals of every set in units of sigma, shape (n, m) each, without the loss.
+
+        Known distances between points, where there are any, add a last part of shape (separations,
+        1).
+        """
         left = self._sums(v).residuals
         return self._joined((k, r) for k, r, _ in self.parts(v)) if left is None else left
 
@@ -300,17 +350,19 @@ class LeastSquares:
 
     @staticmethod
     def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:
-        """Residuals of every set."""
+        """Return the parts of each set joined, in the order of the sets."""
         of_set: dict[int, list[Array]] = {}
         for k, r in parts:
             of_set.setdefault(k, []).append(r)
         return [np.concatenate(some) if len(some) > 1 else some[0] for some in of_set.values()]
 
     def _sums(self, v: Array) -> Sums:
+        """Return the sums over all residuals at v, cached for the last point."""
         sums: Sums = self.kept.sums(v, self._summed)
         return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
+        """Compute cost, gradient and information over all residuals, a part of the poses at a time."""
         cost = square = 0.0
         gradient, information = np.zeros(self.size), np.zeros((self.size, self.size))
         residuals: list[tuple[int, Array]] = []
@@ -331,27 +383,32 @@ class LeastSquares:
         return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
 
     def through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
-        """Rows of the Jacobian and residuals of a part as the loss weighs them, shapes (rows, size) and (rows,)."""
+        """Return the Jacobian rows and residuals of a part, each times the root of its loss weight.
+
+        Shapes (rows, size) and (rows,).
+        """
         if (loss := self.loss_of(k)) == "linear":
             return J, r.ravel()
         root = np.sqrt(np.repeat(loss_slope(loss, r), r.shape[1]))
         return J * root[:, None], root * r.ravel()
 
     def _cost(self, v: Array) -> float:
-        """The cost from residuals alone."""
+        """Compute the cost from the residuals alone, without derivatives."""
         x, u = self.separate(v)
         of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
         residuals = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
         return 0.5 * (sum(float(loss_value(self.loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
 
     def loss_of(self, k: int) -> Loss:
-        """Known separations pass through no loss."""
+        """Return the loss of a part; known distances between points pass through no robust loss."""
         return self.loss if k < len(self.sets) else "linear"
 
     def parts(self, v: Array) -> Iterable[_Part]:
-        """Some poses at a time: the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size); no loss.
+        """Return the residuals and Jacobian at v without the loss, some poses at a time.
 
-        Kept for the last v where they are few, so that statistics need no further evaluation.
+        Each part has the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size).
+        They are cached for the last v where they are few, so that statistics need no further
+        evaluation.
         """
         if self.residual_count * self.size > self.most_kept:
             return self._evaluated(v)
@@ -359,6 +416,7 @@ class LeastSquares:
         return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
+        """Evaluate what `parts` returns."""
         x, u = self.separate(v)
         for k, block in enumerate(self.blocks):
             for some, r, J in block.parts(x, u):
@@ -366,7 +424,7 @@ class LeastSquares:
         yield from self._separated(v)
 
     def _separated(self, v: Array) -> Iterator[_Part]:
-        """The part of known distances between touched points, where there are any."""
+        """Yield the part of known distances between touched points, where there are any."""
         if any(m.separations for m in self.sets):
             w = ca.MX.sym("v", self.size)
             r_s = self._separations(ca.reshape(w[len(self.names) :], 3, len(self.labels)))
@@ -374,7 +432,10 @@ class LeastSquares:
             yield len(self.sets), both[0].full(), both[1].full()
 
     def _widened(self, block: Block, some: slice, J: Array) -> Array:
-        """The Jacobian of a block's poses by (x, their own points), shape (n, m, z), as one by v, shape (n m, size)."""
+        """Return the Jacobian of some poses of a block by all variables v, shape (n m, size).
+
+        J : by (x, each pose's own point), shape (n, m, z)
+        """
         p = len(self.names)
         if p == self.size:
             return J.reshape(-1, p)
@@ -386,7 +447,7 @@ class LeastSquares:
         return whole.reshape(-1, self.size)
 
     def _separations(self, u: ca.MX) -> ca.MX:
-        """Residuals of known distances between touched points."""
+        """Return the residuals of known distances between touched points, in units of sigma."""
         rows = []
         for k, m in enumerate(self.sets):
             for first, second, length in m.separations:
@@ -396,35 +457,47 @@ class LeastSquares:
         return ca.vertcat(*rows) if rows else ca.MX.zeros(0)
 
     def evaluate(self, v: Array) -> tuple[list[Array], Array]:
-        """Residuals of every set, shape (n, m), and the whole Jacobian, shape (residuals, size), without the loss."""
+        """Return the residuals of every set, shape (n, m), and the whole Jacobian, without loss.
+
+        The Jacobian has shape (residuals, size).
+        """
         rows = [J for _, _, J in self.parts(v)]
         return self.residuals(v), np.concatenate(rows) if len(rows) > 1 else rows[0]
 
     def at_bounds(self, v: Array) -> Array:
-        """Mask of the variables that stopped at a bound."""
+        """Return the mask of the variables that are at a bound, shape (size,)."""
         lower, upper = self.bounds
         near = 1e-5 * np.maximum(1.0, np.minimum(upper - lower, 1e3))
         return np.asarray((v - lower < near) | (upper - v < near))
 
     def decrement(self, v: Array) -> float:
-        """What one more Gauss-Newton step inside the bounds would gain in cost, half of chi-squared."""
+        """Return how much one more bounded Gauss-Newton step would reduce the cost (half of
+        chi-squared).
+        """
         g, H = self.gradient(v)
         step = self.step(v)
         return max(0.0, float(-(g + 0.5 * H @ step) @ step))
 
     def step(self, v: Array) -> Array:
-        """The next Gauss-Newton step, to the least of the linearised problem inside the bounds, shape (size,)."""
+        """Return the next bounded Gauss-Newton step, shape (size,).
+
+        It leads to the minimum of the linearised problem within the bounds.
+        """
         lower, upper = self.bounds
         return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
-        """With other starts of the unknown points, shape (K, 3) [m]."""
+        """Return the problem with other initial positions of the unknown points, shape (K, 3) [m]."""
         other = replace(self)
         other.kept.made.update(points=points)
         return other
 
     def with_loss(self, loss: Loss) -> LeastSquares:
-        """With another loss: data, points, which parameters are independent, and residuals at the start stay."""
+        """Return the problem with another loss.
+
+        Data, points, independence of parameters and residuals at the start are taken over from the
+        cache.
+        """
         other = replace(self, loss=loss)
         other.kept.made.update(self.kept.made)
         if parts := self.kept.parts.at_zero:
@@ -434,7 +507,11 @@ class LeastSquares:
         return other
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
-        """With others of the robot's parameters: data and, of some of the same, the sums at the start stay."""
+        """Return the problem with other free parameters of the same robot.
+
+        Data and, for a subset of the parameters, the sums at the start are taken over from the
+        cache.
+        """
         other = replace(self, names=tuple(names))
         if "blocks" in self.kept.made:
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
@@ -449,9 +526,9 @@ class LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class Linearised(LeastSquares):
-    """A problem whose residuals are those of another one at a point, and linear in v about it.
+    """A problem linearised about a point: its residuals are linear in v.
 
-    of : the other problem, which differs in loss and sigmas; at : the point, shape (size,)
+    of : the original problem, which may differ in loss and sigmas; at : the point, shape (size,)
     """
 
     of: LeastSquares = field(kw_only=True)
@@ -459,21 +536,24 @@ class Linearised(LeastSquares):
 
     @classmethod
     def about(cls, problem: LeastSquares, v: Array, loss: Loss) -> Linearised:
-        """A problem about the point v, with another loss."""
+        """Return the linearisation of a problem about the point v, with another loss."""
         own = {f.name: getattr(problem, f.name) for f in fields(LeastSquares) if f.init}
         made = cls(**own | {"loss": loss}, of=problem, at=v)
         made.kept.made.update(labels=problem.labels, points=problem.points)
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
-        """The same with other sigmas, one of a coordinate [m] and of an angle [rad] for each set."""
+        """Return the same with other sigmas: of a coordinate [m] and an angle [rad] for each set."""
         other = replace(self, sigmas=sigmas)
         other.kept.made.update(labels=self.labels, points=self.points)
         return other
 
     def settled(self, v: Array) -> Array:
-        """The optimum without bounds, by reweighted least squares from v, shape (size,) (Huber and Ronchetti 2009)."""
-        # Steps of the settling of a robust loss at most, and what the last one gains [chi-squared].
+        """Return the optimum without bounds, by reweighted least squares from v, shape (size,).
+
+        Source: Huber and Ronchetti 2009.
+        """
+        # Reweighting ends where a step gains less than this in cost, after ten steps at most.
         for _ in range(10):
             g, H = self.gradient(v)
             step = scaled_inverse(H) @ g
@@ -483,6 +563,7 @@ class Linearised(LeastSquares):
         return v
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
+        """Evaluate the linear residuals and their constant Jacobian, in units of the own sigmas."""
         kinds = [find_kind(m.kind) for m in self.sets]
         ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
         for k, r, J in self.of.parts(self.at):
@@ -494,10 +575,13 @@ class Linearised(LeastSquares):
 
 
 def _with_rows(R: Array, J: Array) -> Array:
-    """The triangular factor of the rows that a factor stands for and of further ones."""
+    """Return the triangular factor after further rows are appended to those that R represents."""
     return np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
 
 
 def first_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:
-    """Of each set one sigma of a coordinate [m] and of an angle [rad], as given, or else a guess."""
-    return tuple((m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
+    """Return for each set the standard deviations of a coordinate [m] and an angle [rad].
+
+    They are the declared ones, or else an initial guess.
+    """
+    return tuple((m.sigma or INITIAL_SIGMA_M, m.sigma_angle or INITIAL_SIGMA_ANGLE_RAD) for m in sets)

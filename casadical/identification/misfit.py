@@ -1,8 +1,9 @@
-"""How much less an identification determines than its covariance says, where residuals are not independent noise.
+"""Inflation of an identification's covariance where residuals are not independent noise.
 
-The fit is repeated in one linear step with all parameters and the first harmonics of each turning joint's error, which
-are in no base model. What is left may still have something in common at poses that follow each other or have similar
-readings: gear errors of higher order, slow drifts.
+The fit is repeated in one linear step with all parameters and the first harmonics of each revolute
+joint's error, which no base model has. The residuals may still be correlated between consecutive or
+similar poses: gear errors of higher order, slow drifts. The misfit factor says by how much they
+exceed independent noise in the direction of the parameters.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,24 +24,30 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
-# Harmonics of each joint's error: those that are compared between campaigns, and those that only widen what is known.
-ORDERS, FURTHER = 2, 6
-# Directions of unknown points that are seen by a smaller share of the best seen one are not seen.
-POINT = 1e-9
-# Repeatability of the joints over the noise of a coordinate [rad/m].
-RHOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
-# So many poses are kept with their Jacobians.
-KEPT = 10_000
+# Highest harmonic of each joint's error that is compared between campaigns.
+MAX_COMPARED_HARMONIC = 2
+# Highest harmonic of each joint's error in the fit; those not compared only widen the uncertainty.
+MAX_FITTED_HARMONIC = 6
+# Directions of unknown points with a singular value below this share of the largest are dropped.
+MIN_POINT_SINGULAR_SHARE = 1e-9
+# Grid for the joint repeatability divided by the noise of a coordinate [rad/m].
+REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
+# Up to this number of poses is cached with Jacobians; more are evaluated again each time.
+MAX_CACHED_POSES = 10_000
 _MM = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """Some poses of a fit at its values, each with as many rows as the kind with the most numbers has.
+    """Residuals and Jacobians of some poses at the fitted values.
 
-    Lengths in mm; what is more or less accurate than the lengths of the first set is in units of its noise. r : shape
-    (n, numbers); J : (n, numbers, k); U : by the unknown points, (n, numbers, 3 points); Jq : how each turning joint
-    moves what is measured, as its zero does, (n, numbers, joints) [mm/mrad]
+    Every pose has as many rows (numbers) as the kind with the most of them. Lengths are in mm;
+    residuals whose accuracy differs from that of the lengths of the first set are scaled to the
+    same noise.
+
+    r : residuals, shape (n, numbers); J : Jacobian by the parameters, (n, numbers, k)
+    Jq : Jacobian by the zero of each revolute joint, (n, numbers, joints) [mm/mrad]
+    U : Jacobian by the unknown points, (n, numbers, 3 points)
     """
 
     r: Array
@@ -50,13 +57,14 @@ class _Rows:
 
 
 class _Poses:
-    """All poses of a fit; few are kept, and many are evaluated each time that they are asked for.
+    """All poses of a fit; few are cached, many are evaluated each time they are iterated over.
 
-    q : readings, shape (n, joints); joints : how many of them turn
-    count : of numbers measured beside those that determine the unknown points
+    q : readings, shape (n, joints); joints : number of revolute joints
+    count : number of measured values minus the coordinates of unknown points
     """
 
     def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], kept: int) -> None:
+        """Evaluate the poses of an identification, if there are at most `kept` of them."""
         self.q = np.concatenate([m.q for m in found.used])
         self.joints = sum(name.startswith("theta") for name in names)
         self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
@@ -72,11 +80,13 @@ class _Poses:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
-    """The fit where each joint repeats to so many times the noise of a coordinate.
+    """The fit for one ratio of joint repeatability to the noise of a coordinate, per joint.
 
-    log_likelihood : with the s2 and the variances that fit best; sums : over the poses, at the fit's values, whitened
-    s2 : variance of a coordinate that nothing explains, repeatability of the joints left aside [mm^2]
-    variance : of each parameter before the data, shape (k,); of the harmonics as the residuals show it
+    log_likelihood : with the s2 and the variances that fit best
+    sums : normal equations over the whitened poses, at the fitted values
+    s2 : variance of a coordinate that nothing explains, excluding joint repeatability [mm^2]
+    variance : prior variance of each parameter, shape (k,); that of the harmonics is estimated from
+        the residuals
     """
 
     log_likelihood: float
@@ -87,11 +97,15 @@ class NoiseFit:
 
 @dataclass(frozen=True, eq=False)
 class WideFit:
-    """Of all parameters that are not known exactly, and the harmonics; lengths in mm.
+    """The fit of all parameters that are not known exactly, and of the harmonics; lengths in mm.
 
-    robot : calibrated, with harmonics of zero size; best : with the most probable of RHOS for all joints alike
-    misfit : how many times more than independent noise residuals of similar poses push the parameters, at least 1
-    left : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of freedom
+    robot : calibrated, with harmonics of zero size
+    doubts : parameters with their priors; poses : of the fit
+    best : with the most probable of REPEATABILITY_RATIOS, equal for all joints
+    misfit : factor by which correlated residuals exceed independent noise along the parameters, at
+        least 1
+    left : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of
+        freedom
     """
 
     robot: Robot
@@ -106,43 +120,44 @@ class WideFit:
 
     @property
     def joints(self) -> int:
-        """How many joints turn."""
+        """Number of revolute joints."""
         return self.poses.joints
 
     def at(self, rhos: tuple[float, ...]) -> NoiseFit:
-        """The fit with a repeatability of each turning joint."""
+        """Return the fit with a repeatability ratio for each revolute joint."""
         if rhos not in self._last:
             self._last.clear()
             self._last[rhos] = _at(rhos, self.poses, self.doubts)[0]
         return self._last[rhos]
 
     def log_likelihood(self, rhos: tuple[float, ...]) -> float:
-        """Of such a fit, begun at the variances of the best one."""
+        """Return the log likelihood with these ratios, starting from the variances of the best fit."""
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
-            # Rounds of a fit that begins at the variances of another one.
+            # Four iterations suffice from the variances of another fit.
             self._tried[rhos] = _at(rhos, self.poses, doubts, 4)[0].log_likelihood
         return self._tried[rhos]
 
 
-def wide_fit(found: Identification, kept: int = KEPT) -> WideFit:
-    """The fit of all that an identification used. Raises InputError for known distances between touched points.
+def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
+    """Return the fit of all parameters and harmonics to the poses that an identification used.
 
-    kept : poses whose rows are kept; those of more are evaluated each time that they are needed
+    kept : maximum number of poses whose rows are cached
+    Raises InputError for known distances between touched points.
     """
-    robot = doubted(found.robot, FURTHER)
+    robot = doubted(found.robot, MAX_FITTED_HARMONIC)
     doubts = doubts_of(robot, found.names)
-    low = [joint[: 2 * ORDERS] for joint in doubts.joints]
-    doubts = replace(doubts, joints=(*low, *(joint[2 * ORDERS :] for joint in doubts.joints)))
+    low = [joint[: 2 * MAX_COMPARED_HARMONIC] for joint in doubts.joints]
+    doubts = replace(doubts, joints=(*low, *(joint[2 * MAX_COMPARED_HARMONIC :] for joint in doubts.joints)))
     poses = _Poses(found, robot, doubts.names, kept)
     rhos, best, mean = _most_probable(poses, doubts)
     n = len(poses)
-    # Residuals are summed up over so many parts of the poses, by their order and by the region of
-    # the joints.
+    # Correlation is sought among consecutive poses (twelve parts) and among poses of one region of
+    # the joint space.
     parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(12, n) // n, _by_region(poses.q))]
     times = _misfit(parts, mean, best.s2, best.variance)
-    # A parameter with a prior counts as far as the data determine it (Hastie 1990); with few poses the last round of
-    # `posterior_of` still moved s2.
+    # A parameter with a prior counts by the share that the data determine (Hastie 1990). It is
+    # computed again, for with few poses the last iteration of `posterior_of` still changed s2.
     M = scaled_inverse(best.sums.H / best.s2 + np.diag(1 / best.variance)) @ best.sums.H / best.s2
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
     plain = _sums((0.0,) * poses.joints, poses)[0][0].moved(mean)
@@ -151,8 +166,9 @@ def wide_fit(found: Identification, kept: int = KEPT) -> WideFit:
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterator[_Rows]:
-    """Some poses at a time; all at once where points are unknown, which several of them may tell of.
+    """Yield the residuals and Jacobians of some poses at a time.
 
+    Where points are unknown, all poses come at once, for several of them may share a point.
     Raises InputError for known distances between touched points.
     """
     sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
@@ -187,11 +203,14 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
 
 
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
-    """Residuals and Jacobians of which the unknown points are projected out, and the log of what these are seen by."""
+    """Return residuals and Jacobian with the unknown points projected out.
+
+    The third value is the log of the product of the points' singular values.
+    """
     if not U.shape[2]:
         return r, J, 0.0
     Q, seen, _ = np.linalg.svd(U.reshape(-1, U.shape[2]), full_matrices=False)
-    Q, seen = Q[:, seen > POINT * seen[0]], seen[seen > POINT * seen[0]]
+    Q, seen = Q[:, seen > MIN_POINT_SINGULAR_SHARE * seen[0]], seen[seen > MIN_POINT_SINGULAR_SHARE * seen[0]]
     both = np.concatenate([r[:, :, None], J], axis=2)
     flat = both.reshape(-1, both.shape[2])
     both = (flat - Q @ (Q.T @ flat)).reshape(both.shape)
@@ -202,20 +221,23 @@ _Fit = tuple[tuple[float, ...], NoiseFit, Array]
 
 
 def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
-    """With the rho of all joints from which a step along RHOS makes the data less probable; these, and their fit."""
+    """Return the ratio from which no step along REPEATABILITY_RATIOS is more probable, and its fit.
+
+    All joints have the same ratio. Returns ratios, fit and posterior mean.
+    """
     tried: dict[int, _Fit] = {}
-    best, at = -1, len(RHOS) // 2
+    best, at = -1, len(REPEATABILITY_RATIOS) // 2
     while best != at:
         best = at
-        near = range(max(0, best - 1), min(len(RHOS), best + 2))
-        rhos = {k: (RHOS[k],) * poses.joints for k in near if k not in tried}
+        near = range(max(0, best - 1), min(len(REPEATABILITY_RATIOS), best + 2))
+        rhos = {k: (REPEATABILITY_RATIOS[k],) * poses.joints for k in near if k not in tried}
         tried |= {k: (each, *_at(each, poses, doubts)) for k, each in rhos.items()}
         at = near[first_of_best([tried[k][1].log_likelihood for k in near], logs=True)]
     return tried[best]
 
 
 def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS) -> tuple[NoiseFit, Array]:
-    """The fit with noise s2 (I + Jq Jq'), and the mean; Jq : as of `_sums`."""
+    """Return the fit with noise s2 (I + Jq Jq') and the posterior mean; Jq as in `_sums`."""
     (sums,), spread = _sums(rhos, poses)
     sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)
@@ -227,9 +249,13 @@ def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = RO
 
 
 def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[NormalSums], float]:
-    """Sums over the poses, or over each part of them, with the noise I + Jq Jq' whitened; log of that one's root.
+    """Return normal equations over whitened poses, or for each part of them, and half the log
+    determinant.
 
-    Jq : how each joint moves what is measured, times its rho; part : number of each pose's part, shape (n,)
+    The noise is I + Jq Jq', with Jq the Jacobian by each joint times its ratio. The second value
+    also has the log of the unknown points' singular values.
+
+    part : number of each pose's part, shape (n,)
     """
     sums_of: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
@@ -249,9 +275,10 @@ def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> 
 
 
 def misfit_of(found: Identification) -> float:
-    """By how much the variances of an identification are to be multiplied, at least 1; 1 where it is not known.
+    """Return the factor by which an identification's variances are to be multiplied, at least 1.
 
-    As a mean over the directions of its parameters, each in units of the variance that the identification states.
+    It is a mean over the directions of the parameters, each in units of the stated variance; 1
+    where it is not known.
     """
     try:
         fit = wide_fit(found)
@@ -266,15 +293,15 @@ def misfit_of(found: Identification) -> float:
 
 
 def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
-    """How many times more than independent noise the residuals of similar poses push the parameters.
+    """Return the factor by which residuals of similar poses exceed independent noise, at least 1.
 
-    The sums J'e over parts of the poses, which follow each other or have similar readings, with the residuals e of the
-    fit, are compared with what independent noise of variance s2 would give; at least 1.
+    The scores J'e over parts of the poses (consecutive ones, or ones with similar readings), with
+    the residuals e of the fit, are compared with what independent noise of variance s2 would give.
     """
     whole = reduce(NormalSums.plus, of_parts[0])
     inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
     freedom = max(1.0, whole.count - float(np.sum(inverse * whole.H)))
-    # So many standard deviations of the misfit factor are taken for chance.
+    # Two standard deviations of the factor are attributed to chance.
     chance = 2.0 * np.sqrt(2 / freedom)
     factor = 1.0
     for parts in of_parts:
@@ -289,7 +316,10 @@ def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, va
 
 
 def _by_region(q: Array) -> Array:
-    """A number for the region of the joints in which each pose lies: cells of equal count along two directions."""
+    """Return a number for each pose's region of joint space, shape (n,).
+
+    Regions are twelve cells of equal count along the two directions of largest spread.
+    """
     centred = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T
     rank = along.argsort(axis=0).argsort(axis=0) / len(q)

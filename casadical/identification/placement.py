@@ -1,8 +1,9 @@
-"""A start for the base and tool frames: in closed form, or held by the robot file where readings tell too little.
+"""Initial base and tool frames from measurements, in closed form or with the robot file as prior.
 
-The tool may be elsewhere than the file says by 0.1 m, the base turned by 0.3 rad, shifted by 100 m, one sigma each.
-A model that is not calibrated yet is wrong by 3 mm at a pose, and not by chance: more than 30 poses tell no more
-than so many. What the readings determine is freed of these priors in the end.
+The priors, one sigma each: the tool may differ from the file by 0.1 m, the base by a rotation of
+0.3 rad and a shift of 100 m. The errors of a model that is not calibrated yet are about 3 mm and
+not independent between poses: more than 30 poses give no more information than 30. Directions that
+the readings determine are freed of these priors in the end.
 """
 
 from collections.abc import Sequence
@@ -20,17 +21,21 @@ from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# A direction that readings determine so many times better than the priors, as a ratio of variances, is freed of them.
-FREE = 100.0
-# (a @ _CROSS).reshape(3, 3) is the matrix that takes t to a x t from the right.
+# A direction is freed of the priors if the readings determine it this much better, as a ratio of
+# variances.
+MIN_FREED_VARIANCE_RATIO = 100.0
+# For vectors a and t, t @ (a @ _CROSS).reshape(3, 3) is the cross product a x t.
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Where the flange was, p (n, 3) and R (n, 3, 3) in the base frame, and what was measured of the point at its tool.
+    """Flange poses and what was measured of the point at the tool.
 
-    seen : its positions, shape (n, 3), or its distances to places that are known, shape (n,) [m]; places : (n, 3)
+    p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
+    seen : measured positions in the measuring frame, shape (n, 3) [m], or distances to known
+        places, shape (n,) [m]
+    places : these places in the measuring frame, shape (n, 3) [m]; None for positions
     """
 
     p: Array
@@ -39,7 +44,11 @@ class Readings:
     places: Array | None = None
 
     def rows(self, y: Array) -> tuple[Array, Array]:
-        """What was read less what a point at y, shape (n, 3), gives, shape (n, k), and directions of it (n, k, 3)."""
+        """Return residuals and their directions for tool points at y in the measuring frame.
+
+        y has shape (n, 3) [m]. Residuals (measured minus computed) have shape (n, k); the
+        directions are the derivatives of the computed values by y, shape (n, k, 3).
+        """
         if self.places is None:
             return self.seen - y, np.broadcast_to(np.eye(3), (len(y), 3, 3))
         line = y - self.places
@@ -48,8 +57,13 @@ class Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """Base rotation (3, 3) and position (3,), tool (3,), and the cost of this start."""
+class FrameEstimate:
+    """A base and tool frame, and the cost of this estimate.
+
+    R, p : base orientation (3, 3) and position (3,) [m] in the measuring frame
+    t : tool position in the flange frame, shape (3,) [m]
+    cost : weighted sum of squares, with the priors
+    """
 
     R: Array
     p: Array
@@ -57,17 +71,25 @@ class Placed:
     cost: float = np.inf
 
 
-class Held:
-    """The problem of all readings; base, tool : as in the robot file, shapes (4, 4) and (3,)."""
+class PlacementProblem:
+    """The least squares problem of base and tool frames, with the robot file as prior.
+
+    base, tool : base frame, shape (4, 4), and tool position, shape (3,) [m], of the robot file
+    tool_known : whether the tool is fixed at the file's position
+    """
 
     def __init__(self, readings: Sequence[Readings], base: Array, tool: Array, *, tool_known: bool) -> None:
+        """Set up the prior about the frames of the robot file."""
         self.readings, self.base, self.tool = readings, base, tool
-        # One sigma of the turn, the shift and the tool.
+        # One sigma of the rotation [rad], the shift [m] and the tool [m].
         sigma = np.repeat([0.3, 100.0, 1e-6 if tool_known else 0.1], 3)
         self.prior = np.diag(sigma**-2.0)
 
-    def determined(self, at: Placed) -> bool:
-        """Whether the readings determine the base's rotation and the tool well, with the model as wrong as it is."""
+    def determined(self, at: FrameEstimate) -> bool:
+        """Return whether the readings alone determine the base rotation and the tool well.
+
+        The errors of a model that is not calibrated yet are taken into account.
+        """
         H = self._sums(at)[0]
         own = [0, 1, 2, *(k for k in (6, 7, 8) if self.prior[k, k] < 1e6)]
         rest = [k for k in range(9) if k not in own]
@@ -75,35 +97,45 @@ class Held:
         across = H[np.ix_(rest, own)]
         less = H[np.ix_(own, own)] - across.T @ np.linalg.solve(H[np.ix_(rest, rest)] + prior, across)
         unit = np.diag(self.prior)[own] ** -0.5
-        return bool(np.linalg.eigvalsh(less * np.outer(unit, unit))[0] > FREE)
+        return bool(np.linalg.eigvalsh(less * np.outer(unit, unit))[0] > MIN_FREED_VARIANCE_RATIO)
 
-    def best(self, starts: Sequence[Placed]) -> Placed:
-        """The best optimum that is found from several starts, freed of the priors where the readings tell enough."""
+    def best(self, starts: Sequence[FrameEstimate]) -> FrameEstimate:
+        """Return the best local optimum from several starts.
+
+        In directions that the readings determine well, it is freed of the priors.
+        """
         lowest = best_of((self._refined(start, self.prior) for start in starts), lambda placed: -placed.cost)
         H, unit = self._sums(lowest)[0], np.diag(self.prior) ** -0.5
         value, V = np.linalg.eigh(H * np.outer(unit, unit))
-        kept = (V * (value < FREE)) @ V.T / np.outer(unit, unit)
+        kept = (V * (value < MIN_FREED_VARIANCE_RATIO)) @ V.T / np.outer(unit, unit)
         return self._refined(lowest, kept)
 
-    def starts(self) -> list[Placed]:
-        """The base as in the file, and turned every way by right angles about its axes and the places' middle."""
+    def starts(self) -> list[FrameEstimate]:
+        """Return starts: the base as in the file, and rotated by right angles about its axes.
+
+        The rotated ones map the mean flange position to the mean measured position.
+        """
         turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range(4), repeat=3)}
         seen = [r.places if r.places is not None else r.seen for r in self.readings]
         middle = np.concatenate(seen).mean(axis=0)
         flange = np.concatenate([r.p for r in self.readings]).mean(axis=0)
-        places = [Placed(self.base[:3, :3], self.base[:3, 3], self.tool)]
+        places = [FrameEstimate(self.base[:3, :3], self.base[:3, 3], self.tool)]
         for turn in sorted(turns):
             R = self.base[:3, :3] @ np.reshape(turn, (3, 3))
-            places.append(Placed(R, middle - R @ flange, self.tool))
+            places.append(FrameEstimate(R, middle - R @ flange, self.tool))
         return places
 
-    def _off(self, at: Placed) -> Array:
-        """Departure from the robot file: turn, shift and tool, shape (9,)."""
+    def _off(self, at: FrameEstimate) -> Array:
+        """Return rotation [rad], shift [m] and tool [m] relative to the robot file, shape (9,)."""
         turn = to_xyz(at.R @ self.base[:3, :3].T)
         return np.concatenate([turn, at.p - self.base[:3, 3], at.t - self.tool])
 
-    def _sums(self, at: Placed) -> tuple[Array, Array, float]:
-        """Normal matrix and right side for a turn in the measuring frame, a shift and the tool; sum of squares."""
+    def _sums(self, at: FrameEstimate) -> tuple[Array, Array, float]:
+        """Return normal matrix (9, 9), right side (9,) and sum of squares, without the priors.
+
+        The variables are a small rotation in the measuring frame [rad], a shift [m] and the tool
+        [m].
+        """
         H, g, square = np.zeros((9, 9)), np.zeros(9), 0.0
         total = sum(len(r.p) for r in self.readings)
         weight = min(total, 30) / total / 3e-3**2
@@ -118,13 +150,15 @@ class Held:
             square += weight * float((left**2).sum())
         return H, g, square
 
-    def _refined(self, start: Placed, prior: Array) -> Placed:
-        """Return the optimum that Levenberg and Marquardt's method finds from a start."""
+    def _refined(self, start: FrameEstimate, prior: Array) -> FrameEstimate:
+        """Return the local optimum that the Levenberg-Marquardt method finds from a start."""
 
-        def placed(x: Array, cost: float = np.inf) -> Placed:
-            return Placed(x[:9].reshape(3, 3), x[9:12], x[12:], cost)
+        def placed(x: Array, cost: float = np.inf) -> FrameEstimate:
+            """Return the estimate with the variables x, shape (15,)."""
+            return FrameEstimate(x[:9].reshape(3, 3), x[9:12], x[12:], cost)
 
         def evaluate(x: Array) -> Evaluated:
+            """Return the cost at x, and a function for the normal equations there."""
             at = placed(x[0])
             (H, g, square), off = self._sums(at), self._off(at)
             return np.array([square + float(off @ prior @ off)]), lambda better: (
@@ -133,6 +167,7 @@ class Held:
             )
 
         def move(x: Array, step: Array) -> Array:
+            """Return x after a step: a rotation in the measuring frame, and shifts."""
             turned = nearest_rotation(from_xyz(step[0, :3]) @ x[0, :9].reshape(3, 3))
             return np.concatenate([turned.ravel(), x[0, 9:] + step[0, 3:]])[None]
 
@@ -141,42 +176,48 @@ class Held:
         return placed(best[0], float(cost[0]))
 
 
-# A start needs no more poses than so many, drawn by chance: every k-th may be alike where a grid was measured.
-START_POSES = 200
-# Numbers of a start that is held: fewer say nothing.
-FEWEST = 6
-TOOL = ("tool_x", "tool_y", "tool_z")
+# Initial frames are computed from at most this number of poses, to save time. They are drawn at
+# random, because on a measured grid every k-th pose may be similar.
+MAX_START_POSES = 200
+# Fewer measured values than this leave the frames as the robot file has them, and fewer poses do not
+# determine them without a prior.
+MIN_START_READINGS = 6
+# Names of the tool's position parameters.
+TOOL_POSITION_NAMES = ("tool_x", "tool_y", "tool_z")
 
 
 def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robot:
-    """The robot with the unknown parts of its base and tool frames put where the measurements say.
+    """Return the robot with the unknown parts of its base and tool frames set from measurements.
 
-    For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M = R_B' it is linear in
-    M (9 numbers), M p_B and t: solved by least squares, M made a rotation, then refined by Kabsch's method and t in
-    turns. Of several tools, base and tool are placed by the one that was measured most, the others then by the base.
-    Where the poses determine the base's rotation or the tool badly (lines, one orientation, few poses), they are held
-    by what the robot file says of them; and so they are from distances to known points.
-    Other kinds do not carry this information; they, and robots whose base is known or is row 1 of the table, are left
-    as they are. Source: Kabsch (1976) for the rotation.
+    For each pose y = R_B (p + R t) + p_B, with flange p, R in the base frame. Multiplied by M =
+    R_B' it is linear in M (9 numbers), M p_B and t: solved by least squares, M projected to a
+    rotation, then refined by Kabsch's method and t in turns. With several tools, base and tool are
+    placed by the one that was measured most, then the others given the base. Where the poses
+    determine the base's rotation or the tool badly (lines, one orientation, few poses), the robot
+    file is a prior; likewise with distances to known points. Other kinds do not carry this
+    information; they, and robots whose base is known or is row 1 of the table, are returned
+    unchanged. Source: Kabsch (1976) for the rotation.
     """
     sets = (m,) if isinstance(m, Measurements) else tuple(m)
     m = next((part for part in sets if part.position is not None), sets[0])
     used = np.flatnonzero(m.weight > 0)
-    if not robot.targets and len(used) > START_POSES:
-        used = np.sort(np.random.default_rng(0).choice(used, START_POSES, replace=False))
+    if not robot.targets and len(used) > MAX_START_POSES:
+        used = np.sort(np.random.default_rng(0).choice(used, MAX_START_POSES, replace=False))
     m = m if len(used) == len(m) else m[used]
     if robot.base.unknown != "pose":
         return robot
     if m.position is None:
         return _by_distances(robot, sets)
-    if 3 * len(m) < FEWEST:
+    if 3 * len(m) < MIN_START_READINGS:
         return robot
     if robot.targets:
         return _with_targets(robot, m)
     known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
     compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
-    for _ in range(3 if compliant else 1):  # how a compliant arm is deflected depends on gravity in its base frame
+    for _ in range(
+        3 if compliant else 1
+    ):  # deflections depend on the direction of gravity in the base frame, so iterate
         p, R = _flange(robot, m, T_M0)
         T_M0, t = _placed(p, R, m.position, known, T_M0, t, robot)
     turn = robot.tool.T[:3, :3]
@@ -188,48 +229,55 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
 def _placed(
     p: Array, R: Array, y: Array, known: Array | None, T_M0: Array, t: Array, robot: Robot
 ) -> tuple[Array, Array]:
-    """Base and tool from positions y, shape (n, 3); as in the robot file where these do not determine them."""
+    """Return base frame and tool from measured positions y, shape (n, 3) [m].
+
+    Where these do not determine them, the robot file is a prior.
+
+    p, R : of the flange in the base frame; known : fixed tool position, None if unknown; T_M0, t :
+        initial frames
+    """
     file = robot.tool.T[:3, 3]
-    held = Held([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
+    held = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
     starts = []
-    if len(p) >= FEWEST:
+    if len(p) >= MIN_START_READINGS:
         T, tool = solve_placement(p, R, y, known, T_M0, t)
-        starts.append(Placed(T[:3, :3], T[:3, 3], tool))
+        starts.append(FrameEstimate(T[:3, :3], T[:3, 3], tool))
         if held.determined(starts[0]):
             return T, tool
     T, _ = solve_placement(p, R, y, file, robot.base.T, file)
-    starts += [Placed(T[:3, :3], T[:3, 3], file), Placed(robot.base.T[:3, :3], robot.base.T[:3, 3], file)]
+    starts += [FrameEstimate(T[:3, :3], T[:3, 3], file), FrameEstimate(robot.base.T[:3, :3], robot.base.T[:3, 3], file)]
     best = held.best(starts)
     return frame(best.R, best.p), best.t
 
 
 def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Base and tool from distances to known points, as many sets as there are; of one target at the tool."""
+    """Return the robot with base and tool from distances to known points, for a single tool."""
     known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
-    if robot.targets or sum(map(len, known or sets)) < FEWEST:
+    if robot.targets or sum(map(len, known or sets)) < MIN_START_READINGS:
         return robot
     if not known:
         return _by_unknown_places(robot, sets)
-    step = max(1, sum(len(m) for m in known) // START_POSES)
+    step = max(1, sum(len(m) for m in known) // MAX_START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
     readings = []
     for m in known:
         some = m[::step]
         assert some.distance is not None
         readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))
-    held = Held(readings, T, tool, tool_known=robot.tool.unknown == "none")
+    held = PlacementProblem(readings, T, tool, tool_known=robot.tool.unknown == "none")
     best = held.best(held.starts())
     T_E = frame(robot.tool.T[:3, :3], best.t)
     return replace(robot, base=replace(robot.base, T=frame(best.R, best.p)), tool=replace(robot.tool, T=T_E))
 
 
 def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """The tool where it fits with places that nobody knows, the rest of the robot nominal.
+    """Return the robot with the tool that fits distances or contacts at unknown places.
 
-    A point that stands on the last axis, as a file without a tool has it, is no start: there parameters look alike, or
-    as if they had no effect, which a point beside it distinguishes.
+    The rest of the robot stays nominal. A tool point on the last axis, as in a file without a tool,
+    is no start: there parameters are confounded or without effect that a point off the axis
+    distinguishes.
     """
-    names = tuple(robot.parameters.select(TOOL)) if robot.tool.unknown != "none" else ()
+    names = tuple(robot.parameters.select(TOOL_POSITION_NAMES)) if robot.tool.unknown != "none" else ()
     problem = LeastSquares(robot, tuple(sets), names, "huber", False, first_sigmas(sets))
     if not names or problem.residual_count <= problem.size:
         return robot
@@ -237,12 +285,12 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
         values = problem.values(problem.solve().v)
     except ConvergenceError:
         return robot
-    point = [values.get(name, value) for name, value in zip(TOOL, robot.tool.T[:3, 3], strict=True)]
+    point = [values.get(name, value) for name, value in zip(TOOL_POSITION_NAMES, robot.tool.T[:3, 3], strict=True)]
     return replace(robot, tool=replace(robot.tool, T=frame(robot.tool.T[:3, :3], np.array(point))))
 
 
 def _with_targets(robot: Robot, m: Measurements) -> Robot:
-    """Base and tools of a robot with several of them."""
+    """Return the robot with base and tools placed, for a robot with several tool points."""
     assert m.position is not None
     logged = m.condition_matrix([t.column for t in robot.targets], np.zeros(len(robot.targets)))
     at = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
@@ -266,7 +314,10 @@ def _with_targets(robot: Robot, m: Measurements) -> Robot:
 
 
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
-    """Flange positions, shape (n, 3), and orientations, shape (n, 3, 3), in the base frame, with the base at T_M0."""
+    """Return flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame.
+
+    T_M0 : base frame in the measuring frame, which determines the direction of gravity
+    """
     turn = np.linalg.inv(robot.base.T) @ T_M0
     values = dict(zip(("base_x", "base_y", "base_z"), turn[:3, 3], strict=True))
     values |= dict(zip(("base_rx", "base_ry", "base_rz"), to_xyz(turn[:3, :3]), strict=True))
@@ -276,34 +327,47 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
 
 
 def rigid(robot: Robot) -> Robot:
-    """Return the robot with rigid joints, base and tool unknown: deflections are millimetres, mistakes decimetres."""
+    """Return the robot with rigid joints and unknown base and tool, to find gross mistakes.
+
+    Deflections are millimetres, mistakes decimetres.
+    """
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
     base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
     return replace(robot, joints=rigid, base=base, tool=tool, knowledge=None)
 
 
 def median_error(robot: Robot, m: Measurements) -> float:
-    """Return the median error after base and tool are placed [m]; infinite where the model cannot be evaluated."""
+    """Return the median error after base and tool are placed [m].
+
+    It is infinite where the model cannot be evaluated.
+    """
     with np.errstate(all="ignore"):
         try:
             e = errors(place_frames(robot, m), m)
             near = np.flatnonzero(e <= 5 * np.median(e))
-            if 12 <= len(near) < len(e):  # gross errors draw base and tool towards themselves
+            if 12 <= len(near) < len(e):  # placed again without gross errors, which distort base and tool
                 e = errors(place_frames(robot, m[near]), m)
         except np.linalg.LinAlgError:
             return np.inf
-    # The median: a few gross errors are outliers, not such a mistake.
+    # The median ignores a few outliers, which are not a mistake of the model.
     return float(np.median(e)) if np.isfinite(e).all() else np.inf
 
 
 def solve_placement(
     p: Array, R: Array, y: Array, known_tool: Array | None, T_M0: Array, t: Array
 ) -> tuple[Array, Array]:
-    """T_M0, shape (4, 4), and tool t, shape (3,); what the poses do not determine stays as in the given ones."""
+    """Return base frame T_M0 (4, 4) and tool t, shape (3,) [m], from positions in closed form.
+
+    What the poses do not determine stays as in the given frames.
+
+    p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
+    y : measured positions in the measuring frame, shape (n, 3) [m]
+    known_tool : fixed tool position, shape (3,) [m]; None: it is found
+    """
     n = len(p)
     centre = y.mean(axis=0)
     c = y - centre
-    # Sums over the poses, from which all that follows is made: time does not grow with the rounds below.
+    # All that follows uses these sums, so that the rounds below do not depend on the number of poses.
     cp, S, Rp = c.T @ p, R.sum(axis=0), p.ravel() @ R.reshape(-1, 3)
     cR = (c.T @ R.reshape(n, 9)).reshape(3, 3, 3)
     R_B = T_M0[:3, :3]
@@ -319,25 +383,27 @@ def solve_placement(
     placed = before + _seen_inverse(G) @ (h - G @ before)
     R_B = nearest_rotation(placed[:9].reshape(3, 3)).T
     t = placed[12:] if known_tool is None else known_tool
-    # R t + s = R_B' y - p, with s the base's origin as the base sees it
+    # R t + s = R_B' y - p, with s = R_B' p_B the measuring frame's offset in the base frame
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
     inverse, p_sum = _seen_inverse(G), p.sum(axis=0)
-    # Of Kabsch's method and the tool in turns.
+    # Kabsch's method and the tool alternate; three rounds suffice.
     for _ in range(3):
         if known_tool is None:
             e = n * centre @ R_B - p_sum
             before = np.concatenate([t, (e - S @ t) / n])
             t = t + (inverse @ (np.concatenate([R_B.ravel() @ yR - Rp, e]) - G @ before))[:3]
-        # Weight [m^2] of the rotation before, where the points determine none.
+        # The small weight [m^2] keeps the previous rotation where the points determine none.
         R_B = nearest_rotation(cp + cR @ t + n * 1e-9 * R_B)
     return frame(R_B, centre - R_B @ (p.mean(axis=0) + S @ t / n)), t
 
 
 def _seen_inverse(G: Array) -> Array:
-    """Inverse of a normal matrix in the directions that it determines; a solution stays as it was in the others."""
+    """Return the pseudoinverse of a normal matrix in the directions that it determines.
+
+    A solution stays as it was in the others.
+    """
     values, V = np.linalg.eigh(G)
-    # Singular values of less than this share of the greatest are noise: the directions stay as they
-    # are.
+    # Singular values below this share of the largest are noise.
     seen = values > 1e-3**2 * values[-1]
     return np.asarray((V[:, seen] / values[seen]) @ V[:, seen].T)

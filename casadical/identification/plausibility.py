@@ -1,4 +1,4 @@
-"""Refuse measurements that contradict the nominal robot, before a solve."""
+"""Plausibility checks: refuse measurements that contradict the nominal robot before a solve."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -16,27 +16,37 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 
-# Parts of a table in the order of its rows, of which each may have its unit; poses of one, and share of the reach over
-# which the model moves in one, from which on its unit is seen.
-PARTS, LEAST_POSES, MOVED = 5, 6, 0.3
-# Orientations that are off by more [rad] at most poses, base and tool turned as they fit, are no measured ones; with
-# the tool as it is given they may be off by so much, and so many times as far as with another one.
-TURNED, GIVEN, TIMES = np.deg2rad(10.0), np.deg2rad(1.0), 3.0
-# Orientations that are off by more [rad] with the base where the positions put it are of another frame.
-OTHER_FRAME = np.deg2rad(2.0)
-# Poses that tell it, and rounds in which poses that are far off do not count.
-TURNS, ROUNDS = 200, 3
-# A reading may lie so far beyond a joint's limit [rad or m], as of a pose that was commanded there.
-BEYOND = 2e-3
-# A load may weigh so many times what the arm's links do.
-HEAVY = 10.0
+# A table is checked for a change of unit in this number of parts, in the order of its rows.
+UNIT_CHECK_PARTS = 5
+# Minimum number of poses in a part, and for a check of the orientations' frame.
+MIN_POSES_PER_PART = 6
+# A part is checked only if the model moves in it by this share of the reach.
+MIN_MOVEMENT_OF_REACH = 0.3
+# Maximum median error of orientations [rad] after base and tool are rotated to fit.
+MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
+# Median error of orientations [rad] with the given tool up to which the tool is not questioned.
+MAX_GIVEN_TOOL_ERROR_RAD = np.deg2rad(1.0)
+# Beyond that, the error may be this many times the error with a rotated tool.
+MAX_ORIENTATION_ERROR_RATIO = 3.0
+# Maximum median error of orientations [rad] with the base as positions determine it; above, they
+# are of another frame than the positions.
+MAX_FRAME_ERROR_RAD = np.deg2rad(2.0)
+# Orientations are compared at no more than this number of poses.
+MAX_POSES_COMPARED = 200
+# Iterations in which poses with large errors are excluded.
+EXCLUSION_ROUNDS = 3
+# Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
+LIMIT_ALLOWANCE = 2e-3
+# Maximum payload as a multiple of the mass of the arm's links.
+MAX_PAYLOAD_OF_ARM_MASS = 10.0
 
 
 def check_against(robot: Robot, *sets: Measurements) -> None:
     """Refuse measurements that this robot cannot have made.
 
-    Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), loads in the wrong unit,
-    an open loop, effects without a finite position, positions in the wrong unit, orientations of another robot.
+    Raises InputError: wrong number of joints, joints out of range (all of them, FaultsError), loads
+    in the wrong unit, an open loop, effects without a finite position, positions in the wrong unit,
+    orientations of another robot.
     """
     for m in sets:
         if m.q.shape[1] != robot.n:
@@ -50,7 +60,10 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
 
 
 def refuse_undefined(robot: Robot, m: Measurements) -> None:
-    """Raises InputError, with the row, where a robot with effects has no finite position, as with a divisor of zero."""
+    """Raise InputError with the row where a robot with effects has no finite position.
+
+    An example is a divisor of zero.
+    """
     for k in range(0, len(m) if robot.effects else 0, HELD):
         some = m[k : k + HELD]
         for q in (some.q,) if some.other is None else (some.q, some.other):
@@ -60,7 +73,10 @@ def refuse_undefined(robot: Robot, m: Measurements) -> None:
 
 
 def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
-    """The error that a robot's model gives no finite number at some rows; bad : whether at each, shape (n,)."""
+    """Return the error for rows at which the robot's model is not finite.
+
+    bad : mask of these rows, shape (n,)
+    """
     words = robot.effects_in_words and f" with {robot.effects_in_words}"
     such = f" ({bad.sum()} such rows)" if bad.sum() > 1 else ""
     return InputError(
@@ -70,26 +86,32 @@ def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
 
 
 def _refuse_payload(robot: Robot, m: Measurements) -> None:
-    """Refuses loads that weigh so much more than the arm, where its masses are known, that they are no kilograms."""
+    """Raise FaultsError for payloads so much heavier than the arm that they are not in kilograms.
+
+    Only an arm with declared masses is checked.
+    """
     links = sum(joint.body.mass for joint in robot.joints if joint.body)
     loads = m.conditions.get("payload_kg", np.zeros(1))
-    if links and robot.masses == "declared" and loads.max() > HEAVY * links:
-        value, allowed = f"{loads.max():.6g} kg", f"up to {HEAVY * links:.6g}, of an arm of {links:.6g} kg"
-        rows = tuple(map(int, m.row[loads > HEAVY * links]))
+    if links and robot.masses == "declared" and loads.max() > MAX_PAYLOAD_OF_ARM_MASS * links:
+        value, allowed = (
+            f"{loads.max():.6g} kg",
+            f"up to {MAX_PAYLOAD_OF_ARM_MASS * links:.6g}, of an arm of {links:.6g} kg",
+        )
+        rows = tuple(map(int, m.row[loads > MAX_PAYLOAD_OF_ARM_MASS * links]))
         raise FaultsError(
             [Fault(m.source, rows, "payload_kg", value, "is too heavy", allowed, "are these grams? give kg")]
         )
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
-    """Readings beyond the limits, of each joint those on one side, with the farthest one."""
+    """Yield a fault for the readings of each joint beyond one of its limits, the farthest first."""
     for i, joint in enumerate(robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
         q, remedy = m.q[:, i], "correct the reading or the limits in the robot file"
         if joint.kind == "revolute" and np.abs(q).max() > MAX_TURNS * 2 * np.pi:
             remedy = "are these degrees? readings of joints that turn are in rad"
         limits = f"[{joint.lower * factor:.6g}, {joint.upper * factor:.6g}] {unit}"
-        for far in (np.maximum(0, joint.lower - BEYOND - q), np.maximum(0, q - joint.upper - BEYOND)):
+        for far in (np.maximum(0, joint.lower - LIMIT_ALLOWANCE - q), np.maximum(0, q - joint.upper - LIMIT_ALLOWANCE)):
             if far.any():
                 order = np.argsort(-far, kind="stable")[: np.count_nonzero(far)]
                 yield Fault(
@@ -104,6 +126,7 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
 
 
 def _refuse_implausible(robot: Robot, m: Measurements) -> None:
+    """Raise InputError for open four-bars, wrong orientations, and lengths in another unit."""
     if robot.loops and (smallest := least_margins(robot, m)).min() < LEAST_MARGIN:
         k = int(np.argmin(smallest))
         raise InputError(
@@ -123,25 +146,32 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
 
 
 def fault_of_orientations(robot: Robot, m: Measurements) -> str:
-    """Why the robot cannot have had the measured orientations, and what to do; empty where it can, or has none."""
+    """Return why the measured orientations are impossible for the robot, and a remedy.
+
+    The text is empty where they are possible, or none were measured.
+    """
     if m.orientation is None:
         return ""
     alone = 'kind = "position" in problem.toml takes the positions alone'
-    given = turned_off(robot, m)
-    free = turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m) if given > GIVEN else given
-    if free > TURNED:
+    given = orientation_error(robot, m)
+    free = (
+        orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+        if given > MAX_GIVEN_TOOL_ERROR_RAD
+        else given
+    )
+    if free > MAX_ORIENTATION_ERROR_RAD:
         return (
             f"the orientations are {np.rad2deg(free):.3g} deg (median) from the nominal robot, however "
             "base and tool are turned: are the angles of another convention, or joints counted the other way? "
             f"casadical check searches for slips; {alone}"
         )
-    if robot.tool.unknown != "pose" and given > max(GIVEN, TIMES * free):
+    if robot.tool.unknown != "pose" and given > max(MAX_GIVEN_TOOL_ERROR_RAD, MAX_ORIENTATION_ERROR_RATIO * free):
         return (
             f"the orientations are {np.rad2deg(given):.3g} deg (median) from the nominal robot, and would "
             f'be {np.rad2deg(free):.2g} deg with the tool turned: write unknown = "pose" in [tool] of the robot file '
             f"([[urdf.tool]] in problem.toml for a URDF), or {alone}"
         )
-    off = of_another_frame(robot, m)
+    off = frame_error(robot, m)
     if off:
         return (
             f"the orientations are {np.rad2deg(off):.3g} deg (median) from the nominal robot where its "
@@ -151,40 +181,47 @@ def fault_of_orientations(robot: Robot, m: Measurements) -> str:
     return ""
 
 
-def of_another_frame(robot: Robot, m: Measurements) -> float:
-    """How far [rad] orientations are off with the base where the positions put it; 0 where they are of one frame."""
+def frame_error(robot: Robot, m: Measurements) -> float:
+    """Return the error of orientations [rad] with the base as the positions determine it.
+
+    Zero means that positions and orientations are in one frame.
+    """
     free = replace(robot, tool=replace(robot.tool, unknown="pose"))
-    if robot.base.unknown != "pose" or m.position is None or len(m) < LEAST_POSES:
+    if robot.base.unknown != "pose" or m.position is None or len(m) < MIN_POSES_PER_PART:
         return 0.0
     kept, placed = np.ones(len(m), dtype=bool), robot
-    for _ in range(ROUNDS):
+    for _ in range(EXCLUSION_ROUNDS):
         placed = place_frames(free, m[kept])
         length = np.linalg.norm(predicted(placed, m)[0] - m.position, axis=1)
-        # Positions with so many times the median error do not count for that, nor any where the
-        # model is off by this share of its reach.
+        # Positions with more than five times the median error are excluded.
         kept = length <= 5.0 * np.median(length)
+    # A model this wrong does not determine the base's orientation.
     if np.median(length) > 0.02 * robot.reach:
         return 0.0
-    off = turned_off(replace(placed, base=replace(placed.base, unknown="none")), m)
-    return off if off > max(OTHER_FRAME, TIMES * turned_off(free, m)) else 0.0
+    off = orientation_error(replace(placed, base=replace(placed.base, unknown="none")), m)
+    return off if off > max(MAX_FRAME_ERROR_RAD, MAX_ORIENTATION_ERROR_RATIO * orientation_error(free, m)) else 0.0
 
 
-def turned_off(robot: Robot, m: Measurements) -> float:
-    """Median angle [rad] by which measured orientations are off, what is unknown of base and tool turned to fit."""
+def orientation_error(robot: Robot, m: Measurements) -> float:
+    """Return the median angle [rad] between measured and computed orientations.
+
+    Unknown base and tool orientations are rotated to fit.
+    """
     assert m.orientation is not None
-    some = m[np.linspace(0, len(m) - 1, min(len(m), TURNS)).astype(int)]
+    some = m[np.linspace(0, len(m) - 1, min(len(m), MAX_POSES_COMPARED)).astype(int)]
     seen, model = some.orientation, predicted(robot, some)[1]
     assert seen is not None
     base, tool = np.eye(3), np.eye(3)
     if robot.base.unknown == "pose" and robot.tool.unknown == "pose":
-        # seen tool' = base model is linear in both: the least singular vector is both, times a factor.
+        # seen tool' = base model is linear in tool and base: the last right singular vector has both,
+        # up to a factor.
         A = np.concatenate([np.kron(R, np.eye(3)) for R in seen])
         B = np.concatenate([np.kron(np.eye(3), R.T) for R in model])
         both = np.linalg.svd(np.hstack([A, -B]), full_matrices=False)[2][-1].reshape(2, 3, 3)
         both = both * np.sign(np.linalg.det(both[1]))
         tool, base = nearest_rotation(both[0]).T, nearest_rotation(both[1])
     angle = np.zeros(len(some))
-    for _ in range(ROUNDS):
+    for _ in range(EXCLUSION_ROUNDS):
         near = angle <= 3 * np.median(angle)
         if robot.base.unknown == "pose":
             base = nearest_rotation(np.einsum("nij,nkj->ik", seen[near], (model @ tool)[near]))
@@ -196,11 +233,14 @@ def turned_off(robot: Robot, m: Measurements) -> float:
 
 
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurements, p: Array) -> None:
-    """Raise InputError where rows are in another unit; p : positions of `some` by the model, shape (n, 3) [m]."""
+    """Raise InputError where part of the rows is in another unit.
+
+    some : a sample of the poses; p : their positions by the model, shape (n, 3) [m]
+    """
     by_row = _by_row(some)
     parts, said = [], ""
-    for part in np.array_split(by_row, max(1, min(PARTS, len(by_row) // LEAST_POSES))):
-        if np.linalg.norm(np.ptp(p[part], axis=0)) > MOVED * robot.reach:
+    for part in np.array_split(by_row, max(1, min(UNIT_CHECK_PARTS, len(by_row) // MIN_POSES_PER_PART))):
+        if np.linalg.norm(np.ptp(p[part], axis=0)) > MIN_MOVEMENT_OF_REACH * robot.reach:
             fault = _unit_fault(robot, some, p, part)
             parts += [(some.row[part[0]], some.row[part[-1]])] if fault else []
             said = said or fault
@@ -213,28 +253,35 @@ def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurement
 
 
 def _by_row(m: Measurements) -> Array:
-    """Places of the poses that count, in the order of their rows."""
+    """Return the indices of the poses with a weight, in the order of their rows."""
     order = np.argsort(m.row, kind="stable")
     return np.asarray(order[m.weight[order] > 0])
 
 
 def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array | slice = slice(None)) -> str:
-    """What is wrong with the unit of some of the poses; p : positions of the model, shape (n, 3) [m]."""
+    """Return what is wrong with the unit of some of the poses; empty if nothing is.
+
+    p : positions of the model, shape (n, 3) [m]
+    """
     arrays = {name: values[which] for name, values in m.arrays.items()}
     return find_kind(m.kind).unit_fault(arrays, p[which], lambda q: positions_at(robot, m[which])(q), robot.reach)
 
 
 def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """First and last row of each run in another unit, grown row by row from the parts that were found."""
+    """Return first and last row of each run of rows in another unit.
+
+    Each run is grown row by row from a part in which the fault was found.
+    """
     by_row, (p, _) = _by_row(m), predicted(robot, m)
     rows = m.row[by_row]
     runs: list[tuple[int, int]] = []
     for begin, end in parts:
         first, last = (int(k) for k in np.searchsorted(rows, (begin, end)))
-        few = np.linspace(first, last, LEAST_POSES).astype(int)
+        few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def beside(k: int, few: Array = few) -> bool:
-            # As often as all others together, for faults that a median tells.
+            """Return whether row k has the same fault as the part."""
+            # The row is repeated to outweigh the others, for faults that a median shows.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
             return bool(_unit_fault(robot, m, p, which))
 
@@ -247,8 +294,11 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
 
 
 def least_margins(robot: Robot, m: Measurements) -> Array:
-    """The smallest margin of the robot's four-bars at each pose, shape (n,): 1 is square, below 0 they are open."""
+    """Return the smallest margin of the robot's four-bars at each pose, shape (n,).
+
+    1 is a square one; below 0 it cannot close.
+    """
     w = m.condition_matrix(robot.conditions, robot.declared)
     (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
-    # Not a number where the crank's end lies on the driven joint: the rocker's direction is then open.
+    # The margin is NaN where the crank's end is on the driven joint: the rocker's direction is undefined.
     return np.asarray(np.nan_to_num(margin.min(axis=0), nan=0.0))

@@ -23,7 +23,7 @@ from casadical.core.linear_gaussian.grid import gain
 from casadical.core.linear_gaussian.normal_equations import joined
 from casadical.identification.fit_statistics import covariance
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.least_squares import FRAMES, LeastSquares
+from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.robot.robot import Covariance, Robot
 
 # One sigma of the logarithm of the arm's size, of that of base and tool, and both are looked at so far from one.
@@ -66,7 +66,7 @@ def _sizes(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Arra
     own = [whole.robot.parameters[n] for n in whole.names]
     effects = {p.name for e in whole.robot.effects for p in e.parameters()}
     elsewhere = {n for block in _blocks(whole) for n in block.names} | effects | whole.given.keys()
-    frame, free = np.array([(p.group in FRAMES, p.name not in elsewhere) for p in own]).T
+    frame, free = np.array([(p.group in FRAME_GROUPS, p.name not in elsewhere) for p in own]).T
     frames, arm = (np.flatnonzero(free & which) for which in (frame, ~frame))
     # Of a point that nobody knows, one sigma in its units.
     unit = np.concatenate([np.sqrt(np.diag(_known(whole, whole.names))) / whole.scale, [1e3] * (len(v) - len(own))])

@@ -18,7 +18,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Shown
 from casadical.effects import Effect
-from casadical.identification.least_squares import FRAMES
+from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Covariance, Knowledge, Robot
 
@@ -155,7 +155,7 @@ def carry_over(
     knowledge = other.knowledge or Knowledge()
     model = robot.with_only(e for e in robot.effects if e.label not in labels).with_effect(*effects)
     theirs = {p.name: p for p in other.parameters}
-    taken = [p for p in model.parameters if p.group in labels or (whole and p.group not in FRAMES)]
+    taken = [p for p in model.parameters if p.group in labels or (whole and p.group not in FRAME_GROUPS)]
     taken = [p for p in taken if p.name in theirs]
     for p in taken:
         if not np.isfinite(value := theirs[p.name].value):

@@ -12,14 +12,14 @@ from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.statistics import best_of, robust_std
 from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.identifiability import (
-    INVISIBLE,
-    NO_EFFECT,
+    MAX_INVISIBLE_SHARE,
+    NO_EFFECT_REASON,
     Identifiability,
     Unidentifiable,
     analyse,
     drop_poor,
 )
-from casadical.identification.least_squares import WIDE, LeastSquares, Linearised
+from casadical.identification.least_squares import MANY_PARAMETERS, LeastSquares, Linearised
 from casadical.identification.plausibility import undefined
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
@@ -283,12 +283,14 @@ def _with_visible(
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
         tilts = {u.name for u in found.held if u.reason == GAUGE and u.name in _TURNS}
-    hidden = {u.name for u in found.held if u.reason == NO_EFFECT} | tilts
+    hidden = {u.name for u in found.held if u.reason == NO_EFFECT_REASON} | tilts
     if not hidden:
         return None
     wider, at = _widened(problem, v, hidden, order)
     seen = np.sqrt(np.diag(wider.information(at))[: len(wider.names)])
-    visible = {n for n, length in zip(wider.names, seen, strict=True) if length > INVISIBLE * seen.max()} & hidden
+    visible = {
+        n for n, length in zip(wider.names, seen, strict=True) if length > MAX_INVISIBLE_SHARE * seen.max()
+    } & hidden
     if not visible:
         return None
     if visible != hidden:
@@ -352,7 +354,9 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
         held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE)
     of_effects = {e.label for e in robot.effects}
-    wide = bool(problem.priors) and p > WIDE  # what a prior of an effect holds back needs no test of independence
+    wide = (
+        bool(problem.priors) and p > MANY_PARAMETERS
+    )  # what a prior of an effect holds back needs no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]
     columns = [*range(p, problem.size), *asked]
     zero = np.zeros(problem.size)

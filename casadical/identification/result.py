@@ -16,7 +16,7 @@ from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
-from casadical.identification.least_squares import SETTLED, LeastSquares, first_sigmas
+from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, first_sigmas
 from casadical.identification.prediction import covariance_of_all
 from casadical.identification.reduction import POOR_FIT, SCREENINGS, TELLING, solve_without_outliers
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
@@ -360,7 +360,7 @@ class Identification(Result):
         tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
         """
         if self.problem.guesses.any():
-            tolerance = max(tolerance, 2 * SETTLED)
+            tolerance = max(tolerance, 2 * SETTLED_COST_GAIN)
         round_off = 1e-12 * self.problem.cost(np.zeros(self.problem.size))
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 

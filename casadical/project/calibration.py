@@ -16,7 +16,7 @@ from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
-from casadical.identification.figures import correlated, held_table, how_sure, parameter_tables
+from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
 from casadical.identification.identification import (
     all_compliant,
     compliance_tried,
@@ -153,13 +153,13 @@ class Calibration(Result):
         """Return the blocks of the report, filled into calibration.j2."""
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
-            how_sure(last),
+            fit_quality(last),
             *outcome.left_out_table(self.identifications),
             *error_tables(problem, self.accuracies, networks),
             *(network_tables(networks) if networks else []),
             *paper_tables(problem.paper, self.accuracies, networks),
             *parameter_tables(last),
-            held_table(last),
+            unidentifiable_table(last),
             *correlated(last),
         ]
         return outcome.report_blocks(

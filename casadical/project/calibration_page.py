@@ -15,10 +15,10 @@ from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.figures import (
     correlated,
     fit_figures,
-    held_table,
-    how_sure,
+    fit_quality,
     parameter_figures,
     parameter_tables,
+    unidentifiable_table,
 )
 from casadical.identification.pose_errors import (
     SETS,
@@ -263,7 +263,7 @@ def _verdict(
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
         yield Words(result.verdict, "warning" if bad else "text")
-    yield how_sure(list(results.values())[-1])
+    yield fit_quality(list(results.values())[-1])
     trained = [r for r in networks.results.values() if r.compensator] if networks else []
     yield from (Words(r.verdict) for r in trained if r.helps)
     if refused := [r.method for r in trained if not r.helps]:
@@ -290,7 +290,7 @@ def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[B
     if result.at_bounds:
         bounds = ", ".join(result.at_bounds)
         yield Words(f"At a bound: {bounds}. Widen the bounds or doubt the model; no interval can be given.", "warning")
-    yield held_table(result)
+    yield unidentifiable_table(result)
     yield from correlated(result)
 
 

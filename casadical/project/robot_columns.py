@@ -11,7 +11,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.statistics import ranked
 from casadical.identification.accuracy import errors
 from casadical.identification.placement import place_frames
-from casadical.identification.plausibility import of_another_frame, turned_off
+from casadical.identification.plausibility import frame_error, orientation_error
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.columns import ORIENTATION, Columns, Source
 from casadical.measurements.headings import Question, Understanding, understand
@@ -59,7 +59,7 @@ def _without_other_frame(
     with suppress(InputError, np.linalg.LinAlgError):
         m = _measurements_of(raw, robot, {**found.sources, **given})
         if m.orientation is not None and (
-            of_another_frame(robot, m) or _orientation_error(robot, m) < COMPUTED_ORIENTATION_TOLERANCE_RAD
+            frame_error(robot, m) or _orientation_error(robot, m) < COMPUTED_ORIENTATION_TOLERANCE_RAD
         ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
@@ -104,7 +104,7 @@ def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source])
 
 def _orientation_error(robot: Robot, m: Measurements) -> float:
     """Return the median orientation error [rad] of the nominal robot, its tool rotated to fit."""
-    return turned_off(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
+    return orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
 
 
 def computed(robot: Robot, m: Measurements) -> bool:

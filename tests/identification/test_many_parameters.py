@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 import casadical
 from casadical import identify
 from casadical.effects.joint_error_curve import USUAL, JointErrorCurve
-from casadical.identification.least_squares import WIDE
+from casadical.identification.least_squares import MANY_PARAMETERS
 from casadical.identification.misfit import wide_fit
 from casadical.identification.remaining_errors import learn_remaining
 
@@ -33,7 +33,7 @@ def test_many_parameters_end_at_the_optimum(narrow: bool) -> None:
     arm = replace(arm, widths={**arm.widths, "geometry": width}).with_effect(JointErrorCurve(None, (USUAL, USUAL)))
     found = identify(arm, m, ["kinematic", "joint_error_curve"], loss="linear", priors=True)
     assert found.is_optimal()
-    assert len(found.names) > WIDE
+    assert len(found.names) > MANY_PARAMETERS
     own = [found.start.parameters[n] for n in found.names]
     residuals, J = found.problem.evaluate(found.solution.v)
     scale, prior = (np.array([getattr(p, name) for p in own]) for name in ("scale", "prior"))

@@ -138,7 +138,9 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result(planar: Probl
         "q5_deg": {"from": "Achse 5", "times": 0.5, "add": {"Achse 2": -2.0}, "rows": -1},
         "x_mm": {"from": "X", "times": -1.0},
     }
-    (words,) = report_blocks(replace(planar, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings")
+    (words,) = report_blocks(
+        replace(planar, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings"
+    )
     assert "q1 = -'Achse 1', q2 = 'Achse 2' +90, q4 = 0.5 x 'column_m' -0.706, " in words.text
     assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text

@@ -10,7 +10,7 @@ import numpy as np
 
 from casadical.core.basics import FaultsError, InputError, shown
 from casadical.core.parts import GRAVITY
-from casadical.identification.identifiability import CONFOUNDED
+from casadical.identification.identifiability import CONFOUNDED_CONDITION_NUMBER
 from casadical.identification.identification import undeclared
 from casadical.identification.plausibility import check_against
 from casadical.measurements.columns import FULL_TURN_RAD
@@ -215,7 +215,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
     if view.numbers < 3 * p:
         text = f"{view.method}: {view.numbers} numbers for {p} unknowns; 3 for each show how good it is"
         findings.append(Finding("warning", "too few poses", text))
-    if view.condition > CONFOUNDED:
+    if view.condition > CONFOUNDED_CONDITION_NUMBER:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
         findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
     if noise and view.scatter > LACKS * noise:

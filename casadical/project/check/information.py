@@ -15,7 +15,7 @@ from casadical.core.basics import Array
 from casadical.core.telling.blocks import Table
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
-from casadical.identification.least_squares import SIGMA_ANGLE_GUESS, SIGMA_GUESS, LeastSquares
+from casadical.identification.least_squares import INITIAL_SIGMA_ANGLE_RAD, INITIAL_SIGMA_M, LeastSquares
 from casadical.identification.reduction import independent_parameters
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -89,7 +89,7 @@ def outlook(
     robot : with its base and tool placed; free : as of `identify`; noise : one sigma of a coordinate [m], None: as the
     data show. Raises InputError.
     """
-    sigmas = tuple((noise or m.sigma or SIGMA_GUESS, m.sigma_angle or SIGMA_ANGLE_GUESS) for m in sets)
+    sigmas = tuple((noise or m.sigma or INITIAL_SIGMA_M, m.sigma_angle or INITIAL_SIGMA_ANGLE_RAD) for m in sets)
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
     independent = independent_parameters(problem)
     problem, r, J = _weighted(problem.with_names(independent.independent))
@@ -135,7 +135,7 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
         if min(freedom, length_freedom) <= 0:
             break
         own = m.sigma or sigma * np.sqrt(square / length_freedom)
-        sigmas = (float(own), max(float(angle * np.sqrt(turned / freedom)), 1e-6 * SIGMA_ANGLE_GUESS))
+        sigmas = (float(own), max(float(angle * np.sqrt(turned / freedom)), 1e-6 * INITIAL_SIGMA_ANGLE_RAD))
         change = abs(np.log(sigmas[1] / angle)) + abs(np.log(sigmas[0] / sigma))
         problem = replace(problem, sigmas=(sigmas, *problem.sigmas[1:]))
         if change < 0.03:

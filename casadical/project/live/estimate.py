@@ -18,7 +18,7 @@ from casadical.core.linear_gaussian.normal_equations import root_of_inverse
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
-from casadical.identification.least_squares import FRAMES, LeastSquares
+from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.identification.sessions import PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -139,7 +139,7 @@ def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
 
 def _is_frame(p: Parameter) -> bool:
     """Whether a parameter says where base or tool are, in some session."""
-    return p.group in FRAMES or (p.name.startswith(PREFIX) and ".zero" not in p.name)
+    return p.group in FRAME_GROUPS or (p.name.startswith(PREFIX) and ".zero" not in p.name)
 
 
 def labels_of(m: Measurements) -> list[str]:
