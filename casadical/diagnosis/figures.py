@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.drawing import ABOVE, BELOW
+from casadical.core.telling.drawing import LEGEND_HEIGHT_PX, TITLE_HEIGHT_PX
 from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
@@ -207,7 +207,7 @@ def curve_figure(curves: JointCurves) -> Figure:
         y=Axis("error [urad]"),
         caption=_CURVES,
         shared="xy",
-        height=150 * -(-len(panels) // COLUMNS) + ABOVE + BELOW,
+        height=150 * -(-len(panels) // COLUMNS) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
         panels=panels,
     )
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import pandas as pd
 
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, shown
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm
 from casadical.core.telling.figure import Figure
 from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
@@ -40,21 +40,23 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         Section("In the workspace", [figures["workspace"]]),
         Section(
             "Where the gap lies",
-            [*_said(said, "WHERE"), *(_where(more.where, shown(figures, "where")) if more.where else [])],
+            [*_said(said, "WHERE"), *(_where(more.where, figures_named(figures, "where")) if more.where else [])],
         ),
         Section(
             "Which causes, and how sure",
             [
-                *_said(said, "WHICH"), *_causes(rows), *_said(said, "SET"), *shown(figures, "shrink"),
-                *shown(figures, "causes"),
+                *_said(said, "WHICH"), *_causes(rows), *_said(said, "SET"), *figures_named(figures, "shrink"),
+                *figures_named(figures, "causes"),
             ],
         ),
-        Section("Joint error curves", [*shown(figures, "curves"), *(_curves(more.curves) if more.curves else ())]),
+        Section(
+            "Joint error curves", [*figures_named(figures, "curves"), *(_curves(more.curves) if more.curves else ())]
+        ),
         *([more.laws.section()] if more.laws else []),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", replayed),
-        Section("Parameters of the base model", [*_parameters(d, shown(figures, "parameters"))]),
-        Section("Can the fit be trusted", shown(figures, "fit")),
+        Section("Parameters of the base model", [*_parameters(d, figures_named(figures, "parameters"))]),
+        Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section("What to measure next", [*_next(said, more.poses)]),
     ]  # fmt: skip
     return Page("Diagnosis", f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d, more)])

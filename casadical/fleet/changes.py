@@ -10,7 +10,7 @@ from scipy.special import fdtrc
 
 from casadical.core.basics import Array
 from casadical.core.statistics import best_of, ranked
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step, shown
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm, next_step
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.plain import WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
@@ -211,7 +211,7 @@ class Comparison(Result):
         seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
         functions = (in_words, times_in_words, probability_of_change)
         named = {function.__name__: function for function in functions}
-        return self._told(tables=[_campaigns(self), seen], tables_of=_tables_of, **named)
+        return self._report_blocks(tables=[_campaigns(self), seen], tables_of=_tables_of, **named)
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -238,8 +238,8 @@ class Comparison(Result):
         end = next(k for k, b in enumerate(blocks) if isinstance(b, Table) and b.title == "Campaigns")
         sections = [
             Section("What changed", blocks[:end]),
-            Section("Over the life of the robot", shown(figures, "change")),
-            Section("Campaigns", [*shown(figures, "left"), *blocks[end:]]),
+            Section("Over the life of the robot", figures_named(figures, "change")),
+            Section("Campaigns", [*figures_named(figures, "left"), *blocks[end:]]),
         ]
         kind = self.campaigns[0].robot.name
         name, read = self.name or kind, [path for path in files if path.is_file()]

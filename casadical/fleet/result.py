@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, next_step, shown
+from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, next_step
 from casadical.core.telling.figure import Axis, Figure, Note, Series
 from casadical.core.telling.plain import WRITTEN, Key, plain
 from casadical.core.telling.result import Result
@@ -94,7 +94,7 @@ class Fleet(Result):
         failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
         title = f"Not calibrated ({len(bad)})"
         others = [Table(title, ("robot", "status", "why"), failed)] if failed else []
-        return self._told(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
+        return self._report_blocks(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -118,8 +118,8 @@ class Fleet(Result):
         alike: list[Block] = [b for c in self.commons for b in (figures[f"common/{c.type}"], common_table(c))]
         sections = [
             Section("What to check first", self.blocks()),
-            Section("Map of accuracies", shown(figures, "map")),
-            Section("Trends", shown(figures, "trends")),
+            Section("Map of accuracies", figures_named(figures, "map")),
+            Section("Trends", figures_named(figures, "trends")),
             Section("What robots of one type have in common", alike or [few]),
             Section("All robots", [self._all()]),
         ]

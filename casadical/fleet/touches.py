@@ -189,7 +189,7 @@ class Touches(Result):
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
     def blocks(self) -> list[Block]:
-        return self._told(quantiles=np.quantile(self.errors, [0.025, 0.975, VALID]))
+        return self._report_blocks(quantiles=np.quantile(self.errors, [0.025, 0.975, VALID]))
 
     @property
     def what_moved(self) -> list[Table]:

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.drawing import EYE
+from casadical.core.telling.drawing import CAMERA_EYE
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series
 from casadical.identification.result import LeftOut
 from casadical.robot.kinematics import link_frames
@@ -241,7 +241,9 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
             series += _vectors(some, left, factor, left is first)
     if robot is not None:
         out = some.position - robot.base.T[:3, 3]
-        from_the_side = int(np.argmax(out[:, 0] * EYE[1] - out[:, 1] * EYE[0]))  # as the first view shows it
+        from_the_side = int(
+            np.argmax(out[:, 0] * CAMERA_EYE[1] - out[:, 1] * CAMERA_EYE[0])
+        )  # as the first view shows it
         points = skeleton(robot, some.q[from_the_side])
         series.append(Series("linked", **_xyz(points), name="robot, at one pose", colour="grey", width=9, size=4.5))
     return Figure("workspace", f"{poses.words}: error vectors", series, height=560, caption=caption)

@@ -52,7 +52,7 @@ class MeasurementPlan(Result):
             height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
             more |= {"below": int((height < 0).sum()), "lowest": -height.min()}
             more |= {"travel": np.rad2deg(travel(plan.robot, plan.q)), "tables": [_map(plan), _errors(plan)]}
-        return self._told(**more)
+        return self._report_blocks(**more)
 
     def places_of(self, kind: str) -> list[list[float]] | None:
         """Return the places of an instrument of this kind, shape (n, 3) [mm]; None for another one."""

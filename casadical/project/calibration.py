@@ -143,13 +143,13 @@ class Calibration(Result):
 
     def brief(self) -> Sequence[Block]:
         """Return the main results in at most 20 lines of 80 columns, the verdict first."""
-        return self._told(brief=True)
+        return self._report_blocks(brief=True)
 
     def blocks(self) -> Sequence[Block]:
         """Return the full report as text blocks and tables."""
-        return self._told(brief=False)
+        return self._report_blocks(brief=False)
 
-    def _told(self, **more: Any) -> list[Block]:
+    def _report_blocks(self, **more: Any) -> list[Block]:
         """Return the blocks of the report, filled into calibration.j2."""
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [

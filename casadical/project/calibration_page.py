@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.telling.blocks import Block, Page, Section, Tile, Words, mm, shown
+from casadical.core.telling.blocks import Block, Page, Section, Tile, Words, figures_named, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.diagnosis.figures import where_figures
 from casadical.diagnosis.linear_problem import make_case
@@ -228,14 +228,14 @@ def calibration_page(
         Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
         Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
         Section("Error of each pose", each),
-        Section("In the workspace", shown(figures, "workspace") or [Words(no_map, "note")]),
-        Section("Where the gap lies", [*_where(shown(figures, "where"), last)]),
+        Section("In the workspace", figures_named(figures, "workspace") or [Words(no_map, "note")]),
+        Section("Where the gap lies", [*_where(figures_named(figures, "where"), last)]),
         Section("Which causes", [Words(_CAUSES, code=f"casadical diagnose {problem.folder} {_CAMPAIGN}")]),
-        Section("Parameters", [*_parameters(shown(figures, "parameters"), last)]),
-        Section("Can the fit be trusted", shown(figures, "fit")),
+        Section("Parameters", [*_parameters(figures_named(figures, "parameters"), last)]),
+        Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section(
             "Training of the networks",
-            [*network_tables(networks), *shown(figures, "training")] if networks else [],
+            [*network_tables(networks), *figures_named(figures, "training")] if networks else [],
         ),
         Section("What to measure next", [*_next(problem, last)]),
     ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.core.basics import Array, shown
 from casadical.core.telling.blocks import Block, Table, Words, mm
-from casadical.core.telling.template import told
+from casadical.core.telling.template import template_blocks
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.gravity import in_words
 from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
@@ -55,7 +55,9 @@ def report_blocks(
     more : further values that the block needs
     """
     path = Path(__file__).with_name("calibration.j2")
-    return told(path, it, block, problem=problem, accuracies=accuracies, brief=brief, **_TEMPLATE_FUNCTIONS, **more)
+    return template_blocks(
+        path, it, block, problem=problem, accuracies=accuracies, brief=brief, **_TEMPLATE_FUNCTIONS, **more
+    )
 
 
 def things_to_know(

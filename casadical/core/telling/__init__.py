@@ -1,1 +1,1 @@
-"""Blocks of words, tables and figures as data, and renderers that know nothing of what they show."""
+"""Reports: words, tables and figures as data, and renderers for terminal, HTML, PDF and JSON."""

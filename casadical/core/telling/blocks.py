@@ -1,4 +1,4 @@
-"""The blocks that a result is told in, as plain data: words, tables and figures, and the page that they make."""
+"""Blocks of a report as plain data: words, tables and figures, and the page that they make."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -13,7 +13,12 @@ Kind: TypeAlias = Literal["title", "text", "note", "warning", "error", "verdict"
 
 @dataclass(frozen=True)
 class Words:
-    """A paragraph; code : a command to show beneath it; mark : a word before it, which alone looks as its kind does."""
+    """A paragraph.
+
+    text : the paragraph; kind : its role, which sets its style
+    code : a command or code to show beneath it
+    mark : a word before it; if given, only the mark has the style of the kind
+    """
 
     text: str
     kind: Kind = "text"
@@ -22,15 +27,17 @@ class Words:
 
 
 def next_step(purpose: str, command: str, *arguments: object) -> Words:
-    """The one command that a result suggests; purpose : "to learn what changed", or "when ..." """
+    """Return the command that a result suggests; purpose : "to learn what changed", "when ..." """
     return Words(f"Next, {purpose}:", code=shlex.join(["casadical", command, *map(str, arguments)]))
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells as text; numbers : columns set flush right; strong, faint : rows to stress or to hold back.
+    """A table of text cells.
 
-    folded : shown on a page when the reader asks for it; a terminal shows it all
+    numbers : indices of the columns that are right-aligned
+    strong, faint : indices of the rows in bold and in faint type
+    folded : whether a page shows it only when the reader asks for it; a terminal shows it always
     """
 
     title: str
@@ -47,7 +54,7 @@ Block = Words | Table | Figure
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """One question of the reader and what answers it; an empty one is left out."""
+    """A titled section of a page; sections without blocks are omitted."""
 
     title: str
     blocks: Sequence[Block]
@@ -55,7 +62,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Tile:
-    """A main figure, shown large at the top of a page."""
+    """A key number, shown large at the top of a page."""
 
     label: str
     value: str
@@ -65,10 +72,11 @@ class Tile:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """All that is told of one result.
+    """The report of one result.
 
-    kind : of the result, as "Calibration"; badges : what must not be overlooked, as "synthetic data"
-    files : from which it was made
+    kind : of the result, such as "Calibration"
+    tiles : key numbers; badges : warnings that must not be overlooked, such as "synthetic data"
+    files : the files from which the result was computed
     """
 
     kind: str
@@ -80,12 +88,12 @@ class Page:
     files: Sequence[Path] = ()
 
 
-def shown(figures: Mapping[str, Figure], start: str) -> list[Figure]:
-    """The figures of a name, or of names that begin with it and a slash."""
+def figures_named(figures: Mapping[str, Figure], start: str) -> list[Figure]:
+    """Return the figures named `start`, or with a name that begins with it and a slash."""
     return [figure for name, figure in figures.items() if name == start or name.startswith(f"{start}/")]
 
 
 def mm(metres: float) -> str:
-    """A length in mm, with three digits or more."""
+    """Return a length [m] as text in mm, with three significant digits or more."""
     value = 1e3 * metres
     return f"{value:.{4 if abs(value) < 0.1 else 3 if abs(value) < 10 else 2 if abs(value) < 100 else 1}f}"

@@ -1,6 +1,6 @@
-"""Figures drawn by plotly: one palette for colour-blind readers, light and dark, and common settings.
+"""Figures drawn by plotly, with one palette for colour-blind readers and common settings.
 
-A figure is drawn in light colours; the dark ones stand for them one by one (`dark`, and the page's script).
+A figure is drawn in the light colours; each has a dark counterpart (`dark`, and the page's script).
 """
 
 import html
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from casadical.core.basics import optional
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 
-# plotly is imported when a figure is drawn.
+# Only type checkers import plotly here; it is loaded when a figure is drawn.
 if TYPE_CHECKING:
     from plotly.graph_objects import Figure as PlotlyFigure
 
@@ -19,8 +19,9 @@ if TYPE_CHECKING:
 else:
     Picture = Any
 
-NEEDED = "a report needs plotly, which is not installed: pip install 'casadical[report]'"
-# Role: light, dark. The colours of methods are those of Okabe and Ito (2008), shifted to be read on either ground.
+MISSING_PLOTLY = "a report needs plotly, which is not installed: pip install 'casadical[report]'"
+# Light and dark colour by role. Those of methods are of Okabe and Ito (2008), shifted for contrast
+# on both backgrounds.
 COLOURS: dict[str, tuple[str, str]] = {
     "paper": ("#ffffff", "#171c23"),
     "ink": ("#1c2530", "#e4e9ef"),
@@ -35,33 +36,36 @@ COLOURS: dict[str, tuple[str, str]] = {
     "sky": ("#3d95c9", "#8cc9ee"),
     "grey": ("#868f9a", "#78838f"),
 }
-DARK = dict(COLOURS.values())
-INK, MUTED, LINE, GRID = (COLOURS[role][0] for role in ("ink", "muted", "line", "grid"))
-PAPER, GREY = COLOURS["paper"][0], COLOURS["grey"][0]
-FONT = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-MODES = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
-AXIS = {"gridcolor": GRID, "zeroline": False, "linecolor": LINE, "automargin": True}
-# Of the first view into a space, in lengths of the drawn box.
-EYE = (1.15, 1.3, 0.55)
-# Heights of title and legend of a figure with panels that have titles [px].
-ABOVE, BELOW = 76, 100
+DARK_BY_LIGHT = dict(COLOURS.values())
+INK_COLOUR, MUTED_COLOUR, LINE_COLOUR, GRID_COLOUR = (COLOURS[role][0] for role in ("ink", "muted", "line", "grid"))
+PAPER_COLOUR = COLOURS["paper"][0]
+GREY_COLOUR = COLOURS["grey"][0]
+FONT_FAMILIES = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+MODE_BY_KIND = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
+AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
+# Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.
+CAMERA_EYE = (1.15, 1.3, 0.55)
+# Heights reserved for title and legend of a figure whose panels have titles [px].
+TITLE_HEIGHT_PX = 76
+LEGEND_HEIGHT_PX = 100
 
 
 def plain(text: object) -> str:
-    """A user's text inside of a figure, which would take some HTML as such."""
+    """Return a user's text escaped for a figure, which interprets some HTML."""
     return html.escape(str(text), quote=False).replace("\n", "<br>")
 
 
 def draw(figure: Figure) -> Picture:
-    """The picture of a figure. Raises InputError where plotly is not installed."""
-    picture = optional("plotly.graph_objects", NEEDED).Figure()
+    """Return a figure drawn by plotly. Raises InputError where plotly is not installed."""
+    picture = optional("plotly.graph_objects", MISSING_PLOTLY).Figure()
     picture.update_layout(
-        template=None, height=figure.height, dragmode="zoom", font={"family": FONT, "size": 12.5, "color": MUTED},
+        template=None, height=figure.height, dragmode="zoom",
+        font={"family": FONT_FAMILIES, "size": 12.5, "color": MUTED_COLOUR},
         title={"text": plain(figure.title), "x": 0, "xref": "container", "y": 1, "yref": "container",
-               "yanchor": "top", "pad": {"t": 14}, "font": {"size": 15, "color": INK, "weight": 600}},
-        paper_bgcolor=PAPER, plot_bgcolor=PAPER, margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
-        hoverlabel={"font": {"family": FONT, "size": 12.5, "color": INK}, "align": "left", "namelength": -1,
-                    "bgcolor": PAPER, "bordercolor": LINE},
+               "yanchor": "top", "pad": {"t": 14}, "font": {"size": 15, "color": INK_COLOUR, "weight": 600}},
+        paper_bgcolor=PAPER_COLOUR, plot_bgcolor=PAPER_COLOUR, margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
+        hoverlabel={"font": {"family": FONT_FAMILIES, "size": 12.5, "color": INK_COLOUR}, "align": "left",
+                    "namelength": -1, "bgcolor": PAPER_COLOUR, "bordercolor": LINE_COLOUR},
         legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
     )  # fmt: skip
     if any(s.z is not None and s.kind != "map" for s in figure.series):
@@ -81,29 +85,32 @@ def draw(figure: Figure) -> Picture:
 
 
 def dark(picture: Picture) -> Picture:
-    """The same picture in the dark colours, for a dark notebook or page."""
+    """Return the same picture in the dark colours, for a dark notebook or page."""
     text = picture.to_json()
-    for light, its_dark in DARK.items():
+    for light, its_dark in DARK_BY_LIGHT.items():
         text = text.replace(light, its_dark)
-    return optional("plotly.io", NEEDED).from_json(text)
+    return optional("plotly.io", MISSING_PLOTLY).from_json(text)
 
 
 def _colour(role: str | Sequence[str]) -> str | list[str]:
+    """Return the light colour of a role, or of each of several roles."""
     return COLOURS[role][0] if isinstance(role, str) else [COLOURS[r][0] for r in role]
 
 
 def _escaped(facts: Any) -> Any:
-    """Facts for tooltips; of lists the texts are escaped."""
+    """Return the facts of tooltips with the texts of nested lists escaped."""
     if isinstance(facts, str):
         return plain(facts)
     return [_escaped(fact) for fact in facts] if isinstance(facts, list | tuple) else facts
 
 
 def _values(values: Any) -> Any:
+    """Return values in a form that plotly takes."""
     return list(values) if isinstance(values, range | tuple) else values
 
 
 def _add(picture: Picture, figure: Figure, s: Series) -> None:
+    """Add a series to the picture."""
     colour = _colour(s.colour)
     trace: dict[str, Any] = {"x": _values(s.x), "y": _values(s.y), "opacity": s.opacity}
     trace |= {"showlegend": bool(s.name) and s.listed, "visible": True if s.shown else "legendonly"}
@@ -115,9 +122,13 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
     if len(s.text):
         beside = {"textposition": "outside"} if s.kind == "bars" else {"textposition": "top center"}
         trace |= {"text": [plain(t) for t in s.text], **beside, "cliponaxis": False}
-        trace |= {"textfont": {"color": INK, "size": 12}}
+        trace |= {"textfont": {"color": INK_COLOUR, "size": 12}}
     if s.more is not None:
-        bars = {"color": INK, "thickness": 1.4, "width": 4} if s.kind == "bars" else {"color": GREY, "thickness": 2}
+        bars = (
+            {"color": INK_COLOUR, "thickness": 1.4, "width": 4}
+            if s.kind == "bars"
+            else {"color": GREY_COLOUR, "thickness": 2}
+        )
         ends = {"array": s.more, "arrayminus": s.less if s.less is not None else s.more, "symmetric": False}
         trace["error_x" if figure.rows else "error_y"] = {"type": "data", "width": 0, **bars, **ends}
     place = {}
@@ -130,12 +141,12 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
     if s.kind == "map":
         trace = {k: trace[k] for k in ("x", "y", "opacity", "visible")}
         bar = {"thickness": 10, "outlinewidth": 0}
-        scale = [[0, PAPER], [1, colour]]
+        scale = [[0, PAPER_COLOUR], [1, colour]]
         picture.add_heatmap(**trace, z=s.z, zmin=0, zmax=s.size, colorscale=scale, colorbar=bar, hoverinfo="x+z")
         return
     marker = {"color": colour, "symbol": s.symbol, "size": s.size}
     line = {"color": colour, "width": s.width, "dash": s.dash}
-    trace["mode"] = MODES[s.kind] + ("+text" if len(s.text) else "")
+    trace["mode"] = MODE_BY_KIND[s.kind] + ("+text" if len(s.text) else "")
     if s.kind == "area":
         trace |= {"fill": "toself", "fillcolor": _colour(s.fill or s.colour)}
         trace["line"] = {"color": colour, "width": s.width if s.fill else 0}
@@ -151,9 +162,10 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
 
 
 def _axis(axis: Axis) -> dict[str, Any]:
-    settings: dict[str, Any] = {**AXIS, "showgrid": axis.grid}
+    """Return the plotly settings of an axis."""
+    settings: dict[str, Any] = {**AXIS_DEFAULTS, "showgrid": axis.grid}
     settings["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
-    settings |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED} if axis.zero else {}
+    settings |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED_COLOUR} if axis.zero else {}
     settings |= {"rangemode": "tozero"} if axis.begins else {}
     settings |= {"tickformat": "d"} if axis.whole else {}
     settings |= {"tick0": 1, "dtick": axis.step} if axis.step else {}
@@ -171,27 +183,30 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def _rows(rows: Sequence[str]) -> dict[str, Any]:
-    """An axis y of words, the first on top."""
+    """Return the settings of a y axis whose ticks are words, the first on top."""
     ends = [len(rows) - 0.4, -0.6]
     words = [plain(row) for row in rows]
-    return {**AXIS, "tickvals": list(range(len(rows))), "ticktext": words, "range": ends, "showgrid": False}
+    return {**AXIS_DEFAULTS, "tickvals": list(range(len(rows))), "ticktext": words, "range": ends, "showgrid": False}
 
 
 def _panels(picture: Picture, figure: Figure) -> None:
-    """Plots in rows and columns; with titles they leave room for these and for a common legend."""
+    """Lay out panels in rows and columns, with room for their titles and a common legend."""
     panels = figure.panels
     rows, columns = max(p.row for p in panels), max(p.column for p in panels)
     titled = any(p.title for p in panels)
     room = {"horizontal_spacing": 0.04, "vertical_spacing": 0.04}
     if titled:
-        gap = 30 if "x" in figure.shared or not any(p.x.title for p in panels) else 50  # ticks stand there, too
-        room = {"horizontal_spacing": 0.1, "vertical_spacing": gap / (figure.height - ABOVE - BELOW)}
+        gap = 30 if "x" in figure.shared or not any(p.x.title for p in panels) else 50  # the gap also holds the ticks
+        room = {
+            "horizontal_spacing": 0.1,
+            "vertical_spacing": gap / (figure.height - TITLE_HEIGHT_PX - LEGEND_HEIGHT_PX),
+        }
     both = {f"shared_{axis}axes": "all" for axis in "xy" if axis in figure.shared}
     titles = {f"{axis}_title": getattr(figure, axis).title for axis in "xy" if getattr(figure, axis).title}
     picture.set_subplots(rows, columns, subplot_titles=[p.title for p in panels], **room, **both, **titles)
-    picture.update_annotations(font={"size": 12, "color": MUTED})
+    picture.update_annotations(font={"size": 12, "color": MUTED_COLOUR})
     if titled:
-        picture.update_layout(margin={"l": 56, "r": figure.right, "t": ABOVE, "b": BELOW})
+        picture.update_layout(margin={"l": 56, "r": figure.right, "t": TITLE_HEIGHT_PX, "b": LEGEND_HEIGHT_PX})
     for panel in panels:
         place = {"row": panel.row, "col": panel.column}
         picture.update_xaxes(**_axis(panel.x), showline=True, **place)
@@ -199,6 +214,7 @@ def _panels(picture: Picture, figure: Figure) -> None:
 
 
 def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
+    """Add a rule, a span or a note to the picture."""
     if isinstance(mark, Span):
         role = _colour(mark.colour)
         picture.add_vrect(x0=mark.first, x1=mark.last, fillcolor=role, opacity=0.2, line_width=0)
@@ -213,7 +229,7 @@ def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
         _note(picture, figure, mark)
 
 
-# Anchors, and direction of the gap, of words on each side of a place.
+# Anchors, and direction of the gap, of a note by the side of its point on which it stands.
 _SIDES: dict[str, tuple[dict[str, str], int]] = {
     "right": ({"xanchor": "left"}, 1),
     "left": ({"xanchor": "right"}, -1),
@@ -224,6 +240,7 @@ _SIDES: dict[str, tuple[dict[str, str], int]] = {
 
 
 def _note(picture: Picture, figure: Figure, note: Note) -> None:
+    """Add a note to the picture."""
     anchors, way = _SIDES[note.side]
     number = "" if note.panel == 0 else str(note.panel + 1)
     refs = {"xref": f"x{number}", "yref": f"y{number}"}
@@ -239,9 +256,15 @@ def _note(picture: Picture, figure: Figure, note: Note) -> None:
 
 
 def _space(picture: Picture) -> None:
-    """A scene that is turned with the mouse."""
-    axis = {"gridcolor": GRID, "zerolinecolor": LINE, "showbackground": False, "linecolor": LINE, "color": MUTED}
+    """Set up a 3D scene that is rotated with the mouse."""
+    axis = {
+        "gridcolor": GRID_COLOUR,
+        "zerolinecolor": LINE_COLOUR,
+        "showbackground": False,
+        "linecolor": LINE_COLOUR,
+        "color": MUTED_COLOUR,
+    }
     axes = {f"{c}axis": {**axis, "title": {"text": f"{c} [m]"}, "nticks": 6, "showspikes": False} for c in "xyz"}
-    camera = {"eye": dict(zip("xyz", EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
+    camera = {"eye": dict(zip("xyz", CAMERA_EYE, strict=True)), "center": {"x": 0, "y": 0, "z": -0.22}}
     scene = {**axes, "aspectmode": "data", "camera": camera, "dragmode": "turntable"}
     picture.update_layout(scene=scene, margin={"l": 0, "r": 0, "t": 44, "b": 0})

@@ -1,6 +1,6 @@
-"""A figure as data: what is drawn, over which axes, in which role; a drawer turns it into a picture.
+"""Figures as data: series, axes, marks and panels, which `drawing` turns into a picture.
 
-Colours are roles of the palette (`drawing.COLOURS`). Text may hold what a user wrote; the drawer escapes it.
+Colours are roles of the palette (`drawing.COLOURS`). Text may be a user's; `drawing` escapes it.
 """
 
 import math
@@ -13,13 +13,20 @@ Values = Any  # numbers, days or words, one for each entry
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One series of a figure; x, y, z : of each entry (z : in space).
+    """One series of a figure.
 
+    kind : how it is drawn; a "map" has cells z, shape (y, x), in shades of the colour from 0 to
+        `size`
+    x, y, z : coordinates of each entry, z for a 3D figure
     name : in the legend, if it is `listed`; series of one `group` are shown and hidden together
-    symbol, size, colour : of all or of each entry; less, more : how far the interval of each entry goes [as the axis]
-    text : beside each entry; tip : of the tooltip, with %{x:.3f}, %{y}, %{customdata[0]} of `facts`; empty: none
-    map : cells z, shape (y, x), in shades of the colour from none to `size`
-    fill : of an area with an edge, its colour; shown : whether it is drawn before the reader asks for it
+    colour, symbol, size : of all entries or of each; size and width in px
+    dash, shape : line style, and how consecutive points are connected
+    fill : colour of an area that has an outline
+    less, more : length of each entry's error bar below and above it, in the unit of the axis
+    text : label of each entry
+    tip : template of the tooltip, with %{x:.3f}, %{y}, %{customdata[0]} of `facts`; none if empty
+    shown : whether it is visible before the reader asks for it
+    panel : index of the panel that it is drawn in
     """
 
     kind: Literal["points", "line", "linked", "bars", "area", "map"]
@@ -48,9 +55,13 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """An axis; ends : of what is shown; ticks : where, `labels` what they say, `count` how many instead.
+    """An axis of a figure.
 
-    whole : ticks are whole numbers; zero : whether a line marks it; begins : whether it begins at zero
+    ends : range that is shown; log : whether the scale is logarithmic
+    ticks : positions of ticks; labels : their texts; count : number of ticks instead
+    step : distance of ticks, the first at 1; whole : whether ticks are whole numbers
+    zero : whether a line marks zero; begins : whether the range begins at zero
+    grid : whether grid lines are drawn
     """
 
     title: str = ""
@@ -68,7 +79,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Rule:
-    """A line across the figure where `axis` has a value; text : at its end."""
+    """A line across the figure at the value `at` of an axis; text : label at its end."""
 
     axis: Literal["x", "y"]
     at: float
@@ -80,7 +91,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Span:
-    """A shaded stretch of the axis x."""
+    """A shaded interval of the x axis, from `first` to `last`."""
 
     first: Any
     last: Any
@@ -89,9 +100,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Note:
-    """Words in a figure, at x, y of the axes, or of the frame (0 to 1) where it is named.
+    """A text in a figure.
 
-    side : of the place on which the words stand; gap : between both [px]
+    x, y : its position, in units of the axes, or of the frame (0 to 1) for axes named by `frame`
+    side : the side of the position on which the text stands; gap : distance between both [px]
+    size : of the letters [px]
     """
 
     text: str
@@ -107,7 +120,7 @@ class Note:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One of the plots that share a figure, at a row and column from 1."""
+    """One of several plots in a figure, at a row and column counted from 1."""
 
     row: int
     column: int
@@ -118,10 +131,14 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A picture and the words beneath it.
+    """A figure with its caption.
 
-    name : as "errors/report"; rows : words on the axis y, from the top, in place of numbers; right : margin [px]
-    over : what a tooltip of all series at one y says; shared : with panels, the axes that all have alike
+    name : identifier, such as "errors/report"
+    height : [px]; right : margin at the right [px]
+    rows : words on the y axis, from the top, in place of numbers
+    marks : rules, spans and notes in the figure
+    panels : plots of a figure with several; shared : the axes, "x", "y" or "xy", that they share
+    over : title of one tooltip for all series at one y; a tooltip for each if empty
     """
 
     name: str
@@ -140,6 +157,6 @@ class Figure:
 
 
 def ticks_of_decades(low: float = 1e-9, high: float = 5e5, steps: Sequence[int] = (1, 2, 5)) -> list[float]:
-    """Ticks of a logarithmic axis: 0.1, 0.2, 0.5, 1."""
+    """Return the ticks of a logarithmic axis: 0.1, 0.2, 0.5, 1 and so on."""
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
     return [float(f"{step}e{power}") for power in decades for step in steps]

@@ -1,4 +1,4 @@
-"""Pages as one HTML file that needs nothing else: words, tables and figures in sections, plotly.js inlined once."""
+"""Pages as one self-contained HTML file: words, tables and figures, plotly.js included."""
 
 import hashlib
 import json
@@ -15,19 +15,21 @@ from typing import Any
 
 from casadical.core.basics import InputError, optional
 from casadical.core.telling.blocks import Page
-from casadical.core.telling.drawing import COLOURS, DARK, NEEDED, draw
+from casadical.core.telling.drawing import COLOURS, DARK_BY_LIGHT, MISSING_PLOTLY, draw
 from casadical.core.telling.template import pages as pages_of
 
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def require() -> None:
-    """Refuse at once what would fail in the end. Raises InputError where a library of the extra is not installed."""
-    optional("plotly.graph_objects", NEEDED)
+    """Check that reports can be written. Raises InputError where plotly is not installed."""
+    optional("plotly.graph_objects", MISSING_PLOTLY)
 
 
 def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
-    """The whole file as text; command : as it was typed
+    """Return pages as the text of one HTML file.
+
+    command : the command line that made it
 
     Raises InputError where plotly is not installed, or a file of a page is gone.
     """
@@ -40,7 +42,7 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
             parts=pages,
             provenance=provenance_of([path for page in pages for path in page.files], command),
             colours=COLOURS,
-            dark=safe_json(DARK),
+            dark=safe_json(DARK_BY_LIGHT),
             style=_text("page.css"),
             script=_text("page.js"),
             plotly=_plotly(),
@@ -50,12 +52,16 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
 
 
 def safe_json(value: Any) -> str:
-    """JSON for a script element, in which no tag can open or close; numbers that are not finite become null."""
+    """Return JSON for a script element, in which no tag can open or close.
+
+    Numbers that are not finite become null.
+    """
     text = json.dumps(_finite(value), separators=(",", ":"), allow_nan=False, ensure_ascii=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
 
 
 def _finite(value: Any) -> Any:
+    """Return plain data with numbers that are not finite as None."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list):
@@ -65,19 +71,27 @@ def _finite(value: Any) -> Any:
 
 @cache
 def _text(name: str) -> str:
+    """Return the text of a template file."""
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 @cache
 def _plotly() -> str:
-    # Nothing in the library may end the element that it stands in.
-    whole: str = optional("plotly.offline", NEEDED).get_plotlyjs()
+    # No text of the library may close the script element that contains it.
+    """Return the source of plotly.js."""
+    whole: str = optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs()
     return whole.replace("</script", "<\\/script")
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """files : (path, SHA-256) of what was read; versions : (name, version); command : as typed; date : UTC."""
+    """Where a report comes from.
+
+    files : path and SHA-256 of every file that was read
+    versions : name and version of each library
+    command : as it was typed
+    date : date and time, UTC
+    """
 
     files: tuple[tuple[str, str], ...]
     versions: tuple[tuple[str, str], ...]
@@ -86,7 +100,11 @@ class Provenance:
 
 
 def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
-    """Of files, read now; now : instead of the clock. Raises InputError where a file cannot be read."""
+    """Return the provenance of a report made from files, which are read and hashed here.
+
+    now : date and time, by default those of the clock
+    Raises InputError where a file cannot be read.
+    """
     return Provenance(
         files=tuple((str(path), sha256(path)) for path in dict.fromkeys(files)),
         versions=(
@@ -100,7 +118,7 @@ def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datet
 
 
 def sha256(path: Path) -> str:
-    """Of a file's bytes. Raises InputError."""
+    """Return the SHA-256 of a file as hexadecimal digits. Raises InputError."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
@@ -108,6 +126,7 @@ def sha256(path: Path) -> str:
 
 
 def _version(name: str) -> str:
+    """Return the version of an installed distribution, or "unknown"."""
     try:
         return version(name)
     except PackageNotFoundError:

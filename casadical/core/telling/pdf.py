@@ -1,4 +1,4 @@
-"""Pages as a PDF: words, tables and pictures of points, one page of paper for each; what a user wrote is only text."""
+"""Pages as a PDF of words, tables and scatter plots; a user's text is never interpreted."""
 
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
@@ -11,7 +11,7 @@ from casadical.core.telling.blocks import Page, Table, Words
 from casadical.core.telling.drawing import COLOURS
 from casadical.core.telling.figure import Figure
 
-# fpdf is imported when a PDF is made.
+# Only type checkers import fpdf here; it is loaded when a PDF is made.
 if TYPE_CHECKING:
     from fpdf import FPDF
 
@@ -19,20 +19,26 @@ if TYPE_CHECKING:
 else:
     Sheet = Any
 
-NEEDED = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
-# Of an A4 page [mm]: its sides, its foot, and the text's width.
-SIDE, WIDTH, END = 18.0, 174.0, 297.0 - 18.0
-_KINDS = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
-# Letters that the fonts of every reader have not, and what stands for them.
-_LETTERS = str.maketrans({"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="})
+MISSING_FPDF = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
+# Margin, width of the text and lowest position of the text on an A4 page [mm].
+MARGIN_MM = 18.0
+TEXT_WIDTH_MM = 174.0
+TEXT_BOTTOM_MM = 297.0 - 18.0
+_FONT_BY_KIND = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
+# Letters outside of the built-in Latin-1 fonts of PDF readers, and their substitutes.
+_LATIN1_SUBSTITUTES = str.maketrans(
+    {"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="}
+)
 
 
 def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = None) -> bytes:
-    """The file; day : of its making, which alone makes two files of one result differ.
+    """Return the bytes of a PDF file.
+
+    day : date of its creation; without it two files of one result are equal to the byte
 
     Raises InputError where fpdf2 is not installed, or a page's words have no room on it.
     """
-    # Sizes of type that are tried until everything is on its page.
+    # The type is made smaller until every page's content fits on it.
     for size in (1.0, 0.94, 0.88, 0.82, 0.76, 0.7):
         sheet, full = _drawn(pages, size)
         if full is None:
@@ -48,15 +54,17 @@ def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = No
 
 
 def _text(words: str) -> str:
-    """As the built-in fonts have it; other letters are shown by their codes."""
-    return " ".join(words.translate(_LETTERS).split()).encode("latin-1", "backslashreplace").decode("latin-1")
+    """Return text in Latin-1, the encoding of the built-in fonts; other letters as their codes."""
+    return (
+        " ".join(words.translate(_LATIN1_SUBSTITUTES).split()).encode("latin-1", "backslashreplace").decode("latin-1")
+    )
 
 
 def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
-    """The pages in a size of type; the number of the first that is too full."""
-    sheet: Sheet = optional("fpdf", NEEDED).FPDF(format="A4")
+    """Return the pages drawn in a size of type, and the number of the first that overflows."""
+    sheet: Sheet = optional("fpdf", MISSING_FPDF).FPDF(format="A4")
     sheet.set_auto_page_break(False)
-    sheet.set_margins(SIDE, SIDE, SIDE)
+    sheet.set_margins(MARGIN_MM, MARGIN_MM, MARGIN_MM)
     full = None
     for number, page in enumerate(pages, 1):
         sheet.add_page()
@@ -73,7 +81,7 @@ def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
                     _table(sheet, block, size)
             if figures:
                 _figures(sheet, figures, size)
-        if sheet.get_y() > END and full is None:
+        if sheet.get_y() > TEXT_BOTTOM_MM and full is None:
             full = number
         sheet.set_y(-14.0)  # mm from the bottom of the page
         _line(sheet, " · ".join((*page.badges, f"{number} / {len(pages)}")), "", 7.5, "muted")
@@ -81,39 +89,43 @@ def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
 
 
 def _ink(sheet: Sheet, role: str = "ink") -> None:
+    """Set the colour of text to that of a role."""
     sheet.set_text_color(*_rgb(role))
 
 
 def _rgb(role: str) -> tuple[int, int, int]:
+    """Return the light colour of a role as red, green and blue."""
     light = COLOURS[role][0]
     return int(light[1:3], 16), int(light[3:5], 16), int(light[5:7], 16)
 
 
 def _line(sheet: Sheet, text: str, style: str, size: float, role: str = "ink") -> None:
+    """Write a paragraph of text in a font, style and size."""
     sheet.set_font("helvetica", style, size)
     _ink(sheet, role)
-    sheet.multi_cell(WIDTH, 0.45 * size, _text(text), new_x="LMARGIN", new_y="NEXT", align="L")
+    sheet.multi_cell(TEXT_WIDTH_MM, 0.45 * size, _text(text), new_x="LMARGIN", new_y="NEXT", align="L")
 
 
 def _words(sheet: Sheet, block: Words, size: float) -> None:
-    style, points = _KINDS.get(block.kind, ("", 8.5))
+    """Write a block of words in the font of its kind."""
+    style, points = _FONT_BY_KIND.get(block.kind, ("", 8.5))
     _line(sheet, f"{block.mark} {block.text}".strip(), style, points * size, "muted" if block.kind == "note" else "ink")
     sheet.ln(0.6 * size)
 
 
 def _table(sheet: Sheet, table: Table, size: float) -> None:
-    """Cells wrap in columns as wide as their longest words ask for."""
+    """Draw a table whose columns are as wide as their longest cells need; cells wrap."""
     sheet.ln(0.5 * size)
     if table.title:
         _line(sheet, table.title, "B", 8.5 * size)
     sheet.set_font("helvetica", "B", 8 * size)
     rows = [table.columns, *table.rows] if any(table.columns) else [*table.rows]
     longest = [max(sheet.get_string_width(_text(str(row[k]))) for row in rows) + 3 for k in range(len(rows[0]))]
-    over = sum(longest) - WIDTH
+    over = sum(longest) - TEXT_WIDTH_MM
     if over > 0:
         widest = int(np.argmax(longest))
         longest[widest] = max(longest[widest] - over, 25.0)
-        longest = [WIDTH * w / sum(longest) for w in longest]
+        longest = [TEXT_WIDTH_MM * w / sum(longest) for w in longest]
     sheet.set_font("helvetica", "", 8 * size)
     _ink(sheet)
     sheet.set_draw_color(*_rgb("line"))
@@ -130,18 +142,18 @@ def _table(sheet: Sheet, table: Table, size: float) -> None:
 
 
 def _figures(sheet: Sheet, figures: Sequence[Figure], size: float) -> None:
-    """Side by side."""
-    wide, top = (WIDTH - 6 * (len(figures) - 1)) / len(figures), sheet.get_y() + 2
+    """Draw figures side by side, and their captions beneath."""
+    wide, top = (TEXT_WIDTH_MM - 6 * (len(figures) - 1)) / len(figures), sheet.get_y() + 2
     high = 62.0 * size
     for k, figure in enumerate(figures):
-        _figure(sheet, figure, SIDE + k * (wide + 6), top, wide, high)
-    sheet.set_xy(SIDE, top + high + 2)
+        _figure(sheet, figure, MARGIN_MM + k * (wide + 6), top, wide, high)
+    sheet.set_xy(MARGIN_MM, top + high + 2)
     for caption in dict.fromkeys(f.caption for f in figures if f.caption):
         _words(sheet, Words(caption, "note"), size)
 
 
 def _figure(sheet: Sheet, figure: Figure, left: float, top: float, wide: float, high: float) -> None:
-    """Points over two axes of equal scale."""
+    """Draw the points of a figure over two axes of equal scale."""
     sheet.set_font("helvetica", "B", 8)
     _ink(sheet)
     sheet.set_xy(left, top)

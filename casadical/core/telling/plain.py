@@ -1,4 +1,4 @@
-"""The one serialiser: any result as plain data for JSON, by its fields, their units and what is derived of them."""
+"""The one serialiser: results as plain data for JSON, by their fields, units and derived values."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-# Units that results are written in, as multiples of SI units.
+# Number of each output unit in one SI unit.
 PER_SI_UNIT = {"mm": 1e3, "mm2": 1e6, "um": 1e6, "mrad": 1e3, "urad": 1e6, "deg": 180 / math.pi}
 
 
 @dataclass(frozen=True)
 class Key:
-    """How one value of a result is written.
+    """How one value of a result is written to JSON.
 
-    name : of the key, without the unit that follows it; "" for that of the field
-    of : attribute, dotted path of attributes, or a function of the result; "" for the attribute of the same name
-    unit : in which an SI value is written, a key of `PER_SI_UNIT`; digits : after the decimal point
-    if_known : whether the key is left out where the value is None
+    name : JSON key, without the unit that is appended to it; "" for the name of the field
+    of : attribute, dotted path of attributes, or function of the result that gives the value; ""
+        for the attribute of the same name
+    unit : unit into which an SI value is converted, a key of `PER_SI_UNIT`
+    digits : number of digits after the decimal point
+    if_known : whether the key is omitted where the value is None
     """
 
     name: str = ""
@@ -32,11 +34,13 @@ class Key:
 
 
 def written(name: str = "", unit: str = "", digits: int | None = None) -> dict[str, Key]:
-    """Return the metadata of a dataclass field that is written; the arguments are those of `Key`."""
+    """Return the metadata of a dataclass field that is written to JSON (arguments as of `Key`)."""
     return {"key": Key(name, "", unit, digits)}
 
 
-WRITTEN, IN_MM = written(), written(unit="mm")
+# Metadata of fields that are written as they are, and of lengths [m] that are written in mm.
+WRITTEN = written()
+IN_MM = written(unit="mm")
 
 
 def plain(value: Any) -> Any:
@@ -69,7 +73,7 @@ def plain(value: Any) -> Any:
 
 
 def _by_keys(result: Any) -> dict[str, Any]:
-    """Return a dataclass by its keys."""
+    """Return a dataclass as a dict of its marked fields and derived keys, or of all its fields."""
     marked = [(f.name, f.metadata.get("key")) for f in fields(result)]
     derived = tuple(getattr(result, "derived", ()))
     keys = [(name, key) for name, key in marked if key] + [(key.name, key) for key in derived]
@@ -84,6 +88,7 @@ def _by_keys(result: Any) -> dict[str, Any]:
 
 
 def _attribute(owner: Any, name: str) -> Any:
+    """Return an attribute, or None for the attribute of None."""
     return None if owner is None else getattr(owner, name)
 
 

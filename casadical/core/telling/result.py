@@ -1,6 +1,6 @@
-"""What a public function or a command gives, in one form: told by blocks, as plain data, kept in files.
+"""The common form of results: as report blocks, on a terminal, in a notebook, as JSON and in files.
 
-Blocks on a terminal: words and tables, by rich; figures are left out.
+On a terminal rich shows words and tables; figures are omitted.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from casadical.core.basics import visible
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.template import filled, pages, told
+from casadical.core.telling.template import filled, pages, template_blocks
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
-# How a terminal shows each kind of words.
-_STYLES = {
+# Style of rich in which a terminal shows each kind of words.
+_STYLE_BY_KIND = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
-    """Blocks one below the other, for a console of rich, with a blank line before and after every table."""
+    """Return blocks for a console of rich, with a blank line before and after every table."""
     from rich.console import Group
 
     shown = [block for block in blocks if not isinstance(block, Figure)]
@@ -43,34 +43,39 @@ def terminal(blocks: Sequence[Block]) -> RenderableType:
 
 
 def _rendered(block: Words | Table) -> RenderableType:
-    from rich.text import Text  # takes brackets as they are
+    """Return a block in a form that rich prints."""
+    from rich.text import Text  # in which brackets are not markup
 
     if isinstance(block, Table):
         return _Fitted(block)
     if block.mark:
-        return Text.assemble((block.mark, _STYLES[block.kind]), f" {visible(block.text)}")
+        return Text.assemble((block.mark, _STYLE_BY_KIND[block.kind]), f" {visible(block.text)}")
     code = block.code
     if code.startswith("casadical "):  # a command is broken so that it can be copied
-        # Characters of a line of a command.
+        # A command is wrapped at 72 characters.
         code = " \\\n".join(wrap(code, 72, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
     text = visible(f"{block.text}\n{indented(code, '    ')}" if code else block.text)
-    return Text(text, style=_STYLES[block.kind])
+    return Text(text, style=_STYLE_BY_KIND[block.kind])
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A table: numbers stay on one line where there is room, all else is broken, nothing is cut; no names, no head."""
+    """A table fitted to the console: cells wrap, numbers only where there is no room for them."""
 
     block: Table
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the table with numbers on one line if nothing is cut, else with wrapped cells."""
         whole = self._rich(one_line=True)
-        drawn = sum(_drawn(part.text) for line in console.render_lines(whole, options) for part in line)
+        drawn = sum(_visible_characters(part.text) for line in console.render_lines(whole, options) for part in line)
         block = self.block
         cells = [block.title, *block.columns, *(cell for row in block.rows for cell in row)]
-        yield whole if drawn == sum(_drawn(visible(cell)) for cell in cells) else self._rich(one_line=False)
+        yield (
+            whole if drawn == sum(_visible_characters(visible(cell)) for cell in cells) else self._rich(one_line=False)
+        )
 
     def _rich(self, *, one_line: bool) -> RenderableType:
+        """Return the table for rich; one_line : whether numbers must not wrap."""
         from rich import table as rich
         from rich.text import Text
 
@@ -92,13 +97,13 @@ class _Fitted:
         return shown
 
 
-def _drawn(text: str) -> int:
-    """How many characters are no spaces."""
+def _visible_characters(text: str) -> int:
+    """Return the number of characters that are not white space."""
     return len("".join(text.split()))
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
-    """Blocks as a terminal of so many columns shows them, without colours."""
+    """Return blocks as a terminal `width` characters wide shows them, without colours."""
     from rich.console import Console
 
     console = Console(width=width, file=io.StringIO(), record=True)
@@ -106,12 +111,15 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
-# Characters of a result's line.
-LINE = 160
+# Length at which the one-line representation of a result is cut [characters].
+MAX_REPR_CHARACTERS = 160
 
 
 class Shown:
-    """A result that Python shows as one line: its class and `line`, a template; without one its first words."""
+    """Base of results with a one-line `repr`: the class name and a summary.
+
+    line : template of the summary; without it, the verdict or the first words of `blocks`
+    """
 
     line: ClassVar[str] = ""
 
@@ -121,6 +129,7 @@ class Shown:
 
     @property
     def _line(self) -> str:
+        """Return the summary that follows the class name."""
         if self.line:
             return filled(self.line, self)
         words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
@@ -129,7 +138,7 @@ class Shown:
 
     def __repr__(self) -> str:
         line = f"{type(self).__name__}{self._line}"
-        return f"<{line if len(line) <= LINE else line[: LINE - 3] + '...'}>"
+        return f"<{line if len(line) <= MAX_REPR_CHARACTERS else line[: MAX_REPR_CHARACTERS - 3] + '...'}>"
 
 
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
@@ -139,11 +148,12 @@ def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title:
 
 
 class Result(Shown):
-    """A result; terminal, notebook, report and JSON are made of what it has, and showing it computes nothing.
+    """Base of results, shown on terminals, in notebooks, reports and JSON; showing computes
+    nothing.
 
-    report : file of its sentences, a template beside the code
-    kept_as : name of its files, without the ending
-    derived : keys of its plain data that are no marked fields
+    report : file name of the template of its sentences, beside the code of the class
+    kept_as : name of the files it is saved in, without the ending
+    derived : keys of its plain data that are not marked fields
     """
 
     report: ClassVar[str]
@@ -151,12 +161,12 @@ class Result(Shown):
     derived: ClassVar[tuple[Key, ...]] = ()
 
     def blocks(self) -> Sequence[Block]:
-        """Return words, tables and figures."""
-        return self._told(brief=False)
+        """Return the report as words, tables and figures."""
+        return self._report_blocks(brief=False)
 
-    def _told(self, **more: Any) -> list[Block]:
+    def _report_blocks(self, **more: Any) -> list[Block]:
         """Return the blocks of the template `report`; more : values that it needs."""
-        return told(Path(inspect.getfile(type(self))).parent / self.report, self, **more)
+        return template_blocks(Path(inspect.getfile(type(self))).parent / self.report, self, **more)
 
     def to_json(self) -> dict[str, Any]:
         """Return the result as plain data, in the units that its keys name (see `plain`)."""
@@ -165,7 +175,7 @@ class Result(Shown):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The one command to go on with, where the result suggests one (see `next_step`); the last of its blocks."""
+        """Return the command that the result suggests next, if any (see `next_step`)."""
         return ()
 
     @property
@@ -174,17 +184,17 @@ class Result(Shown):
         return [step.code for step in self.next]
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
-        """What is kept of it, by file, in a folder: plain data and words."""
-        from casadical.core.files import json_text  # late: physics shows results too, and writes none
+        """Return the texts of the files that save the result in a folder: JSON and plain text."""
+        from casadical.core.files import json_text  # late: the simulators' physics show results but write none
 
         place = Path(folder) / self.kept_as
         words = plain_text(self.blocks(), 100)
         return {place.with_suffix(".json"): json_text(self.to_json()), place.with_suffix(".txt"): words}
 
     def bars(self) -> Sequence[tuple[str, float]]:
-        """Lengths [m] that a notebook shows as bars, each with its words."""
+        """Return lengths [m] with their labels, which a notebook shows as bars."""
         return ()
 
     def _repr_html_(self) -> str:
-        """For a notebook."""
+        """Return the result as HTML for a notebook."""
         return html(self.blocks(), self.bars(), repr(self)[1:-1])

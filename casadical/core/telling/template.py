@@ -1,8 +1,8 @@
-"""Reports as text: a template of jinja2 beside the code of a result holds its sentences.
+"""Reports as text: the sentences of a result are in a jinja2 template beside its code.
 
-A line `[kind]` begins a paragraph of that kind (see `Words`), which ends at the next such line; a blank or a new line
-in a paragraph is a space. `{{ put(blocks) }}` stands for blocks that are made elsewhere, such as tables. Values are put
-in as they are, with the spaces and line ends that they have.
+A line `[kind]` begins a paragraph of that kind (see `Words`), which ends at the next such line;
+white space in a paragraph becomes one space. `{{ put(blocks) }}` inserts blocks that are made
+elsewhere, such as tables. Values are inserted unchanged, with their spaces and line ends.
 """
 
 from __future__ import annotations
@@ -19,24 +19,26 @@ from casadical.core.telling.figure import Figure
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
 
-# Characters for private use stand for the ends of a tag, and for spaces and line ends of values.
-_TAG = re.compile("\ue000([^\ue001]*)\ue001([^\ue000]*)")
-_KEPT = str.maketrans({" ": "\ue002", "\n": "\ue003", "\ue000": "", "\ue001": ""})
-_GIVEN_BACK = str.maketrans({"\ue002": " ", "\ue003": "\n"})
+# Private-use characters of Unicode delimit tags, and replace spaces and line ends of values until
+# the text is rendered.
+_TAG_PATTERN = re.compile("\ue000([^\ue001]*)\ue001([^\ue000]*)")
+_PROTECT_WHITESPACE = str.maketrans({" ": "\ue002", "\n": "\ue003", "\ue000": "", "\ue001": ""})
+_RESTORE_WHITESPACE = str.maketrans({"\ue002": " ", "\ue003": "\n"})
 
 
 class _Tag(str):
-    """A tag that stays as it is where a template puts it in."""
+    """A tag, which a template inserts unchanged."""
 
 
 def tag(kind: str) -> str:
-    """Return what begins a paragraph of a kind in a template, where the kind depends on the result."""
+    """Return the tag that begins a paragraph, for a kind that depends on the result."""
     return _Tag(f"\ue000{kind}\ue001")
 
 
 @cache
 def _environment(folder: Path) -> Environment:
-    from jinja2 import Environment, FunctionLoader, StrictUndefined  # late: showing nothing, physics need none
+    """Return the jinja2 environment of a folder's text templates."""
+    from jinja2 import Environment, FunctionLoader, StrictUndefined  # late: what shows nothing needs no jinja2
 
     def load(name: str) -> str:
         source = (folder / name).read_text(encoding="utf-8")
@@ -47,7 +49,7 @@ def _environment(folder: Path) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
-        finalize=lambda value: value if isinstance(value, _Tag) else str(value).translate(_KEPT),
+        finalize=lambda value: value if isinstance(value, _Tag) else str(value).translate(_PROTECT_WHITESPACE),
         autoescape=False,
     )
     environment.filters |= {"mm": mm, "f": lambda value, form: format(value, form), "repr": repr}
@@ -57,7 +59,7 @@ def _environment(folder: Path) -> Environment:
 
 @cache
 def pages(folder: Path) -> Environment:
-    """Return the environment of templates of HTML in a folder, in which values are escaped."""
+    """Return the jinja2 environment of a folder's HTML templates, in which values are escaped."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -74,12 +76,13 @@ def pages(folder: Path) -> Environment:
 
 
 def filled(line: str, result: Any) -> str:
-    """Return a template of one line, `it` being the result."""
-    return _line(line).render(it=result).translate(_GIVEN_BACK)
+    """Return a one-line template rendered with the result as `it`."""
+    return _line(line).render(it=result).translate(_RESTORE_WHITESPACE)
 
 
 @cache
 def _line(source: str) -> Template:
+    """Return a compiled one-line template."""
     return _environment(Path(__file__).parent).from_string(source)
 
 
@@ -94,20 +97,22 @@ def paragraphs(path: Path, result: Any, block: str = "", **more: Any) -> Iterato
     result : `it` of the template; more : other values that it needs
     block : of the template, in place of all of it
     """
-    yield from ((kind, _text(text)) for kind, text in _TAG.findall(_rendered(path, block, it=result, **more)))
+    yield from ((kind, _text(text)) for kind, text in _TAG_PATTERN.findall(_rendered(path, block, it=result, **more)))
 
 
 def _rendered(path: Path, block: str, **known: Any) -> str:
+    """Return a template, or one block of it, rendered with values, tags included."""
     template = _environment(path.parent).get_template(path.name)
     context = template.new_context(known)
     return "".join((template.blocks[block] if block else template.root_render_func)(context))
 
 
 def _text(rendered: str) -> str:
-    return " ".join(rendered.split()).translate(_GIVEN_BACK)
+    """Return rendered text with white space reduced and the values' own restored."""
+    return " ".join(rendered.split()).translate(_RESTORE_WHITESPACE)
 
 
-def told(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
+def template_blocks(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
     """Return the blocks of a template; the arguments are those of `paragraphs`."""
     made: list[Block | Sequence[Block]] = []
 
@@ -115,11 +120,11 @@ def told(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
         made.append(blocks)
         return tag(f"put {len(made) - 1}")
 
-    told: list[Block] = []
+    blocks: list[Block] = []
     for kind, text in paragraphs(path, result, block, put=put, **more):
         if kind.startswith("put "):
             found = made[int(kind[4:])]
-            told += [found] if isinstance(found, Words | Table | Figure) else found
+            blocks += [found] if isinstance(found, Words | Table | Figure) else found
         else:
-            told.append(Words(text, cast(Kind, kind)))
-    return told
+            blocks.append(Words(text, cast(Kind, kind)))
+    return blocks

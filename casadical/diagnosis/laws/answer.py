@@ -132,7 +132,7 @@ class Discovery(Result):
         title = "Laws that compete"
         each = [_table(r, f"{title}, round {k}" if several else title) for k, r in enumerate(self.rounds, 1)]
         shares = [f"{r.form.stays:.2g}" for r in self.rounds]
-        return self._told(
+        return self._report_blocks(
             laws=list(zip(self.laws, self.lines, strict=True)),
             effects=self.causes if self.laws else self.diagnosis.effects(),
             factors=_factors,

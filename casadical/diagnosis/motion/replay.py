@@ -125,7 +125,7 @@ class Replay(Result):
     def blocks(self) -> list[Block]:
         joints = self.runs[0].joints
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
-        return self._told(
+        return self._report_blocks(
             before=before,
             after=after,
             seconds=sum(float(run.time[-1] - run.time[0]) for run in self.runs),

@@ -128,7 +128,7 @@ class LogDiagnosis(Result):
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
             said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
-        return self._told(
+        return self._report_blocks(
             said=said,
             residuals=self._gap_table(),
             fits=self._fits(),

@@ -208,7 +208,7 @@ class Export(Result):
         return self.figures.get("share_converged", 1.0) >= MIN_SHARE_CONVERGED
 
     def blocks(self) -> list[Block]:
-        return self._told(least=MIN_SHARE_CONVERGED)
+        return self._report_blocks(least=MIN_SHARE_CONVERGED)
 
 
 def write_c(

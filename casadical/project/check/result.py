@@ -72,7 +72,7 @@ class Precheck(Result):
         """Return the same in few lines: verdict, errors and warnings, accuracy to expect."""
         important = [f for f in self.findings if f.level != "note" or f.topic == "units"]
         important.sort(key=lambda f: ("error", "warning", "note").index(f.level))
-        return self._told(brief=True, important=important)
+        return self._report_blocks(brief=True, important=important)
 
     @property
     def next(self) -> tuple[Words, ...]:

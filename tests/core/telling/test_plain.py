@@ -11,7 +11,7 @@ import pytest
 
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key, plain, written
-from casadical.core.telling.template import told
+from casadical.core.telling.template import template_blocks
 
 
 class Colour(StrEnum):
@@ -79,6 +79,6 @@ def test_a_template_gives_paragraphs_and_blocks_and_keeps_values_as_they_are(tmp
         "{{ put(table) }}\n{{ put([table]) }}\n[text]\n"
     )
     name, table = "a  [note]\n[text] {{ b }} \ue000note\ue001", Table("t", ("a",), [])
-    blocks = told(path, Marked(name, 0.002, {}, []), more=True, table=table)
+    blocks = template_blocks(path, Marked(name, 0.002, {}, []), more=True, table=table)
     shown = Words("Of a  [note]\n[text] {{ b }} note all.", "verdict")
     assert blocks == [shown, Words("2.000 mm", "note"), table, table, Words("")]

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, shown
+from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, figures_named
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 from casadical.core.telling.page import html_of
 from casadical.core.telling.result import html, plain_text
@@ -113,8 +113,8 @@ def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
 
 def test_figures_are_chosen_by_name_or_by_the_first_part_of_it() -> None:
     figures = {name: drawn() for name in ("gap", "where/joints", "where/links", "whereabouts")}
-    assert len(shown(figures, "where")) == 2
-    assert len(shown(figures, "gap")) == 1
+    assert len(figures_named(figures, "where")) == 2
+    assert len(figures_named(figures, "gap")) == 1
 
 
 def test_ticks_of_a_logarithmic_axis_are_round() -> None:
