@@ -15,7 +15,7 @@ from casadical.export.controller.drivers import DRIVER_FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
-from casadical.export.mjcf.moving import actuators_of, knows_motion, moving_mjcf, servos_of
+from casadical.export.mjcf.moving import actuators_of, has_motion_parameters, moving_mjcf, omitted_drive_parameters
 from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
 from casadical.project.calibration import Calibration, calibrate
 from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
@@ -125,7 +125,7 @@ def robot_model(
         if into is not None:
             made = _into_users(source, nominal, campaign, into, str(joints), springs, robot)
         else:
-            made = moving_mjcf(robot) if knows_motion(robot) else mjcf(robot)
+            made = moving_mjcf(robot) if has_motion_parameters(robot) else mjcf(robot)
         lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
         told = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
         kept = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
@@ -216,7 +216,7 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
     soft = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
-    lost = (*soft, *servos_of(robot))
+    lost = (*soft, *omitted_drive_parameters(robot))
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
     nothing = "nothing is left out: the robot is rigid and has no effects"
     lines = [f"LEFT OUT {line}" for line in lost] or [nothing]

@@ -1,4 +1,4 @@
-"""A calibrated robot with its effects as a MuJoCo model, and poses replayed in it.
+"""MuJoCo models of a calibrated robot with its effects, and measured poses replayed in them.
 
 MuJoCo itself is needed only to replay: `pip install 'casadical[mujoco]'`.
 """

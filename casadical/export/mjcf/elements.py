@@ -1,19 +1,19 @@
-"""Elements of MJCF: frames, joints on springs, bodies; links that bend, balancing springs, four-bars.
+"""Elements of MJCF models: frames, spring joints, flexible links, balancing springs, four-bars.
 
-A link that bends is three pieces with springs at the two Gauss points of its length. The moment is
-linear from root to end; slope and deflection of the end are integrals of the moment times at most
-the remaining length, a quadratic function, which two Gauss points integrate exactly. The link's own
-mass is distributed over the pieces so that each spring has the moment of the beam, and all together
-the link's mass and mass centre.
+A flexible link consists of three pieces with springs at the two Gauss points of its length. The
+bending moment is linear from root to end; slope and deflection of the end are integrals of the
+moment times at most the remaining length, a quadratic function, which two Gauss points integrate
+exactly. The link's own mass is distributed over the pieces so that each spring has the moment of
+the beam, and the sum has the link's mass and centre of mass.
 
-A balancing spring is a tendon between two sites with a zero-length spring and a constant pull. The
-torque of `GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring without
-rest length, k a b sin(t + phase), and that of a constant pull F along the line from anchor to
-lever, F a b sin t / length.
+A balancing spring is a tendon between two sites with a spring of rest length zero and a constant
+pull. The torque of `GravityCompensator`, T (S sin t + C cos t + P sin t / l), is that of a spring
+without rest length, k a b sin(t + phase), and that of a constant pull F along the line from anchor
+to lever, F a b sin t / length.
 
 A four-bar is a closed chain: crank, coupler and rocker with the robot's lengths, closed by equality
 constraints. The loop lies in the plane of the carrier's axis, as in `casadical.robot.fourbar`; the
-driven link turns with the rocker (a second equality), so that a driven axis that is not exactly
+driven link rotates with the rocker (a second equality), so that a driven axis that is not exactly
 parallel to the carrier's is as in the robot.
 """
 
@@ -30,58 +30,71 @@ from casadical.effects.base import Balancer, Drive
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-# Time constant [s] with which every spring alone comes to rest; statics depend neither on inertia
-# nor on damping.
+# Time constant [s] with which every spring alone comes to rest. It is arbitrary, as statics depend
+# neither on inertia nor on damping.
 SETTLING_TIME_S = 0.02
+# Places of the two Gauss points along a link, as shares of its length.
 GAUSS_POINTS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
-AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")
-# Length of the lever [m]: arbitrary, as stiffness and pull are scaled by it.
+AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")  # unit vectors x, y, z as MJCF text
+# Length [m] of a balancing spring's lever. It is arbitrary, as stiffness and pull scale with it.
 LEVER_M = 0.3
 
 
 def numbers(*values: float) -> str:
+    """Return numbers as an MJCF attribute, separated by spaces."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def place(T: Array) -> dict[str, str]:
-    """Attributes pos and quat of a frame, to a picometre: later digits are rounding."""
+    """Return the attributes pos and quat of a frame (4, 4) [m], to a picometre.
+
+    Later digits are rounding errors.
+    """
     return {"pos": numbers(*T[:3, 3].round(12)), "quat": numbers(*quaternion(T[:3, :3]).round(12))}
 
 
 def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
+    """Add a body at the frame T (4, 4) [m] of its parent, and return it."""
     return ET.SubElement(parent, "body", {"name": name, **place(T)})
 
 
 def add_mass(body: ET.Element, mass: float, com: Array) -> None:
-    """Mass and mass centre; the inertia is a placeholder."""
-    mass = max(mass, 1e-6)  # kg: MuJoCo moves no body without mass
+    """Add mass [kg] and centre of mass [m] to a body; the inertia is a placeholder."""
+    mass = max(mass, 1e-6)  # kg; MuJoCo cannot move a body without mass
     moment = mass * (0.1 + 0.3 * float(np.linalg.norm(com))) ** 2
     ET.SubElement(body, "inertial", pos=numbers(*com), mass=numbers(mass), diaginertia=numbers(moment, moment, moment))
 
 
 def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: float = 0.0) -> ET.Element:
+    """Add a spring joint to a body: torque = -(stiffness x + cubic x^3) [N m/rad, N m/rad^3]."""
     text = numbers(stiffness, 0.0, cubic) if cubic else numbers(stiffness)
-    return ET.SubElement(body, "joint", {"name": name, "axis": axis, "stiffness": text, **inert(stiffness)})
+    return ET.SubElement(
+        body, "joint", {"name": name, "axis": axis, "stiffness": text, **armature_and_damping(stiffness)}
+    )
 
 
-def inert(stiffness: float) -> dict[str, str]:
-    """Armature and damping of a joint on a spring, by which it comes to rest in `SETTLING_TIME_S`."""
+def armature_and_damping(stiffness: float) -> dict[str, str]:
+    """Return armature and damping with which a spring joint comes to rest in `SETTLING_TIME_S`.
+
+    stiffness : [N m/rad or N/m]
+    """
     return {"armature": numbers(stiffness * SETTLING_TIME_S**2), "damping": numbers(2 * stiffness * SETTLING_TIME_S)}
 
 
 def add_pieces(
     body: ET.Element, name: str, mass: Body, end: Array, stiffness: tuple[float, float, float], spread: bool
 ) -> tuple[ET.Element, Array]:
-    """Add a link's pieces; return the last one, and the link's frame seen from it, (4, 4).
+    """Add the pieces of a flexible link; return the last one, and the link's frame in it, (4, 4).
 
-    end : where the next joint is, shape (3,) [m]; stiffness : of the whole link about its axes [N
-        m/rad]
-    spread : whether the springs see its weight spread along it
+    end : where the next joint is in the link's frame, shape (3,) [m]
+    stiffness : of the whole link about its axes [N m/rad], infinite where it is rigid
+    spread : whether the springs carry its weight distributed along it; otherwise at its centre of
+        mass
     """
     s1, s2 = GAUSS_POINTS
     com = np.asarray(mass.com)
-    # A third of the mass each; centres from what the springs must see, moments (1 - s) m com or (1
-    # - s)^2 m end / 2.
+    # Each piece has a third of the mass. Their centres follow from the moments that the springs
+    # must carry, (1 - s) m com or (1 - s)^2 m end / 2.
     lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS_POINTS)
     c2 = s2 * end + 3 * lever2
     c1 = s1 * end + 3 * lever1 - (c2 - s1 * end)
@@ -100,7 +113,11 @@ def add_pieces(
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
-    """Add the tendons' ends: anchors before the joint (frame at `behind`), lever on the link."""
+    """Add the sites of a balancing spring: anchors before the joint, and the lever on the link.
+
+    before : body before the joint; behind : frame (4, 4) [m] of the link before the joint in it
+    row : the joint
+    """
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
     T = behind @ row_matrix(replace(row, theta=0.0))
     for suffix, angle in (("spring", balancer.phase - balancer.ahead + np.pi), ("pull", balancer.phase + np.pi)):
@@ -110,14 +127,17 @@ def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.El
 
 
 def add_tendons(balancer: Balancer, tendons: ET.Element, actuators: ET.Element) -> None:
-    """The spring and, where there is preload, the pull: an actuator whose command does nothing."""
+    """Add a balancing spring's tendons: the spring and the pull of its preload.
+
+    The pull is an actuator of constant force, whose command has no effect.
+    """
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
     stiffness = balancer.swing / (LEVER_M * b)
     for suffix, spring in (("spring", {"stiffness": numbers(stiffness), "springlength": "0 0"}), ("pull", {})):
         node = ET.SubElement(tendons, "spatial", {"name": f"{name}_{suffix}", **spring})
         for end in (f"{name}_{suffix}", f"{name}_lever"):
             ET.SubElement(node, "site", site=end)
-    # l is measured in anchor lengths there: T P sin t / (length / b) = F a b sin t / length.
+    # There l is in units of the anchor's length: T P sin t / (length / b) = F a b sin t / length.
     pull = {"biastype": "affine", "gainprm": "0", "biasprm": numbers(-balancer.pull / LEVER_M, 0, 0)}
     ET.SubElement(actuators, "general", {"name": f"{name}_pull", "tendon": f"{name}_pull", **pull})
 
@@ -130,10 +150,12 @@ def add_loop(
     drive: Drive,
     drive_joints: Callable[[ET.Element, str, Joint, Drive], None],
 ) -> None:
-    """Add a loop's bars, and the driven link's free hinge; links : bodies by name.
+    """Add the bars of a four-bar, and the driven link's passive hinge.
 
     ends : of base and links, the body on which the next joint stands, and the link's frame in it,
-        shape (4, 4)
+        shape (4, 4) [m]
+    links : bodies of the links by name
+    drive_joints : adds the joints of the drive to the crank
     """
     carrier, row = robot.joints[loop.carrier - 1], robot.joints[loop.driven - 1]
     d = loop.driven
@@ -142,7 +164,7 @@ def add_loop(
     drive_joints(crank, f"joint{d}", row, drive)
     coupler = add_body(crank, f"coupler{d}", frame(np.eye(3), np.array([loop.crank, 0.0, 0.0])))
     rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", frame(np.eye(3), np.array([row.a, 0.0, 0.0])))
-    # a tenth of the drive's armature; less makes the constraints soft. Bars have no weight.
+    # A tenth of the drive's armature, as less makes the constraints soft. Bars have no weight.
     heavy = numbers(0.1 * drive.stiffness * SETTLING_TIME_S**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
         ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
@@ -153,7 +175,8 @@ def add_loop(
     ET.SubElement(links[f"link{d}"], "joint", name=f"joint{d}_driven", axis="0 0 1", armature=heavy)
 
 
-def closed(equality: ET.Element, loop: FourBar) -> None:
+def add_loop_constraints(equality: ET.Element, loop: FourBar) -> None:
+    """Add the equality constraints of a four-bar: coupler to rocker, and driven link to rocker."""
     d = loop.driven
     ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
     ET.SubElement(

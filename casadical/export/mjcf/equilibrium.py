@@ -1,7 +1,7 @@
-"""Equilibrium of an exported model in MuJoCo at many commands, found by Newton steps.
+"""Static equilibrium of an exported MuJoCo model at many commands, found by Newton steps.
 
-MuJoCo evaluates every force and constraint (weights, springs, actuators, loops, play); the steps
-only divide them by the stiffness of the coordinate, which converges fast because weights change
+MuJoCo evaluates every force and constraint (weights, springs, actuators, loops, backlash). A step
+is the force divided by the stiffness of the coordinate, which converges fast because weights change
 little over a deflection.
 """
 
@@ -14,14 +14,16 @@ from casadical.core.basics import Array, ConvergenceError, InputError, optional
 from casadical.export.mjcf.mjcf import MEASURED_SITE
 from casadical.measurements.measurements import Measurements
 
-STILL_STEP = 1e-12  # rad or m
-AT_MOST = 100
+STILL_STEP = 1e-12  # largest step [rad or m] at which a solution counts as converged
+MAX_STEPS = 100  # largest number of Newton steps
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
-    """Equilibrium of the site `measured`, shape (n, 3) [m], at logged readings and conditions.
+    """Return equilibrium positions of the measured point, shape (n, 3) [m], in the measuring frame.
 
-    xml : as `mjcf` writes it; payload_factor : true mass of the payload over the declared one
+    They are those at the readings and conditions of the measurements.
+
+    xml : model as `mjcf` writes it; payload_factor : true mass of the payload over the declared one
     Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a
     loop cannot close.
     """
@@ -31,7 +33,7 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     measured = np.empty((len(m), 3))
     for k in range(len(m)):
         if "payload_kg" in m.conditions:
-            model.carry(payload_factor * float(m.conditions["payload_kg"][k]))
+            model.set_payload_mass(payload_factor * float(m.conditions["payload_kg"][k]))
         ways = [m.conditions.get(f"approach{i}") for i in range(1, model.arm + 1)]
         approach = np.array([0.0 if way is None else np.sign(way[k]) for way in ways])
         measured[k] = model.rest(m.q[k], approach)
@@ -39,13 +41,13 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
 
 
 class EngineModel:
-    """A compiled model and the indices of its parts."""
+    """A model compiled by MuJoCo, with the indices of its drives, springs, play and loops."""
 
     def __init__(self, xml: str) -> None:
         self.mujoco: Any = load_mujoco()
         self.m = self.mujoco.MjModel.from_xml_string(xml)
         self.m.opt.jacobian = self.mujoco.mjtJacobian.mjJAC_DENSE
-        # Friction and limits are computed here, from the direction of approach.
+        # Friction and limits are computed in this class, from the direction of approach.
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_LIMIT)
         self.m.opt.disableflags |= int(self.mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS)
         self.d = self.mujoco.MjData(self.m)
@@ -58,7 +60,7 @@ class EngineModel:
         self.free = [k for k, n in enumerate(names) if n.startswith(loose) or n.endswith("_driven")]
         self.play = [k for k, n in enumerate(names) if n.endswith("_play")]
         self.stopped = [k for k, n in enumerate(names) if n.endswith("_bed")]
-        # The drive whose direction of approach acts on each joint.
+        # Index of the drive whose direction of approach determines a joint's friction.
         self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
         self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
         self._payload = next((b for b in range(self.m.nbody) if self.m.body(b).name == "payload"), None)
@@ -66,13 +68,19 @@ class EngineModel:
         self._start: Array | None = None
         self._sides: Array | None = None
 
-    def carry(self, mass: float) -> None:
+    def set_payload_mass(self, mass: float) -> None:
+        """Set the mass of the payload [kg]."""
         if self._payload is not None and self.m.body_mass[self._payload] != mass:
             self.m.body_mass[self._payload] = mass
             self.mujoco.mj_setConst(self.m, self.d)
 
     def rest(self, command: Array, approach: Array) -> Array:
-        """The measured point at equilibrium, shape (3,) [m]. Raises ConvergenceError."""
+        """Return the measured point at equilibrium, shape (3,) [m], in the measuring frame.
+
+        command : joint readings, shape (n,) [rad or m]
+        approach : direction from which each joint arrived, -1, 0 or 1, shape (n,). Raises
+            ConvergenceError.
+        """
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
         d.qvel[:] = 0.0
@@ -81,7 +89,7 @@ class EngineModel:
         if self.free:
             self._assemble(command)
         ways = np.array([approach[self.way[k]] if k in self.way else 0.0 for k in range(m.nv)])
-        for _ in range(AT_MOST):
+        for _ in range(MAX_STEPS):
             push, step = self._force() - m.dof_frictionloss * ways, np.zeros(m.nv)
             for k in self.sprung:
                 step[k] = push[k] / self._slope(k)
@@ -96,10 +104,10 @@ class EngineModel:
             if size < STILL_STEP:
                 self.mujoco.mj_kinematics(m, d)
                 return np.array(d.site(MEASURED_SITE).xpos)
-        raise ConvergenceError(f"no equilibrium after {AT_MOST} steps, the last one of {size:.1e} rad or m")
+        raise ConvergenceError(f"no equilibrium after {MAX_STEPS} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
-        """Generalized forces, shape (nv,), with those that loops transmit to the cranks."""
+        """Return generalized forces, shape (nv,), with those that loops transmit to the cranks."""
         self.mujoco.mj_fwdPosition(self.m, self.d)
         self.mujoco.mj_fwdVelocity(self.m, self.d)
         self.mujoco.mj_fwdActuation(self.m, self.d)
@@ -111,6 +119,7 @@ class EngineModel:
         return force
 
     def _slope(self, k: int) -> float:
+        """Return the stiffness of coordinate k at its present value [N m/rad or N/m]."""
         hit = self.servos[self.drives == k]
         stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
         x = self.d.qpos[k]
@@ -118,13 +127,16 @@ class EngineModel:
         return stiffness + float(self.m.jnt_stiffness[k] + 3 * cubic * x**2)
 
     def _constraints(self) -> tuple[Array, Array]:
-        """Jacobian and violation of the equalities at the present coordinates."""
+        """Return Jacobian and violation of the equality constraints at the present coordinates."""
         self.mujoco.mj_fwdPosition(self.m, self.d)
         n = self.d.nefc
         return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
 
     def _assemble(self, command: Array) -> None:
-        """Close the loops as they are assembled: uncrossed at the middle of the ranges."""
+        """Close the loops in their assembly mode: uncrossed at the middle of the joint ranges.
+
+        Raises InputError, ConvergenceError: a loop does not close.
+        """
         if self._sides is None:
             lower, upper = self.m.actuator_ctrlrange[self.servos].T
             self.d.qpos[self.drives] = (lower + upper) / 2
@@ -141,7 +153,7 @@ class EngineModel:
         raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
 
     def _closures(self) -> Iterator[Array]:
-        """Angles of the free hinges to start from: those of the last pose, then random ones."""
+        """Yield starting angles of the passive hinges: those of the last pose, then random ones."""
         if self._start is not None:
             yield self._start
         rng = np.random.default_rng(0)
@@ -149,13 +161,14 @@ class EngineModel:
             yield rng.uniform(-np.pi, np.pi, len(self.free))
 
     def _close_from(self, start: Array) -> bool:
+        """Return whether the loops close from these passive hinge angles, updated in place."""
         self.d.qpos[self.free] = start
         done = self._close(gentle=True)
         start[:] = self.d.qpos[self.free]
         return done
 
     def _bars(self, free: Array) -> list[tuple[Array, Array, Array, Array]]:
-        """Of each loop: crank, rocker, from the rocker's pin to the crank's end, axis; each (3,)."""
+        """Return for each loop: crank, rocker, rocker's pin to crank's end, axis; each (3,)."""
         self.d.qpos[self.free] = free
         self.mujoco.mj_kinematics(self.m, self.d)
         bars = []
@@ -166,12 +179,15 @@ class EngineModel:
         return bars
 
     def _side(self, free: Array) -> Array:
-        """On which side of the diagonal each rocker stands."""
+        """Return for each loop the sign of the side of its diagonal on which the rocker is."""
         return np.array([np.sign(np.cross(along, rocker) @ axis) for _, rocker, along, axis in self._bars(free)])
 
     def _close(self, gentle: bool = False) -> bool:
-        """Newton steps of the free hinges onto the constraints; whether they hold."""
-        for _ in range(AT_MOST if gentle else 6):
+        """Move the passive hinges onto the constraints by Newton steps; return whether these hold.
+
+        gentle : whether steps are limited to 0.5 rad, for starts that are far from a solution
+        """
+        for _ in range(MAX_STEPS if gentle else 6):
             J, off = self._constraints()
             step = -np.linalg.lstsq(J[:, self.free], off, rcond=None)[0]
             size = float(np.abs(step).max())
@@ -182,5 +198,5 @@ class EngineModel:
 
 
 def load_mujoco() -> Any:
-    """The package mujoco. Raises InputError where it is missing."""
+    """Return the package mujoco. Raises InputError where it is missing."""
     return optional("mujoco", "this needs MuJoCo; install it with: pip install 'casadical[mujoco]'")

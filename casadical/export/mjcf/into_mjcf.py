@@ -1,7 +1,7 @@
-"""The calibrated geometry in a user's own MuJoCo model: bodies move, the rest stays.
+"""Write the calibrated geometry into a user's own MuJoCo model: bodies move, the rest stays.
 
-The user's link frames may differ from ours: each body keeps its pose relative to our frame of the
-same link. Only the joints' axes must be those of the nominal robot; that is checked.
+The user's link frames may differ from casadical's: each body keeps its pose relative to casadical's
+frame of the same link. Only the joints' axes must be those of the nominal robot, which is checked.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, nearest_rotation, quaternion
-from casadical.export.mjcf.elements import inert, numbers, place
+from casadical.export.mjcf.elements import armature_and_damping, numbers, place
 from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.robot.axes import frames_at_zero
 from casadical.robot.robot import Robot
@@ -21,15 +21,16 @@ from casadical.robot.urdf.tree import parse_xml
 
 
 def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[str], springs: bool = False) -> str:
-    """The user's model with the calibrated geometry, as XML.
+    """Return the user's model with the calibrated geometry, as XML.
 
     The base stays where it is; the site `casadical_measured` is the measured point. Relative paths
     of meshes stay too.
 
     joints : names of the arm's joints in the model, from the base on
-    springs : whether each compliant joint also gets a hinge `NAME_spring` beside it, in the same
-        body Raises InputError: a closed loop, no such joint, or a joint whose axis is not the
-        nominal robot's.
+    springs : whether each compliant joint also gets a hinge `NAME_spring` on the same axis, in the
+        same body
+    Raises InputError: a closed loop, no such joint, or a joint whose axis is not the nominal
+    robot's.
     """
     if nominal.loops:
         raise InputError(f"{nominal.name!r} has a closed loop; write a new model (without --into)")
@@ -38,7 +39,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
     spec = _read(path)
     X, axes, points, bodies = _zero(spec, joints, str(path))
     N, after = frames_at_zero(nominal.joints), frames_at_zero(calibrated.joints)
-    B = _foot(N, axes, points, joints, str(path))
+    B = _base_pose(N, axes, points, joints, str(path))
     C = [np.linalg.inv(B @ n) @ x for n, x in zip(N, X, strict=True)]
     new = [B @ n @ c for n, c in zip(after, C, strict=True)]
     document = parse_xml(path, "mujoco")
@@ -61,6 +62,10 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 
 
 def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:
+    """Return the only element with a tag and name.
+
+    Raises InputError: there is none, or more than one.
+    """
     elements = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
     if len(elements) != 1:
         raise InputError(f"{source}: {tag} {name!r} is not in this file itself; is it in an <include>?")
@@ -68,6 +73,7 @@ def _element(document: minidom.Document, tag: str, name: str, source: str) -> mi
 
 
 def _write_pose(element: minidom.Element, T: Array) -> None:
+    """Set position and orientation of an element to those of T (4, 4) [m] in its parent."""
     for other in ("axisangle", "euler", "xyaxes", "zaxis"):
         if element.hasAttribute(other):
             element.removeAttribute(other)
@@ -76,13 +82,16 @@ def _write_pose(element: minidom.Element, T: Array) -> None:
 
 
 def _add_spring(document: minidom.Document, name: str, compliance: float, source: str) -> None:
-    """A hinge (or slide) beside the joint, on the same axis."""
+    """Add a spring hinge (or slide) before the joint, on the same axis.
+
+    compliance : of the joint [rad/(N m) or m/N]
+    """
     if not compliance:
         return
     joint = _element(document, "joint", name, source)
     spring = document.createElement("joint")
     kept = {key: joint.getAttribute(key) for key in ("type", "axis", "pos", "class") if joint.hasAttribute(key)}
-    rest = {"limited": "false", "stiffness": numbers(1 / compliance), **inert(1 / compliance)}
+    rest = {"limited": "false", "stiffness": numbers(1 / compliance), **armature_and_damping(1 / compliance)}
     for key, value in ({"name": f"{name}_spring"} | kept | rest).items():
         spring.setAttribute(key, value)
     assert isinstance(joint.parentNode, minidom.Element)
@@ -91,6 +100,7 @@ def _add_spring(document: minidom.Document, name: str, compliance: float, source
 
 
 def _read(path: Path) -> Any:
+    """Return MuJoCo's specification of a model file. Raises InputError if it cannot be read."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     try:
@@ -100,7 +110,7 @@ def _read(path: Path) -> Any:
 
 
 def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
-    """Compiled model and its data with the arm's joints at zero."""
+    """Return the compiled model and its data with the arm's joints at zero."""
     mujoco = load_mujoco()
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -111,11 +121,15 @@ def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
 
 
 def _pose(body: Any) -> Array:
+    """Return the pose of a body in the world, (4, 4) [m]."""
     return frame(np.array(body.xmat).reshape(3, 3), np.array(body.xpos))
 
 
 def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], Array, Array, list[str]]:
-    """Of each joint: its body's pose (4, 4), axis (3,), a point on it (3,), the body's name."""
+    """Return body pose (4, 4), axis (3,), point on it (3,) and body name of each joint at zero.
+
+    All are in the model's world [m]. Raises InputError.
+    """
     known = [joint.name for joint in spec.joints]
     missing = [name for name in joints if name not in known]
     if missing:
@@ -129,8 +143,12 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
     return [_pose(data.body(name)) for name in bodies], axes, points, bodies
 
 
-def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
-    """Pose of our base in the model's world at which all axes coincide, shape (4, 4)."""
+def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
+    """Return the pose of casadical's base in the model's world, (4, 4) [m], at which axes coincide.
+
+    N : casadical's joint frames at zero; axes, points : of the model's joints, each shape (n, 3).
+        Raises InputError: the axes are not those of the nominal robot.
+    """
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])
     if np.linalg.svd(z, compute_uv=False)[1] < 1e-3:
@@ -152,7 +170,10 @@ def _foot(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str],
 
 
 def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
-    """Raises InputError if a body is not where it should be, as one nested in a frame."""
+    """Check that every body is where it should be, which one nested in a <frame> is not.
+
+    new : poses of the bodies (4, 4) [m] in the world. Raises InputError.
+    """
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):
         body = data.body(model.joint(name).bodyid[0])

@@ -1,4 +1,4 @@
-"""MJCF, the XML of MuJoCo: geometry, masses, joint springs, four-bars, effects.
+"""Write a robot as an MJCF model of MuJoCo: geometry, masses, joint springs, four-bars, effects.
 
 Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the
 spring carries its weight. Links and bars have the robot's exact lengths and angles; inertias,
@@ -22,17 +22,18 @@ from casadical.export.mjcf.elements import (
     add_body,
     add_mass,
     add_spring,
-    inert,
+    armature_and_damping,
     numbers,
     place,
 )
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-TIME_STEP_S = 0.002
-# The hardest impedance that MuJoCo allows.
+TIME_STEP_S = 0.002  # time step of the simulation [s]
+# Solver parameters of the stiffest constraints that MuJoCo allows.
 HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
-MEASURED_SITE = "measured"
+MEASURED_SITE = "measured"  # name of the site at the measured point
+# First lines of the comment at the beginning of a model.
 _ABOUT = (
     "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
     f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the "
@@ -42,7 +43,12 @@ _ABOUT = (
 
 @dataclass(frozen=True, eq=False)
 class MjcfExport:
-    """A MuJoCo model: XML, how effects were written, what has no counterpart, notes."""
+    """A robot as a MuJoCo model.
+
+    text : the XML; written : how each effect is represented; omitted : effects without a
+        counterpart
+    notes : further sentences on what is omitted
+    """
 
     text: str
     written: tuple[str, ...]
@@ -51,17 +57,16 @@ class MjcfExport:
 
     @property
     def left_out(self) -> tuple[str, ...]:
+        """Return sentences on what the model omits."""
         return (*map(str, self.omitted), *self.notes)
 
 
 def mjcf(robot: Robot) -> MjcfExport:
-    """A robot, with its compliances and effects, as a MuJoCo model; world is the measuring frame.
+    """Return a robot with its compliances and effects as a MuJoCo model, and what it omits.
 
-    Bodies base, link1 .. linkN, payload; joints joint1 .. (of a four-bar joint3 is the crank,
-    joint3_driven the link), actuators drive1 .. which take the reading as `ctrl`; the site and
-    sensor `measured` are the measured point.
-
-    Returns its text, and what is not in it
+    Its world is the measuring frame. Bodies are base, link1 .. linkN, payload; joints joint1 .. (of
+    a four-bar joint3 is the crank, joint3_driven the link); actuators drive1 .. take the joint
+    reading [rad or m] as `ctrl`; the site and sensor `measured` are the measured point.
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
@@ -80,7 +85,7 @@ def mjcf(robot: Robot) -> MjcfExport:
     if robot.loops:
         equality = ET.SubElement(root, "equality")
         for loop in robot.loops:
-            elements.closed(equality, loop)
+            elements.add_loop_constraints(equality, loop)
     actuators = ET.SubElement(root, "actuator")
     for i, (joint, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         _actuator(actuators, i, joint, drive)
@@ -94,35 +99,39 @@ def mjcf(robot: Robot) -> MjcfExport:
 
 
 def xml_text(root: ET.Element) -> str:
+    """Return an XML tree as indented text."""
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
 def describe(root: ET.Element, lines: Iterable[str], written: Iterable[str], left_out: Iterable[str]) -> None:
-    """Begin a model with what it is, how each effect is in it, and what is not."""
+    """Insert a comment that says what a model is, how each effect is represented, what it omits."""
     every = (*lines, *(f"effect {text}" for text in written), *(f"left out: {text}" for text in left_out))
     root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in every) + "\n"))
 
 
 def counterparts(robot: Robot) -> Counterparts:
-    """Springs, then what each effect has for a counterpart; `left_out` names those without."""
+    """Return the simulator's counterparts of a robot's springs and effects.
+
+    `left_out` names the effects that have none.
+    """
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
     load = np.zeros(robot.n)
-    if robot.effects:  # mean size of each joint's gravity torque over its range [N m or N], as a share of the peak
+    if robot.effects:  # mean magnitude of each joint's gravity torque, as a share of its peak
         bare = robot.with_only(())
         q = np.random.default_rng(0).uniform(*robot.limits, (256, robot.n))
         tau: Array = bare.torque.map(256)(q.T, bare.parameters.values).full()
         load = np.array([np.nanmean(np.abs(row)) for row in tau]) / scale
     parts = Counterparts(drives, scale, load, robot.revolute, tuple(j.body for j in robot.joints), robot.payload)
-    # Linear springs first: others bend around them.
+    # Linear springs come first, as the other effects act in series with them.
     for effect in sorted(robot.effects, key=lambda e: not e.simulated_first):
         parts = effect.counterpart(parts, effect.own_values(robot.effect_values))
     return parts
 
 
 def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
-    """The tree of links; the last one is returned."""
+    """Add the bodies of base and links to the world, and return the last one."""
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
@@ -131,11 +140,11 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
                 add_spring(base, f"base_{axis}", words, k).set("pos", numbers(0.0, 0.0, -parts.base_below))
     driven = {loop.driven: loop for loop in robot.loops}
     parent, behind = base, np.eye(4)
-    ends = [(parent, behind)]  # of each link: the piece on which the next joint stands, and the link's frame in it
+    ends = [(parent, behind)]  # for each link, the body that carries the next joint, and its frame
     for i, (row, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         loop = driven.get(i)
-        # A loop's theta turns the crank; the link it drives turns with the rocker, from the offset
-        # on.
+        # The theta of a loop is the crank's; the link that it drives rotates with the rocker,
+        # starting at the offset.
         place = row_matrix(replace(row, theta=loop.offset) if loop else row)
         body = add_body(parent, f"link{i}", behind @ place)
         if loop is not None:
@@ -158,10 +167,12 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
 
 
 def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None:
-    """The joint, and beside it the elements that are not linear springs."""
+    """Add a drive's joints to a body: the actuated one, cubic and limited springs, and backlash."""
     margin = 0.02 * (row.upper - row.lower)
     kind = "hinge" if row.kind == "revolute" else "slide"
-    joint = ET.SubElement(body, "joint", {"name": name, "type": kind, "axis": "0 0 1", **inert(drive.stiffness)})
+    joint = ET.SubElement(
+        body, "joint", {"name": name, "type": kind, "axis": "0 0 1", **armature_and_damping(drive.stiffness)}
+    )
     joint.set("range", numbers(row.lower - margin, row.upper + margin))
     if drive.friction:
         joint.set("frictionloss", numbers(drive.friction))
@@ -170,7 +181,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
     if drive.give:
         add_spring(body, f"{name}_bed", "0 0 1", drive.give_stiffness).set("range", numbers(-drive.give, drive.give))
     if drive.play:
-        also = {"name": f"{name}_play", "type": kind, "axis": "0 0 1", **inert(drive.stiffness)}
+        also = {"name": f"{name}_play", "type": kind, "axis": "0 0 1", **armature_and_damping(drive.stiffness)}
         play = ET.SubElement(body, "joint", also)
         play.set("range", numbers(-drive.play, drive.play))
         if drive.play_friction:
@@ -178,6 +189,7 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 
 
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
+    """Add the site of the measured point, and the payload, to the last body."""
     ET.SubElement(last, "site", {"name": MEASURED_SITE, **place(robot.tool.T)})
     if payload is not None:
         body = add_body(last, "payload", frame(np.eye(3), np.asarray(payload.com)))
@@ -185,7 +197,7 @@ def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
 
 
 def _actuator(actuators: ET.Element, i: int, joint: Joint, drive: Drive) -> None:
-    """A position servo: force = kp (ctrl - gear q), so that q = ratio ctrl without load."""
+    """Add a position servo: force = kp (ctrl - gear q), so that q = ratio ctrl without load."""
     servo = ET.SubElement(actuators, "position", name=f"drive{i}", joint=f"joint{i}")
     servo.set("kp", numbers(drive.stiffness * drive.ratio**2))
     if drive.ratio != 1:

@@ -1,10 +1,10 @@
-"""A MuJoCo model that moves as the real arm does, by what `[drive]` of a robot file knows.
+"""MuJoCo models that move as the real arm does, from the drive parameters (`[drive]`) of a robot.
 
-Of each joint: dry friction, damping, armature; an actuator with the servo's gain, constant torque,
-limit, filter and delay, whose `ctrl` is the command. Bodies get their inertias. A spring between
-servo and link stands beside the joint. A surface on which the tool came to rest is a plane, which a
-ball at the measured point touches without friction. The same numbers by joint names, as JSON, are
-for actuator models elsewhere (Isaac Lab, Genesis).
+Each joint has dry friction, damping and armature; its actuator has the servo's gain, constant
+torque, limit, filter and delay, and its `ctrl` is the command. Bodies have their inertias. A spring
+between servo and link is an additional joint. A surface on which the tool came to rest is a plane,
+which a ball at the measured point touches without friction. The same numbers by joint names, as
+JSON, are for actuator models of other simulators (Isaac Lab, Genesis).
 """
 
 from collections.abc import Iterator
@@ -27,7 +27,8 @@ from casadical.export.mjcf.mjcf import (
 )
 from casadical.robot.robot import Robot
 
-# What a joint needs to move as it does: names in `Drive`, and what another program calls them.
+# Drive parameters without which motion cannot be simulated, and further ones: attributes of
+# `Drive`, with their names in the exported JSON.
 REQUIRED_DRIVE_KEYS = {
     "kp": "stiffness",
     "damping": "damping",
@@ -40,18 +41,17 @@ OPTIONAL_DRIVE_KEYS = {
     "torque_limit": "effort_limit",
     "speed_limit": "velocity_limit",
 }
-# Radius of what touches a surface [m].
-BALL_RADIUS_M = 0.005
+BALL_RADIUS_M = 0.005  # radius [m] of the ball at the measured point that touches a surface
 
 
-def knows_motion(robot: Robot) -> bool:
-    """Whether `[drive]` says how the joints of an open chain follow their commands."""
+def has_motion_parameters(robot: Robot) -> bool:
+    """Return whether `[drive]` determines how joints move, and the robot is an open chain."""
     known = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in REQUIRED_DRIVE_KEYS)
     return known and not robot.loops
 
 
 def moving_mjcf(robot: Robot) -> MjcfExport:
-    """The model of `mjcf` with drives that follow commands, and what of both is left out."""
+    """Return the model of `mjcf` with drives that follow commands, and what both omit."""
     assert robot.drive is not None
     still = mjcf(robot)
     root = ET.fromstring(still.text)
@@ -86,7 +86,11 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
 
 
 def _set_floor(root: ET.Element, height: float | None) -> None:
-    """The plane across gravity at which the measured point has this height."""
+    """Add the plane perpendicular to gravity that the measured point touches.
+
+    height : of the measured point in contact, along the upward vertical [m]; None: there is no
+        plane
+    """
     world, (option,) = root.find("worldbody"), root.iter("option")
     gravity = np.array([float(word) for word in str(option.get("gravity")).split()])
     if height is None or world is None or not gravity.any():
@@ -105,7 +109,7 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
-    """Force = kp (ctrl - q) less the constant torque, with ctrl held back by the delay."""
+    """Return the actuator of joint i: force = kp (ctrl - q) - bias, ctrl being delayed."""
     row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit", "command_filter", "delay")
     kp, bias, limit, within, delay = (float(_each(drive, name, robot)[i - 1]) for name in names)
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
@@ -124,12 +128,13 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
 
 
 def _each(drive: Drive, name: str, robot: Robot) -> Any:
+    """Return a drive parameter of every joint, shape (n,); zeros where it is not given."""
     value = drive.of_joints(name, robot.n)
     return np.zeros(robot.n) if value is None else value
 
 
 def _lost(robot: Robot) -> Iterator[str]:
-    """What of the drives MuJoCo's joint and actuator cannot hold, in rad or N m."""
+    """Yield sentences on drive properties that MuJoCo's joints and actuators cannot represent."""
     drive = robot.drive
     assert drive is not None
     if drive.ki is not None:
@@ -144,9 +149,13 @@ def _lost(robot: Robot) -> Iterator[str]:
         yield "readings of joints one after another: all are of one time here"
 
 
-def servos_of(robot: Robot) -> tuple[str, ...]:
-    """What a file with damping and friction alone leaves out of drives, in mrad and ms."""
-    if robot.drive is None or not knows_motion(robot):
+def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
+    """Return a sentence on the drive parameters that a file with damping and friction alone omits.
+
+    It gives the droop under gravity [mrad] and the delay [ms]; there is none without drive
+    parameters.
+    """
+    if robot.drive is None or not has_motion_parameters(robot):
         return ()
     droop = 1e3 * float(np.max(robot.torque_scale / _each(robot.drive, "kp", robot)))
     late = 1e3 * float(np.max(_each(robot.drive, "delay", robot)))
@@ -156,12 +165,12 @@ def servos_of(robot: Robot) -> tuple[str, ...]:
 
 
 def actuators_of(robot: Robot) -> dict[str, Any]:
-    """The drives by joint names, SI, for other simulators. Raises InputError without any.
+    """Return the drive parameters by joint names, in SI units, for other simulators.
 
     `stiffness` and `damping` are those of a PD law with zero target speed, stiffness (command - q)
-    - damping q'.
+    - damping q'. Raises InputError: the robot has no drive parameters.
     """
-    if robot.drive is None or not knows_motion(robot):
+    if robot.drive is None or not has_motion_parameters(robot):
         lacking = [name for name in REQUIRED_DRIVE_KEYS if robot.drive is None or getattr(robot.drive, name) is None]
         raise InputError(
             f"{robot.name}: its [drive] does not say how the joints follow their commands "

@@ -1,8 +1,8 @@
-"""Measured poses replayed in MuJoCo: how far the model's point is from the measured one.
+"""Replay measured poses in MuJoCo: distances of the model's point from the measured ones.
 
-Three models: the nominal robot with fitted base and tool, the calibrated one, and the calibrated
-one with the diagnosed causes. All are identified from one part of the poses and replayed at the
-others.
+There are three models: the nominal robot with fitted base and tool, the calibrated one, and the
+calibrated one with the diagnosed causes. All are identified from one part of the poses and replayed
+at the others.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,16 +29,17 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-# Shares of the poses that are fitted, and of those that are replayed.
+# Shares of the poses from which models are identified, and at which they are replayed.
 REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
 @dataclass(frozen=True, eq=False)
 class ReplayedModel:
-    """One model in the simulator: distances from measured points and casadical's, (n,) [m].
+    """One model in the simulator, with its distances from the measured points.
 
-    lacking : labels of effects that neither the model nor the measured point holds, as the engine
-        has no counterpart
+    errors : distances from the measured points, shape (n,) [m]
+    apart : distances from casadical's own predictions, shape (n,) [m]
+    lacking : labels of effects that are missing in the simulator, as it has no counterpart of them
     """
 
     name: str
@@ -49,11 +50,12 @@ class ReplayedModel:
 
     @property
     def accuracy(self) -> Accuracy:
+        """Return mean, maximum and further statistics of the errors."""
         return summarise(self.errors)
 
     @cached_property
     def interval(self) -> Array:
-        """Of the mean error, 95 % by the bootstrap over the poses, shape (2,) [m]."""
+        """Return the 95 % bootstrap interval of the mean error over the poses, shape (2,) [m]."""
         rng, n = np.random.default_rng([0, len(self.errors)]), len(self.errors)
         drawn = self.errors[rng.integers(0, n, (1000, n))].mean(axis=1)
         return np.asarray(np.quantile(drawn, [0.025, 0.975]))
@@ -61,9 +63,10 @@ class ReplayedModel:
 
 @dataclass(frozen=True, eq=False)
 class Replay(Result):
-    """A campaign replayed on poses that were held out: nominal, geometry, effect (if there is one).
+    """A campaign replayed at held-out poses: nominal robot, geometry, diagnosed causes if any.
 
-    diagnosis : whose causes are in the last model
+    source : the measurements; robot : its name; stages : the models
+    diagnosis : the diagnosis whose causes the last model has
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -79,7 +82,7 @@ class Replay(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """A row a stage: error in the simulator [mm], its distance from casadical's point [um]."""
+        """Return a row per model: errors [mm] and distance from casadical's point [um]."""
         rows = []
         for s in self.stages:
             a, row = s.accuracy, {"model": s.name, "n": s.accuracy.n}
@@ -89,7 +92,7 @@ class Replay(Result):
         return pd.DataFrame(rows)
 
     def blocks(self) -> list[Words | Table]:
-        """What `verify --mujoco` prints: the table, and what the last model leaves out."""
+        """Return what `verify --mujoco` prints: the table, and what the last model omits."""
         table = self.table
         rows = [[f"{v:.4f}" if isinstance(v, float) else str(v) for v in row] for row in table.itertuples(index=False)]
         left_out = (Words(f"LEFT OUT {text}") for text in self.stages[-1].export.left_out)
@@ -97,10 +100,12 @@ class Replay(Result):
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
-    """Replay measured poses with a robot's model in MuJoCo; name : of the stage.
+    """Replay measured poses with a robot's model in MuJoCo.
 
-    Effects of the measurement (a frame that drifts, a reflector's offset) are not in the model:
-    they are added to the point that MuJoCo finds.
+    name : of the model in tables
+
+    Effects of the measurement (a frame that drifts, a reflector's offset) are not in the MuJoCo
+    model: they are added to the point that MuJoCo finds.
 
     Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: the
     simulator finds no equilibrium.
@@ -121,12 +126,12 @@ def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
 def replay_campaign(
     robot: Robot, m: Measurements, effects: EffectChoice = "standard", *, seed: int = 0, show: Show = silent
 ) -> Replay:
-    """Identify, diagnose and replay a campaign on poses that were held out.
+    """Identify and diagnose a robot from part of a campaign, and replay the other poses in MuJoCo.
 
     robot : as `diagnose` takes it
     m : the campaign
     effects : as of `diagnose`
-    seed : of the poses that are held out
+    seed : random seed that selects the poses that are held out
     show : called with a line of progress
     Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed;
         ConvergenceError: Ipopt finds no optimum, or the simulator no equilibrium.
@@ -146,14 +151,14 @@ def replay_campaign(
 
 
 def replay_diagnosis(found: Diagnosis) -> Replay:
-    """Replay a campaign with its causes, all values identified again from part of the poses.
+    """Replay a diagnosed campaign, with all values identified again from part of the poses.
 
-    The outliers are left out, and the other poses replayed: no value has seen them, though they had
-    a part in which causes are named; `replay_campaign` keeps them from that, too.
+    Outliers are excluded. The replayed poses have no influence on the values, though they had one
+    on the choice of the causes; `replay_campaign` excludes them from that, too.
 
     found : a diagnosis
     Raises InputError: MuJoCo is not installed; ConvergenceError: Ipopt finds no optimum, or the
-        simulator no equilibrium.
+    simulator no equilibrium.
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
@@ -176,7 +181,10 @@ def _stages(
     with_causes: Callable[[], Robot],
     show: Show = silent,
 ) -> tuple[ReplayedModel, ...]:
-    """Nominal, calibrated and robot `with_causes`, identified from `fitted`, replayed at `held_out`."""
+    """Return the replayed models: nominal, calibrated, and `with_causes()` if there are causes.
+
+    The first two are identified from `fitted`; all are replayed at `held_out`.
+    """
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = calibrated(prepare(rigid, fitted), ["placement"], loss="huber", screen=False)
@@ -189,6 +197,7 @@ def _stages(
     return tuple(stages)
 
 
+# Caption of the figure.
 _CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
     "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
@@ -197,7 +206,7 @@ _CAPTION = (
 
 
 def replay_blocks(d: Diagnosis) -> Iterator[Block]:
-    """Figure and table of the replay; a sentence where MuJoCo is missing or cannot follow."""
+    """Yield sentences, figure and table of the replay, or why there is none."""
     try:
         load_mujoco()
     except InputError:
@@ -229,13 +238,17 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 
 
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
+    """Return the models that are shown, without a last one in which all causes are lacking."""
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()
     return replayed.stages[:2] if set(last.lacking) >= {e.label for e in causes} else replayed.stages
 
 
 def replay_figure(replayed: Replay, floor: float) -> Figure:
-    """Mean error of the engine's point [mm], stage by stage; floor : of the noise [m]."""
+    """Return the figure of each model's mean error [mm] with its interval.
+
+    floor : error of the noise alone [m]
+    """
     stages, names = _shown(replayed), stage_names(replayed)
     mean, noise = [1e3 * s.accuracy.mean for s in stages], 1e3 * floor
     low, high = 1e3 * np.transpose([s.interval for s in stages])
@@ -267,12 +280,14 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
 
 
 def stage_names(replayed: Replay) -> list[str]:
+    """Return the names of the models that are shown."""
     stages = _shown(replayed)[2:]
     without = (f", without {' and '.join(s.lacking)}" if s.lacking else "" for s in stages)
     return ["nominal, placed", "calibrated", *(f"with {s.name}{w}" for s, w in zip(stages, without, strict=True))]
 
 
 def _table(replayed: Replay) -> Table:
+    """Return the table of the models' errors [mm]."""
     rows = []
     for name, s in zip(stage_names(replayed), _shown(replayed), strict=True):
         lengths = (s.accuracy.mean, s.accuracy.max, s.accuracy.rms, s.accuracy.p95)
