@@ -82,8 +82,8 @@ def measure(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.core.reading import load_toml
-    from casadical.project.live.session import TABLE, LiveSession, finished
-    from casadical.project.live.sources import NAME, SimulatedSource, journal, source_of
+    from casadical.project.live.session import TABLE_FILE, LiveSession, finished
+    from casadical.project.live.sources import JOURNAL_FILE, SimulatedSource, journal, source_of
     from casadical.project.live.view import summary
 
     console = plain(quiet)
@@ -96,7 +96,7 @@ def measure(
         move = language_named(program).move_line
     if (follow and simulate) or (no_page and not (follow or simulate)):
         raise InputError("--follow FILE, DIR or -, or --simulate N: give one of them, from which the readings come")
-    if follow and Path(follow).resolve() in {(folder / name).resolve() for name in (NAME, TABLE)}:
+    if follow and Path(follow).resolve() in {(folder / name).resolve() for name in (JOURNAL_FILE, TABLE_FILE)}:
         raise InputError(f"{shown(follow)}: is what this command writes itself; name what the instrument writes")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm

@@ -1,4 +1,4 @@
-"""A calibration while it is measured: readings as they come, judged before the next pose, kept whatever happens."""
+"""Live calibration: readings are stored and judged as they come, and the next pose is named."""
 
 from casadical.project.live.session import LiveSession
 

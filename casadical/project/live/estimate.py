@@ -1,10 +1,11 @@
-"""What is known of a robot after few readings: a linear fit with priors, whose two widths the readings themselves tell.
+"""Estimate of a robot from few readings: a linear fit with priors whose widths the data choose.
 
-Noise of a coordinate and departure from nominal (as a factor on the robot's own priors) are those of a grid, weighted
-by their evidence (MacKay 1992, "Bayesian interpolation", eqs. 2.6 and 4.5): a prediction is as sure as the readings
-until now make it, from the fifth on. Base and tool are put where the readings say and are free, and so are the points
-that a kind leaves unknown: what is touched, far ends of distances. An angle's noise is the length's times the most
-evident of some ratios.
+The noise of a coordinate and the factor on the robot's own prior standard deviations are averaged
+over grids, weighted by their evidence (MacKay 1992, "Bayesian interpolation", eqs. 2.6 and 4.5);
+the uncertainty of a prediction is therefore known from the fifth reading on. Base and tool are
+placed by the readings and are free, and so are the points that a kind of measurement leaves
+unknown: what is touched, anchors of distances. The noise of an angle is that of a length times the
+most probable of some ratios.
 """
 
 from collections.abc import Mapping
@@ -26,29 +27,34 @@ from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 
-# Readings from which on one is judged by the others.
-FEWEST = 5
-# Of so few readings each is judged by a fit without it.
-FEW = 12
-# Squared distance of a reading from its prediction, in units of their covariance, by how many numbers it has: exceeded
-# by noise in 1 of 700 000.
-LIMITS = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
-# One sigma of a coordinate [mm], and factors on the priors, whose evidence is compared.
-SIGMAS = np.geomspace(0.008, 60.0, 22)
-WIDTHS = np.array([0.1, 0.25, 0.6, 1.5])
-# One sigma of base, tool and points about where they were put [mm, mrad]: they are not known.
-FREE = 1e3
-# A reading is not judged where the others predict it with a sigma of more than this [mm].
-UNTOLD = 100.0
+# Readings are judged by each other once there are more than this; it is also the smallest fit.
+MIN_READINGS_OF_FIT = 5
+# Up to this number of readings each is judged by a refit without it; with more, by its
+# leave-one-out residual of the common fit.
+MAX_REFITTED_READINGS = 12
+# Limits of the squared Mahalanobis distance of a reading from its prediction, by the number of
+# its coordinates: quantiles of chi-squared that noise exceeds in 1 of 700 000.
+MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
+# Grid of one sigma of a coordinate [mm] over which the evidence is computed.
+NOISE_GRID_MM = np.geomspace(0.008, 60.0, 22)
+# Grid of the factor on the robot's prior standard deviations, the other hyperparameter.
+PRIOR_FACTOR_GRID = np.array([0.1, 0.25, 0.6, 1.5])
+# Prior standard deviation of base, tool and points about where they were placed [mm, mrad]; it is
+# wide enough to leave them free.
+FREE_SIGMA = 1e3
+# A reading is not judged where the others predict it with a larger standard deviation [mm].
+MAX_PREDICTION_SIGMA_MM = 100.0
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """Readings beside the model: measured less computed, shape (n, numbers), and the model's Jacobian by parameters
-    and then the points, (n, numbers, p + 3 K) [mm and ratio mrad].
+class LinearisedReadings:
+    """Residuals of readings and the model's Jacobian about a robot.
 
-    points : unknown ones by their labels, in the order of the columns, shape (3,) each [m]
-    separated : of known distances between points, in units of sigma, shapes (s,) and (s, p + 3 K)
+    off : residuals, measured less computed, shape (n, numbers) [mm, and angles in ratio mrad]
+    J : by the scaled parameters and then the points, shape (n, numbers, p + 3 K)
+    points : unknown points by their labels, in the order of the columns, shape (3,) each [m]
+    separated : residuals of known distances between points, and their Jacobian, in units of sigma,
+        shapes (s,) and (s, p + 3 K)
     """
 
     off: Array
@@ -59,15 +65,21 @@ class Seen:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """The robot as some readings tell it.
+    """The robot as some readings determine it.
 
-    robot : with their values; names : of the parameters that were fitted
-    points : unknown ones that the readings refer to, by their labels [m]
-    covariance : of parameters and points, shape (p + 3 K, p + 3 K), units of scale and mm
-    sigma : of a coordinate [m]; ratio : of an angle's to it [mrad/mm]
-    m : the readings; left_out : what each would miss the model of the others by, shape (n, lengths) [m], not a number
-    where they do not predict it; surprise : the same squared, angles with it, in units of its covariance, shape (n,)
-    widened : the limit of surprises over `LIMITS`
+    robot : robot with the estimated values
+    names : names of the fitted parameters
+    points : unknown points that the readings refer to, by their labels [m]
+    covariance : covariance of parameters and points, shape (p + 3 K, p + 3 K), in units of scale
+        and mm
+    sigma : standard deviation of a coordinate [m]
+    ratio : standard deviation of an angle over that of a coordinate [mrad/mm]
+    m : the readings
+    left_out : leave-one-out residuals, shape (n, lengths) [m], NaN where the others do not predict
+        the reading
+    surprise : squared leave-one-out residuals, angles included, in units of their covariance, shape
+        (n,)
+    widened : factor on `MAX_SURPRISE`, as few readings determine the noise badly
     """
 
     robot: Robot
@@ -86,27 +98,28 @@ class Estimate:
 
     @property
     def left_out_mm(self) -> Array:
-        """How far each reading is from the model of the others, of those that these predict, shape (k,) [mm]."""
+        """Return the lengths of the leave-one-out residuals that exist, shape (k,) [mm]."""
         left = np.linalg.norm(self.left_out, axis=1) / MM
         return np.asarray(left[np.isfinite(left)])
 
     @property
     def limit(self) -> float:
-        """Of the surprise of a reading that noise explains."""
-        return LIMITS[find_kind(self.m.kind).numbers] * self.widened
+        """Return the greatest surprise of a reading that noise explains."""
+        return MAX_SURPRISE[find_kind(self.m.kind).numbers] * self.widened
 
     def misses(self, m: Measurements) -> tuple[Array, Array]:
-        """What readings miss the prediction by, shape (n, lengths) [m], and its square, angles with it, in units of
-        its covariance, shape (n,).
+        """Return the residuals of readings from their predictions, and their surprise.
 
-        Where a four-bar cannot close, the latter are infinite; of a point that no reading told both are zero.
+        The residuals have shape (n, lengths) [m]; the surprise, their square with angles in units
+        of the covariance, has shape (n,). Where a four-bar cannot close the surprise is infinite;
+        for a point that no reading refers to, both are zero.
         """
         kind, labels = find_kind(m.kind), labels_of(m)
         off, square = np.zeros((len(m), kind.lengths)), np.zeros(len(m))
         rows = np.flatnonzero([name in self.points for name in labels] if labels else np.ones(len(m), dtype=bool))
         if not len(rows):
             return off, square
-        seen = observed(self.robot, self.names, replace(m[rows], separations=()), self.ratio, self.points)
+        seen = linearised(self.robot, self.names, replace(m[rows], separations=()), self.ratio, self.points)
         at, p = {name: k for k, name in enumerate(self.points)}, len(self.names)
         column = [p + 3 * at[name] + i for name in seen.points for i in range(3)]
         C = self.covariance[np.ix_([*range(p), *column], [*range(p), *column])]
@@ -118,19 +131,22 @@ class Estimate:
         return off, square
 
     def expected(self, task: Measurements) -> float:
-        """Root mean square error of the robot itself to expect over a task [m].
+        """Return the expected rms position error of the robot over a task [m].
 
-        Where readings do not tell where the base is, it is where the task has it.
+        Where the readings do not determine the base, it is where the task has it.
         """
         p, J = len(self.names), scaled_jacobian(self.robot, self.names, task)
         base = [k for k, name in enumerate(self.names) if self.robot.parameters[name].group == "base"]
-        if not base or self.covariance[base, base].max() > UNTOLD**2:
+        if not base or self.covariance[base, base].max() > MAX_PREDICTION_SIGMA_MM**2:
             J = without_base(self.robot, J, task)
         return MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, self.covariance[:p, :p], J, optimize=True) / len(J)))
 
 
 def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
-    """What is estimated: geometry, compliance, tool, and the base where readings see something at rest."""
+    """Return the parameters to estimate: geometry, compliance, tool and sessions.
+
+    The base is one of them where the readings refer to something at rest.
+    """
     held = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
     sessions = (n for n in robot.parameters.names if n.startswith(PREFIX))
     names = (*robot.parameters.select(("kinematic", "compliance")), *sessions)
@@ -138,20 +154,23 @@ def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
 
 
 def _is_frame(p: Parameter) -> bool:
-    """Whether a parameter says where base or tool are, in some session."""
+    """Return whether a parameter is of the base or tool frame, also of a session."""
     return p.group in FRAME_GROUPS or (p.name.startswith(PREFIX) and ".zero" not in p.name)
 
 
 def labels_of(m: Measurements) -> list[str]:
-    """The label of each reading's unknown point; none where its kind has none."""
+    """Return the label of each reading's unknown point; [] where its kind has none."""
     return list(find_kind(m.kind).point_names(m.arrays))
 
 
-def observed(
+def linearised(
     robot: Robot, names: tuple[str, ...], m: Measurements, ratio: float = 1.0,
     points: Mapping[str, Array] | None = None,
-) -> Seen:  # fmt: skip
-    """Readings beside the model; points : where unknown ones are, None: where the readings put them."""
+) -> LinearisedReadings:  # fmt: skip
+    """Return the residuals and the Jacobian of readings about a robot.
+
+    points : unknown points [m]; None: where the readings put them
+    """
     problem = LeastSquares(robot, (m,), names, "linear", False, ((MM, MM * ratio),))
     labels = list(dict.fromkeys(labels_of(m)))
     if points is not None:
@@ -160,14 +179,20 @@ def observed(
     if (turn := m.arrays.get("orientation", m.arrays.get("turn"))) is not None:
         R = predicted(robot, m)[1]
         R = R if m.other is None else predicted(robot, replace(m, q=m.other))[1].transpose(0, 2, 1) @ R
-        turned = np.einsum("nij,nij->n", R, turn) < 1.0  # a residual that is the sine does not see half a turn
+        turned = np.einsum("nij,nij->n", R, turn) < 1.0  # the residual is the sine, which is blind to half a turn
         r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (MM * ratio), r)
     separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
-    return Seen(-r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated)
+    return LinearisedReadings(
+        -r, J[: r.size].reshape(*r.shape, -1), dict(zip(labels, problem.points, strict=True)), separated
+    )
 
 
 def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Estimate:
-    """The robot as these readings tell it; robot : nominal; placed : with its frames where they stand, if known."""
+    """Return the robot as these readings determine it.
+
+    robot : nominal robot
+    placed : robot with its frames where they are, if known
+    """
     placed, kind = placed or place_sessions(robot, (m,)), find_kind(m.kind)
     names = names_of(placed, m)
     own = [placed.parameters[name] for name in names]
@@ -176,13 +201,15 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     )
     # An angle's sigma over a coordinate's [mrad/mm].
     now, ratios = placed, np.geomspace(0.3, 30.0, 7) if kind.angles else np.ones(1)
-    seen = observed(now, names, m)
+    seen = linearised(now, names, m)
     points = start = seen.points
-    free = np.concatenate([[FREE * MM / p.scale if _is_frame(p) else 0.0 for p in own], np.full(3 * len(start), FREE)])
+    free = np.concatenate(
+        [[FREE_SIGMA * MM / p.scale if _is_frame(p) else 0.0 for p in own], np.full(3 * len(start), FREE_SIGMA)]
+    )
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
     for step in range(15):  # three, unless unknown points still move by more than 0.1 mm
-        seen = observed(now, names, m, points=points) if step else seen
+        seen = linearised(now, names, m, points=points) if step else seen
         y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
         fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
         _, sigma, C, b, ratio = best_of(fits, lambda fit: fit[0], logs=True)
@@ -193,13 +220,13 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
         points = dict(zip(start, [*start.values()] + MM * x[p:].reshape(-1, 3), strict=True)) if start else start
         if step >= 2 and np.abs(x[p:] - before[p:]).max(initial=0.0) < 0.1:
             break
-    r = observed(now, names, m, ratio, points).off
+    r = linearised(now, names, m, ratio, points).off
     J = seen.J * np.where(angles, 1 / ratio, 1.0)[:, None]
     redundant = np.eye(kind.numbers) - J @ C @ J.transpose(0, 2, 1) / sigma**2
-    fixed = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / UNTOLD) ** 2
+    fixed = np.linalg.eigvalsh(redundant)[:, 0] > (sigma / MAX_PREDICTION_SIGMA_MM) ** 2
     redundant[~fixed] = np.eye(kind.numbers)
     off = np.where(fixed[:, None], np.linalg.solve(redundant, r[..., None])[..., 0], np.nan)
-    # Of a noise that few numbers tell the limit is wider, about as Fisher's F is.
+    # A noise that few readings determine widens the limit, about as the F distribution does.
     freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
     return Estimate(
         now, names, points, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
@@ -210,18 +237,22 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
 def _by_evidence(
     J: Array, y: Array, weight: Array, free: Array, width: Array, apart: tuple[Array, Array]
 ) -> tuple[float, float, Array, Array]:
-    """Of y = J x + noise, shapes (n, numbers, x) and (n, numbers): logarithm of the evidence, noise [mm], covariance,
-    shape (x, x), and what it makes x of, (x,).
+    """Fit y = J x + noise with noise and prior width averaged by their evidence.
 
-    weight : of the numbers of a reading, shape (numbers,); free : one sigma of what has no prior, else zero, shape (x,)
-    apart : further y and J that are known with a sigma of one, shapes (s,) and (s, x)
+    J, y : shapes (n, numbers, x) and (n, numbers)
+    weight : weights of the numbers of a reading, shape (numbers,)
+    free : prior standard deviation of the free unknowns, zero for the others, shape (x,)
+    width : prior standard deviations that the factor scales, shape (x,)
+    apart : y and J of observations with a sigma of one, shapes (s,) and (s, x)
+    Returns the logarithm of the evidence, the noise [mm], the covariance (x, x), and the right-hand
+    side (x,), which times the covariance is the estimate
     """
     normal = len(y) * float(np.log(weight).sum())
     J, y = (J * weight[:, None]).reshape(-1, J.shape[2]), (y * weight).ravel()
     G, b, square = J.T @ J, J.T @ y, float(y @ y)
     known, of_known = apart[1].T @ apart[1], apart[1].T @ apart[0]
-    logs, precisions = np.empty((len(WIDTHS), len(SIGMAS))), []
-    for i, factor in enumerate(WIDTHS):
+    logs, precisions = np.empty((len(PRIOR_FACTOR_GRID), len(NOISE_GRID_MM))), []
+    for i, factor in enumerate(PRIOR_FACTOR_GRID):
         P = np.where(free > 0, free, factor * width) ** -2
         precisions.append(P)
         at = np.linalg.solve(np.diag(P) + known, of_known)  # mean before the readings
@@ -229,31 +260,33 @@ def _by_evidence(
         values, V = np.linalg.eigh(root @ G @ root.T)
         along = (V.T @ (root @ (b - G @ at))) ** 2
         left = square - 2 * float(at @ b) + float(at @ G @ at)
-        logs[i] = -0.5 * left / SIGMAS**2 - len(y) * np.log(SIGMAS)
-        logs[i] += gain(SIGMAS**2, SIGMAS, np.maximum(values, 0.0)[None], along[None])[0]
+        logs[i] = -0.5 * left / NOISE_GRID_MM**2 - len(y) * np.log(NOISE_GRID_MM)
+        logs[i] += gain(NOISE_GRID_MM**2, NOISE_GRID_MM, np.maximum(values, 0.0)[None], along[None])[0]
     weights = np.exp(logs - logs.max())
     evidence = normal + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()
-    sigma = float(np.sqrt((weights.sum(axis=0) * SIGMAS**2).sum()))
+    sigma = float(np.sqrt((weights.sum(axis=0) * NOISE_GRID_MM**2).sum()))
     variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
     C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + known)
     return evidence, sigma, C, b / sigma**2 + of_known
 
 
-def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | None, Array, Array]:
-    """The estimate without readings that it contradicts; which these are, and how far each reading is off.
+def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | None, Array, Array]:
+    """Return the estimate without contradicted readings, a mask of these, and all residuals.
 
-    doubtful : mask of those that were, shape (n,)
-    Returns the estimate, None of too few readings, the mask, shape (n,), and what each misses, shape (n, lengths) [m].
+    doubtful : mask of the readings that were contradicted before, shape (n,)
+    Returns the estimate, None of too few readings, the mask of contradicted readings, shape (n,),
+    and residuals, shape (n, lengths) [m].
     """
     out, lengths, labels = doubtful.copy(), find_kind(m.kind).lengths, np.array(labels_of(m))
-    if len(m) < FEWEST:
+    if len(m) < MIN_READINGS_OF_FIT:
         return None, np.zeros(len(m), dtype=bool), np.zeros((len(m), lengths))
-    if (~out).sum() < FEWEST:  # the first are judged by each other, the others by them
-        out[:FEW] = False
+    if (~out).sum() < MIN_READINGS_OF_FIT:  # the first readings are judged by each other, the others by them
+        out[:MAX_REFITTED_READINGS] = False
     named = [flag > 0 for name, flag in m.conditions.items() if name.startswith((PREFIX, "tool_"))]
     for own in (*(labels == name for name in set(labels)), *named):
-        out[own] &= 2 * out[own].sum() < own.sum()  # and so are those of a point, where as many are doubted as not
+        # Likewise the readings of a point of which half are doubted.
+        out[own] &= 2 * out[own].sum() < own.sum()
     # Where nothing says where the point is, placing takes a search that outliers do not mislead.
     placed = place_sessions(robot, (m,)) if m.position is None and m.target is None else None
     for _ in range(3 + len(m) // 10):
@@ -261,13 +294,13 @@ def counted(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | 
         estimated = estimate(robot, m[inside], placed)
         surprise, off = np.zeros(len(m)), np.zeros((len(m), lengths))
         off[inside], surprise[inside] = estimated.left_out, estimated.surprise
-        if FEWEST < len(inside) <= FEW:
+        if MIN_READINGS_OF_FIT < len(inside) <= MAX_REFITTED_READINGS:
             without = (estimate(robot, m[np.delete(inside, k)], placed) for k in range(len(inside)))
             surprise[inside] = [each.misses(m[inside[[k]]])[1][0] for k, each in enumerate(without)]
         if out.any():
             off[out], surprise[out] = estimated.misses(m[np.flatnonzero(out)])
         worst = int(inside[first_of_best(surprise[inside])])
-        if surprise[worst] > estimated.limit and len(inside) > FEWEST:
+        if surprise[worst] > estimated.limit and len(inside) > MIN_READINGS_OF_FIT:
             out[worst] = True
         elif (back := out & (surprise <= estimated.limit)).any():
             out[back] = False

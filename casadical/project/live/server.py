@@ -1,7 +1,7 @@
-"""The page beside the instrument: one HTML file, the session's state as server-sent events, commands as JSON.
+"""The web page of a live session: one HTML file, the state as server-sent events, commands as JSON.
 
-It is bound to this machine. Another host needs a token in its address; requests that name another host, and commands
-that another page sends, are refused (DNS rebinding, cross-site requests).
+It is bound to this machine. For another host its address needs a token. Requests that name another
+host, and commands that another page sends, are refused (DNS rebinding, cross-site requests).
 """
 
 from __future__ import annotations
@@ -26,21 +26,25 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
+# Hosts that are this machine itself: no token is needed.
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-# How often a source is looked at, and after how long a browser that never reads is given up [s].
-PAUSE = 0.2
+# Time between two looks at a source for new readings [s].
+POLL_INTERVAL_S = 0.2
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
 }  # fmt: skip
-NEEDED = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
+INSTALL_HINT = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
 
 
 class LivePage:
     """The server of one session.
 
-    source : None: readings are typed alone; pause : between looks at it [s]; token : None on the loopback
+    session : session that is shown
+    source : source of readings; None: readings are typed alone
+    pause : time between two looks at the source [s]
+    token : token that requests must carry; None on the loopback
     """
 
     def __init__(self, session: LiveSession, source: Source | None, pause: float, token: str | None) -> None:
@@ -50,10 +54,13 @@ class LivePage:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def app(self) -> Starlette:
-        """The application. Raises InputError where the extra `live` is not installed."""
-        applications = optional("starlette.applications", NEEDED)
-        routing, middleware = optional("starlette.routing", NEEDED), optional("starlette.middleware", NEEDED)
-        base = optional("starlette.middleware.base", NEEDED)
+        """Return the web application. Raises InputError without the extra `live`."""
+        applications = optional("starlette.applications", INSTALL_HINT)
+        routing, middleware = (
+            optional("starlette.routing", INSTALL_HINT),
+            optional("starlette.middleware", INSTALL_HINT),
+        )
+        base = optional("starlette.middleware.base", INSTALL_HINT)
         routes = [
             routing.Route("/", self._page),
             routing.Route("/events", self._events),
@@ -65,6 +72,7 @@ class LivePage:
 
     @asynccontextmanager
     async def _life(self, _app: Starlette) -> AsyncIterator[None]:
+        """Follow the source for as long as the application runs."""
         follow = asyncio.create_task(self._follow())
         yield
         follow.cancel()
@@ -72,6 +80,7 @@ class LivePage:
             await follow
 
     async def _follow(self) -> None:
+        """Plan, and take new readings from the source, again and again."""
         while True:
             try:
                 if self.session.plan is None:
@@ -88,7 +97,7 @@ class LivePage:
             await asyncio.sleep(self.pause)
 
     async def _plan(self) -> None:
-        """The next poses and, now and then, the check of the whole table beside what goes on."""
+        """Plan the next poses; the check of the whole table, if due, runs in the background."""
         if self.session.doubted():
             task = asyncio.create_task(self._check())
             self._tasks.add(task)
@@ -97,17 +106,19 @@ class LivePage:
         self._tell()
 
     async def _check(self) -> None:
+        """Check the whole table in a thread, then send the new state."""
         await asyncio.to_thread(self.session.check)
         self._tell()
 
     def _tell(self) -> None:
+        """Let all open pages get the new state."""
         self._version += 1
         self._changed.set()
         self._changed = asyncio.Event()
 
     async def _guarded(self, request: Request, call: Callable[[Request], Any]) -> Response:
-        """Refuse other hosts, other pages and a wrong token."""
-        responses = optional("starlette.responses", NEEDED)
+        """Refuse requests of other hosts, of other pages, and with a wrong token."""
+        responses = optional("starlette.responses", INSTALL_HINT)
         host = request.headers.get("host", "")
         why = ""
         if self.token is None and urlsplit(f"//{host}").hostname not in LOOPBACK:
@@ -128,13 +139,15 @@ class LivePage:
         return response
 
     async def _page(self, _request: Request) -> Response:
+        """Return the HTML file."""
         page = files("casadical.project.live").joinpath("page.html").read_text(encoding="utf-8")
-        made: Response = optional("starlette.responses", NEEDED).HTMLResponse(page)
+        made: Response = optional("starlette.responses", INSTALL_HINT).HTMLResponse(page)
         return made
 
     async def _events(self, _request: Request) -> Response:
-        made: Response = optional("sse_starlette", NEEDED).EventSourceResponse(
-            # A browser that does not read for 20 s is given up.
+        """Return the stream of states as server-sent events."""
+        made: Response = optional("sse_starlette", INSTALL_HINT).EventSourceResponse(
+            # The connection to a browser that does not read for 20 s is closed.
             self._states(),
             ping=10,
             send_timeout=20.0,
@@ -142,7 +155,7 @@ class LivePage:
         return made
 
     async def _states(self) -> AsyncIterator[dict[str, str]]:
-        """The state now and after each change; who reads slowly gets the last one."""
+        """Yield the state now and after each change; a slow reader gets the last one."""
         while True:
             changed = self._changed
             state = await asyncio.to_thread(self.session.state)
@@ -150,8 +163,8 @@ class LivePage:
             await changed.wait()
 
     async def _do(self, request: Request) -> Response:
-        """One command: type, strike, restore, repeat or finish. Its faults are sentences."""
-        json_response = optional("starlette.responses", NEEDED).JSONResponse
+        """Carry out one command: type, strike, restore, repeat or finish; faults are sentences."""
+        json_response = optional("starlette.responses", INSTALL_HINT).JSONResponse
         response: Response
         try:
             body = await request.body()
@@ -167,6 +180,7 @@ class LivePage:
         return response
 
     def _done(self, asked: dict[str, Any]) -> str:
+        """Carry out a command on the session and return its answer. Raises InputError."""
         session, do = self.session, asked.get("do")
         if do == "type":
             number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
@@ -184,10 +198,13 @@ class LivePage:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """A socket that listens at this address; port 0: any that is free. Raises InputError where it is taken."""
+    """Return a socket that listens at this address; port 0 is any free one.
+
+    Raises InputError where the port is taken.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     made = socket.socket(family, socket.SOCK_STREAM)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # of one that has just ended
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # of a server just ended
     try:
         made.bind((host, port))
         made.listen()
@@ -206,10 +223,17 @@ def serve(
     *,
     host: str = "127.0.0.1",
     port: int = 0,
-    pause: float = PAUSE,
+    pause: float = POLL_INTERVAL_S,
 ) -> None:
-    """Serve the page until the process is interrupted; show : gets its address. Raises InputError."""
-    uvicorn = optional("uvicorn", NEEDED)
+    """Serve the page of a session until the process is interrupted.
+
+    source : source of readings; None: readings are typed alone
+    show : called with the address of the page
+    host, port : address to listen at; port 0: any free one
+    pause : time between two looks at the source [s]
+    Raises InputError.
+    """
+    uvicorn = optional("uvicorn", INSTALL_HINT)
     token = None if host in LOOPBACK else secrets.token_urlsafe(16)
     page = LivePage(session, source, pause, token)
     app = page.app()

@@ -1,7 +1,8 @@
-"""A calibration while it is measured: the readings of a problem folder, what they tell by now, what is next.
+"""A live calibration: the readings of a problem folder, their judgement, and the next pose.
 
-The journal is the truth; `measured.csv` and the [[measurements]] of problem.toml are made of it after each reading, so
-that the folder can be calibrated at any time, and again after the process was killed.
+The journal is the only state on disk; `measured.csv` and the [[measurements]] of problem.toml are
+rewritten from it after each reading, so that the folder can be calibrated at any time, also after
+the process was killed.
 """
 
 import re
@@ -31,30 +32,45 @@ from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.calibration import calibrate
 from casadical.project.check.check import precheck
 from casadical.project.check.slip_list import slips_of_reading
-from casadical.project.live.estimate import FEW, Estimate, counted
+from casadical.project.live.estimate import MAX_REFITTED_READINGS, Estimate, robust_estimate
 from casadical.project.live.sources import Add, Course, Reading, Row, Source
-from casadical.project.live.view import FOR_QUANTILE, with_words
+from casadical.project.live.view import MIN_READINGS_FOR_QUANTILE, with_words
 from casadical.project.planning import poses_ahead
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
 from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
 
-TABLE = "measured.csv"
-# Share of the reach that the model may leave before the whole table is doubted, and readings at which it is checked.
-CHECKED = (10, 15, 25, 40, 60, 100, 200)
-# Columns of names, and those that a table may have beside what its kind observes.
-NAMES = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
-FURTHER = ("to_x_mm", "to_y_mm", "to_z_mm", "along_x", "along_y", "along_z", "pose", "other_pose", *NAMES)
+# The table of all readings in the problem folder; it is rewritten from the journal.
+TABLE_FILE = "measured.csv"
+# Numbers of readings at which the whole table is checked for slips.
+PLAUSIBILITY_CHECK_COUNTS = (10, 15, 25, 40, 60, 100, 200)
+# Columns that hold names, not numbers.
+NAME_COLUMNS = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
+# Columns that a table may have in addition to what its kind observes.
+OPTIONAL_COLUMNS = (
+    "to_x_mm",
+    "to_y_mm",
+    "to_z_mm",
+    "along_x",
+    "along_y",
+    "along_z",
+    "pose",
+    "other_pose",
+    *NAME_COLUMNS,
+)
 
 
 class LiveSession:
-    """Readings of one problem folder, as they come. Its methods may be called from several threads.
+    """Readings of one problem folder, as they come. Methods may be called from several threads.
 
-    folder : with problem.toml, whose tables are replaced; course, add : of its journal (see `journal`)
-    target : accuracy that is wanted [m]; room : file of a workspace; data : "real" or "synthetic", as problem.toml says
-    move : the line of a program that goes to joints [deg or mm]; None: no program
+    folder : problem folder, whose tables are replaced
+    course, add : state of its journal, and the function that adds events to it (see `journal`)
+    target : wanted accuracy [m], None without one
+    room : file of a workspace
+    data : "real" or "synthetic", as problem.toml states it
+    move : returns the line of a program that moves to joints [deg or mm]; None: no program
 
-    Raises InputError: its tables are other measurements, which would be lost.
+    Raises InputError: the folder has other measurements, which would be lost.
     """
 
     def __init__(
@@ -68,15 +84,15 @@ class LiveSession:
         self.room: Workspace | None = read_workspace(room, self.robot) if room else None
         self.lock = RLock()
         self.estimate: Estimate | None = None
-        self.plan: Array | None = None  # poses, shape (n, joints), and what is to be said of them
+        self.plan: Array | None = None  # planned poses, shape (n, joints) [rad or m]
         self._of_plan = ""
         self.said: list[str] = []
         self.checked: tuple[int, list[str]] = (0, [])
         self.m: Measurements | None = None
         self.unread = ""
-        # At 150 readings all over the joints' ranges the error to expect is stated.
+        # The expected error is stated for 150 readings drawn over the joints' ranges.
         self._task = draw(self.robot, 150, Workspace(), np.random.default_rng(1))
-        self._odd: dict[int, str] = {}  # rows that cannot be read, and why
+        self._unreadable: dict[int, str] = {}  # reason by number of the reading
         self._doubtful: dict[int, bool] = {}
         self._words: dict[int, str] = {}
         self._off: dict[int, float] = {}
@@ -88,9 +104,10 @@ class LiveSession:
     # What comes ------------------------------------------------------------------------------------------------------
 
     def take(self, row: Row, *, judge: bool = True) -> int | None:
-        """Keep a row of a table: its number; None where it is there already. judge : say at once what it tells.
+        """Store a row of a table and return its number; None where it is stored already.
 
-        Raises InputError: its headings are others than those of the rows before.
+        judge : whether the reading is judged at once
+        Raises InputError: its headings differ from those of the rows before.
         """
         with self.lock:
             cells = row.cells
@@ -116,7 +133,7 @@ class LiveSession:
             return number
 
     def feed(self, source: Source) -> tuple[list[int], list[str]]:
-        """Take what is new in a source: numbers of the readings, and sentences about what cannot be taken."""
+        """Take what is new in a source; return the readings' numbers, and sentences on faults."""
         news = source.news()
         numbers, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
         for row in news.rows:
@@ -137,12 +154,16 @@ class LiveSession:
         return numbers, said
 
     def type_in(self, values: Mapping[str, str]) -> int | None:
-        """Keep a reading that was typed: values, or words, by `fields`. Raises InputError for what is none."""
+        """Store a reading that was typed and return its number; None where it is stored already.
+
+        values : cells by name, as of `fields`
+        Raises InputError for a missing or invalid value.
+        """
         names, row = self.fields, dict[str, str]()
         for name in names:
             with suppress(ValueError):
                 text = values.get(name, "").strip()
-                number = text if name in NAMES else f"{float(text):.12g}"
+                number = text if name in NAME_COLUMNS else f"{float(text):.12g}"
                 row |= {name: number} if number and number not in ("inf", "-inf", "nan") else {}
         if lost := [name for name in names if name not in row]:
             raise InputError(f"{', '.join(lost)}: give a value for each of {', '.join(names)}")
@@ -154,18 +175,18 @@ class LiveSession:
 
     @property
     def fields(self) -> list[str]:
-        """Names of what is typed for a reading: joints, then what is observed."""
+        """Return the names of what is typed for a reading: joints, then what is observed."""
         kind = find_kind(self.m.kind if self.m is not None else "position")
         further: tuple[str, ...] = ()
         if self.course.header and self.m is not None:
             columns = {
                 re.sub("_(m|rad)$", lambda unit: {"_m": "_mm", "_rad": "_deg"}[unit[0]], c) for c in self._sources
             }
-            further = tuple(c for c in FURTHER if c in columns and c not in kind.fill)
+            further = tuple(c for c in OPTIONAL_COLUMNS if c in columns and c not in kind.fill)
         return [*self.robot.reading_units, *kind.fill, *further]
 
     def strike(self, number: int, why: str) -> None:
-        """Strike a reading out; it stays in the table, beside the reason. Raises InputError."""
+        """Strike a reading out; it stays in the table, with the reason. Raises InputError."""
         with self.lock:
             self._known(number)
             if not why.strip():
@@ -174,14 +195,14 @@ class LiveSession:
             self._judge()
 
     def restore(self, number: int) -> None:
-        """Let a reading count again. Raises InputError."""
+        """Let a reading that was struck out count again. Raises InputError."""
         with self.lock:
             self._known(number)
             self._add("restore", id=number)
             self._judge()
 
     def repeat(self, number: int) -> None:
-        """Make the pose of a reading the next one. Raises InputError."""
+        """Make the pose of a reading the next one to measure. Raises InputError."""
         with self.lock:
             self._known(number)
             if number not in (read := self._read()):
@@ -189,28 +210,34 @@ class LiveSession:
             self._wish = read[number]
 
     def _known(self, number: int) -> Reading:
+        """Return the reading of a number. Raises InputError where there is none."""
         try:
             return self.course.reading(number)
         except ValueError:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
     def _read(self) -> dict[int, Array]:
-        """Joints by number, of the readings that can be read."""
+        """Return the joints [rad or m] of the readable readings by number."""
         return {} if self.m is None else dict(zip(map(self._number, self.m.row), self.m.q, strict=True))
 
     def _number(self, row: int) -> int:
+        """Return the number of the reading in a row of the file."""
         return int(row) - 1 - bool(self.course.units)
 
     @property
     def _sources(self) -> dict[str, ColumnSource]:
+        """Return the source of each column of the table, by casadical's name."""
         tables = problem_file(self.folder).measurements
-        data = next((t for t in tables if t.file == TABLE), DataTable(file=TABLE))
-        raw = read_table(self.folder / TABLE)
+        data = next((t for t in tables if t.file == TABLE_FILE), DataTable(file=TABLE_FILE))
+        raw = read_table(self.folder / TABLE_FILE)
         sources = {**understood(raw, self.robot, data.sources, data.kind).sources, **data.sources}
         return {name: ColumnSource(name) for name in raw.header if name not in sources} | sources
 
     def _as_file(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Typed values as the file's columns are, other columns empty. Raises InputError where that is not clear."""
+        """Return typed values as cells of the file's columns, other columns empty.
+
+        Raises InputError where a value is no column of the file by itself.
+        """
         sources, row = self._sources, dict.fromkeys(self.course.header, "")
         for name, value in values.items():
             stem, _, unit = name.rpartition("_")
@@ -218,7 +245,7 @@ class LiveSession:
             for ours, factor in ({name: 1.0} | others).items():
                 source = sources.get(ours)
                 if source is not None and source.name in row and not (source.add or source.rows):
-                    same = name in NAMES or (factor, source.plus, source.times) == (1.0, 0.0, 1.0)
+                    same = name in NAME_COLUMNS or (factor, source.plus, source.times) == (1.0, 0.0, 1.0)
                     row[source.name] = value if same else f"{(float(value) * factor - source.plus) / source.times:.12g}"
                     break
             else:
@@ -228,58 +255,75 @@ class LiveSession:
     # What it tells ---------------------------------------------------------------------------------------------------
 
     def _judge(self, *new: int) -> None:
-        """The table, as it now is, read and judged; new : numbers of the readings that have just come."""
+        """Read the table as it now is, and judge its readings.
+
+        new : numbers of the readings that have just come
+        """
         with self.lock:
             m: Measurements | None = None
             try:
                 m = self._table()
             except InputError as error:
-                m = self._without_odd(new, self._without_folder(error))
+                m = self._table_without_unreadable(new, self._without_folder(error))
             if m is not None:
                 self.unread, self.m = "", m
                 self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
 
     def _table(self) -> Measurements:
-        """All readings that are not left out. Raises InputError."""
+        """Return all readings that are not left out. Raises InputError."""
         self._write()
-        m = read_campaign(self.folder, self.folder / TABLE, self.robot, later=True, words=True)
+        m = read_campaign(self.folder, self.folder / TABLE_FILE, self.robot, later=True, words=True)
         refuse_nameless(m, self.robot)
         m = with_known_targets(m, self.robot)
-        with_sessions(self.robot, [m])  # one of few poses waits for more
+        # Raises InputError for a session with too few poses, which then waits for more.
+        with_sessions(self.robot, [m])
         return m
 
     def _without_folder(self, error: InputError) -> str:
+        """Return the text of an error without the path of the folder."""
         return str(error).replace(f"{self.folder}/", "")
 
-    def _without_odd(self, new: Sequence[int], why: str) -> Measurements | None:
-        """The table without new rows that make it none, for which older ones may have waited; None, and why."""
+    def _table_without_unreadable(self, new: Sequence[int], why: str) -> Measurements | None:
+        """Return the table without new readings that make it unreadable; None without any.
+
+        Older readings that waited for more may have become readable; they are tried first.
+
+        new : numbers of the new readings
+        why : error of the table with all of them
+        """
         table: Measurements | None = None
-        before, read, whole = self._odd, self._read(), ""
+        before, read, whole = self._unreadable, self._read(), ""
         waiting = [r.number for r in self.course.readings if not (r.struck or r.number in (*new, *read))]
         for lost in ((), *((n,) for n in waiting[-10:])) if waiting else ():
-            self._odd = {n: before.get(n) or why.splitlines()[0] for n in lost}
+            self._unreadable = {n: before.get(n) or why.splitlines()[0] for n in lost}
             try:
                 return self._table()
             except InputError as error:
                 whole = whole if lost else self._without_folder(error).splitlines()[0]
-        self._odd = before
-        self._odd |= dict.fromkeys(new, "")
-        for n in (0, *new):  # all of them left out, then one after the other taken in
-            self._odd.pop(n, None)
+        self._unreadable = before
+        self._unreadable |= dict.fromkeys(new, "")
+        for n in (0, *new):  # all of them left out, then added one after the other
+            self._unreadable.pop(n, None)
             try:
                 table = self._table()
             except InputError as error:
                 if n == 0:
-                    self._odd = {k: text for k, text in self._odd.items() if k not in new}
+                    self._unreadable = {k: text for k, text in self._unreadable.items() if k not in new}
                     self.unread = why
                     return None
                 own = self._without_folder(error).splitlines()[0]
-                alike = re.sub("[0-9]+", "", own) == re.sub("[0-9]+", "", whole)  # it waits as those before do
-                self._odd[n] = whole if alike else own
+                alike = re.sub("[0-9]+", "", own) == re.sub(
+                    "[0-9]+", "", whole
+                )  # the same reason as that of the readings before
+                self._unreadable[n] = whole if alike else own
         self._write()
         return table
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
+        """Judge every reading by the others, and put the verdicts into words.
+
+        new : number of the only new reading, 0 of several
+        """
         numbers = [self._number(row) for row in m.row]
         robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
         robot = prepare(robot, m, tool_turns=True).robot
@@ -287,7 +331,7 @@ class LiveSession:
         lower, upper = self.robot.limits
         outside = ((m.q < lower - 0.002) | (m.q > upper + 0.002)).any(axis=1)
         inside = np.flatnonzero(~outside & (m.weight > 0))
-        estimate, out, off = counted(robot, m[inside], known[inside])
+        estimate, out, off = robust_estimate(robot, m[inside], known[inside])
         self.estimate = estimate
         was = {n for n, d in self._doubtful.items() if d and n != new}
         self._doubtful = dict.fromkeys(numbers, False)
@@ -319,12 +363,18 @@ class LiveSession:
                 self._doubtful[numbers[k]], self._words[numbers[k]] = True, words
 
     def look_ahead(self) -> None:
-        """Plan the poses to measure, once; takes a second or two. Raises InputError where the room allows none."""
+        """Plan the poses to measure, once; it takes a second or two.
+
+        Raises InputError where the workspace allows no pose.
+        """
         if self.plan is None:
             self.plan, self._of_plan = poses_ahead(self.robot, self.folder, self.room, self.target)
 
-    def _left(self) -> Array:
-        """Those poses of the plan at which no reading counts yet, shape (k, joints); one to repeat first."""
+    def _poses_left(self) -> Array:
+        """Return the planned poses without a reading that counts, shape (k, joints) [rad or m].
+
+        A pose to repeat comes first.
+        """
         assert self.plan is not None
         counting = [q for n, q in self._read().items() if not self._doubtful.get(n)]
         measured = np.array(counting).reshape(-1, 1, self.robot.n)
@@ -332,22 +382,25 @@ class LiveSession:
         return left if self._wish is None else np.vstack([self._wish, left])
 
     def next_pose(self) -> Array:
-        """Joints of the pose to measure next, shape (joints,) [rad or m]; after the whole plan it begins again."""
+        """Return the joints of the next pose, shape (joints,) [rad or m].
+
+        After the last pose the plan begins again.
+        """
         self.look_ahead()
         assert self.plan is not None
         with self.lock:
-            left = self._left()
+            left = self._poses_left()
             return np.asarray(left[0] if len(left) else self.plan[len(self.course.readings) % len(self.plan)])
 
     def doubted(self) -> bool:
-        """Whether the whole table is to be checked for slips now (see `check`)."""
+        """Return whether the whole table is to be checked for slips now (see `check`)."""
         n = len(self.course.readings)
         gross = self.estimate is not None and self.estimate.sigma > 0.003 * self.robot.reach
         many = sum(self._doubtful.values()) > max(2, n / 3)
-        return n >= 10 and n > self.checked[0] and (n in CHECKED or ((gross or many) and n % 3 == 0))
+        return n >= 10 and n > self.checked[0] and (n in PLAUSIBILITY_CHECK_COUNTS or ((gross or many) and n % 3 == 0))
 
     def check(self) -> None:
-        """The check of `casadical check` for the whole table; takes seconds where it searches slips."""
+        """Check the whole table as `casadical check` does; a search for slips takes seconds."""
         n = len(self.course.readings)
         checked = precheck(self.folder)
         texts = [f"{f.topic}: {f.text}" for f in checked.findings if f.level == "error" and f.topic != "too few poses"]
@@ -357,23 +410,23 @@ class LiveSession:
     # What is told and kept -------------------------------------------------------------------------------------------
 
     def _write(self) -> None:
-        """The table, and problem.toml where it does not name it as it is."""
+        """Write the table, and problem.toml where it does not name the table as it is."""
         course = self.course
         rows: list[Sequence[str]] = [course.header, *([course.units] if course.units else [])]
-        write_whole(self.folder / TABLE, csv_text([*rows, *(r.cells for r in course.readings)]))
-        left = self._odd | {r.number: r.struck for r in course.readings if r.struck}
+        write_whole(self.folder / TABLE_FILE, csv_text([*rows, *(r.cells for r in course.readings)]))
+        left = self._unreadable | {r.number: r.struck for r in course.readings if r.struck}
         struck = {n + 1 + bool(course.units): why for n, why in left.items()}
         path = self.folder / "problem.toml"
         text = read_text(path)
         document = tomlkit.parse(text)
-        tables = [t for t in document.get("measurements", []) if t.get("file") == TABLE]
+        tables = [t for t in document.get("measurements", []) if t.get("file") == TABLE_FILE]
         if not tables:
             document["data"] = course.data
-            document["data"].comment(f"{TABLE}, by casadical measure")
+            document["data"].comment(f"{TABLE_FILE}, by casadical measure")
             document["title"] = f"{self.robot.name}, {'measured' if course.data == 'real' else 'SYNTHETIC poses'}"
             document["measurements"] = tomlkit.aot()
             document["measurements"].append(table := tomlkit.table())
-            table["file"] = TABLE
+            table["file"] = TABLE_FILE
             table.add(tomlkit.nl())
             tables = [table]
         if "data" not in document:
@@ -389,22 +442,24 @@ class LiveSession:
             write_whole(path, made)
 
     def state(self) -> dict[str, Any]:
-        """All that a page shows, as plain data; angles [deg], lengths [mm]."""
+        """Return all that the page shows, as plain data; angles [deg], lengths [mm]."""
         with self.lock:
             read, estimate = self._read(), self.estimate
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
             known: dict[str, Any] | None = None
             if estimate is not None:
                 left, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
-                promise = np.quantile(left, 0.95, method="higher") if len(left) >= FOR_QUANTILE else None
+                promise = np.quantile(left, 0.95, method="higher") if len(left) >= MIN_READINGS_FOR_QUANTILE else None
                 known = {
                     "readings": len(estimate),
                     "noise_mm": 1e3 * estimate.sigma,
                     "expected_mm": 1e3 * estimate.expected(task),
-                    "left_out_mean_mm": float(left.mean()) if len(left) >= FEW else None,
+                    "left_out_mean_mm": float(left.mean()) if len(left) >= MAX_REFITTED_READINGS else None,
                     "promise_mm": None if promise is None else float(promise),
                 }
-            touches = self.m is not None and find_kind(self.m.kind).touches  # what the tool is to touch is not planned
+            touches = (
+                self.m is not None and find_kind(self.m.kind).touches
+            )  # poses that touch something are not planned
             return with_words({
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
@@ -416,36 +471,42 @@ class LiveSession:
 
     @property
     def _of_table(self) -> list[str]:
-        """What is wrong with the whole table, as it was checked last, and with its clock now."""
+        """Return the faults of the whole table at its last check, and of its clock now."""
         return [*self.checked[1], *(clock_faults(self.m) if self.m is not None else ())]
 
     def _reading_json(self, r: Reading, at: Array | None) -> dict[str, Any]:
-        """A reading; at : its joints, None where they cannot be read."""
+        """Return a reading as plain data.
+
+        at : its joints [rad or m]; None where they cannot be read
+        """
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
             state = "unread"
         lost = (self.unread or "a cell is empty or no number") if state == "unread" else ""
         return {
             "number": r.number, "at": r.at, "from": r.source, "state": state,
-            "why": r.struck or self._odd.get(r.number) or self._words.get(r.number, lost),
+            "why": r.struck or self._unreadable.get(r.number) or self._words.get(r.number, lost),
             "off_mm": round(1e3 * self._off[r.number], 4) if r.number in self._off else None,
             "joints": None if at is None else self._joints(at),
         }  # fmt: skip
 
     def _joints(self, q: Array) -> list[float]:
+        """Return joints [rad or m] as rounded numbers in the units of their names."""
         return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
 
     def _next_json(self) -> dict[str, Any]:
-        poses, left = [self._joints(q) for q in (self.next_pose(), *self._left()[1:])], len(self._left())
+        """Return the planned poses, the move command and a sentence, as plain data."""
+        poses, left = [self._joints(q) for q in (self.next_pose(), *self._poses_left()[1:])], len(self._poses_left())
         words = f"{left} planned poses are left" if left else "all planned poses are measured"
         program = self._move(poses[0]) if self._move else ""
         return {"poses": poses, "program": program, "to_go": left, "words": f"{words}; {self._of_plan}"}
 
 
 def finished(session: LiveSession) -> str:
-    """Calibrate its folder, as the command does, into the folder `results` there; what `casadical calibrate` prints.
+    """Calibrate the session's folder into its folder `results`, and return the report.
 
-    Raises InputError, also where held-out poses are worse than before, and ConvergenceError; then nothing is written.
+    Raises InputError, also where held-out poses are worse than before, and ConvergenceError; then
+        nothing is written.
     """
     folder = session.folder
     try:
@@ -461,9 +522,9 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Raises InputError where a folder's tables are measurements of before."""
+    """Raises InputError where a folder's tables are measurements of an earlier campaign."""
     file = problem_file(folder)
-    others = [t.file for t in file.measurements if t.file != TABLE]
+    others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":
         raise InputError(
             f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), and measure would begin "

@@ -1,8 +1,8 @@
-"""Where readings come from: a file that grows, a folder of files, standard input. Each is read again as it changes.
+"""Sources of readings, and the journal in which they are stored.
 
-Any table is taken that `casadical new` understands. A line counts once its line end is written.
-
-What happened while measuring, in lines that are on disk before anything else is done with them.
+A source is a file that grows, a folder of files, standard input or a simulation; it is read again
+as it changes. Any table is read that `casadical new` understands; a line counts once its line end
+is written. The journal has every event of a session on disk before anything else is done with it.
 """
 
 import json
@@ -25,11 +25,12 @@ from casadical.pose_selection.candidates import expected
 from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built, reading_cells
 from casadical.robot.robot import Robot
 
-NAME = "measured.jsonl"
+# The journal of a problem folder: one event in JSON on each line.
+JOURNAL_FILE = "measured.jsonl"
 
 
 class Add(Protocol):
-    """Writes an event to the journal."""
+    """A function that writes an event to the journal."""
 
     def __call__(self, do: str, **event: Any) -> dict[str, Any]: ...
 
@@ -38,8 +39,11 @@ class Add(Protocol):
 class Reading:
     """One row of the table.
 
-    number : from 1; cells : as they came; source : where from, in words; at : time of arrival
-    struck : the reason why it was struck out, empty where it counts
+    number : number of the reading, from 1
+    cells : cells as they came
+    source : file and line, in words
+    at : time of arrival, ISO 8601
+    struck : reason why it was struck out, empty where it counts
     """
 
     number: int
@@ -50,7 +54,7 @@ class Reading:
 
 
 class Course:
-    """What the journal of a folder tells: the headings, the readings in order, which of them are struck out."""
+    """The state that a journal's events lead to: headings, readings, and those struck out."""
 
     def __init__(self) -> None:
         self.header: tuple[str, ...] = ()
@@ -59,7 +63,7 @@ class Course:
         self.readings: list[Reading] = []
 
     def follow(self, event: dict[str, Any]) -> None:
-        """Take one event. Raises KeyError, TypeError or ValueError for one that is none."""
+        """Apply one event. Raises KeyError, TypeError or ValueError for an invalid one."""
         do = event["do"]
         if do == "begin":
             self.header, self.units, self.data = tuple(event["header"]), tuple(event["units"]), str(event["data"])
@@ -72,7 +76,7 @@ class Course:
             self.reading(event["id"]).struck = ""
 
     def reading(self, number: object) -> Reading:
-        """The reading of this number. Raises ValueError."""
+        """Return the reading of this number. Raises ValueError where there is none."""
         if not (isinstance(number, int) and 1 <= number <= len(self.readings)):
             raise ValueError(f"no reading {number}")
         return self.readings[number - 1]
@@ -80,8 +84,11 @@ class Course:
 
 @contextmanager
 def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
-    """What happened in a problem folder, and what adds to it; half a line is cut off. Raises InputError."""
-    path, course, end = folder / NAME, Course(), 0
+    """Open the journal of a problem folder: yield its state and the function that adds events.
+
+    A last line without its end is cut off. Raises InputError for an invalid line.
+    """
+    path, course, end = folder / JOURNAL_FILE, Course(), 0
     for k, line in enumerate(read_bytes(path).split(b"\n")[:-1] if path.exists() else (), 1):
         source = f"{shown(path)}: line {k}"
         try:
@@ -103,7 +110,12 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
 
 @dataclass(frozen=True)
 class Row:
-    """A row as it came. cells : as text; source : file and line, in words."""
+    """A row of a table as it came.
+
+    header, units : headings, and the cells of a row of units (empty without one)
+    cells : texts
+    source : file and line, in words
+    """
 
     header: tuple[str, ...]
     units: tuple[str, ...]
@@ -113,7 +125,11 @@ class Row:
 
 @dataclass
 class News:
-    """What is new: rows, and sentences about what cannot be taken."""
+    """What a source has that is new.
+
+    rows : rows
+    said : sentences on what cannot be read
+    """
 
     rows: list[Row] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -127,10 +143,11 @@ class FileSource:
 
     @property
     def words(self) -> str:
+        """Return the name of the file as it is shown."""
         return shown(self.path)
 
     def news(self) -> News:
-        """All rows of the file where it changed, those of before included."""
+        """Return all rows of the file if it has changed, earlier ones included."""
         try:
             about = self.path.stat()
         except OSError:
@@ -158,7 +175,7 @@ class FolderSource:
         self.words = shown(path)
 
     def news(self) -> News:
-        """All rows of the files that changed, in the order of their names."""
+        """Return all rows of the files that have changed, in the order of their names."""
         new = News()
         tables = {".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet"}
         for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file()):
@@ -169,7 +186,11 @@ class FolderSource:
 
 
 class StreamSource:
-    """Lines of a pipe, read by a thread of their own. ended : whether the writer closed it."""
+    """Lines of a pipe, which a thread reads.
+
+    stream : the pipe
+    ended : whether the writer has closed it
+    """
 
     def __init__(self, stream: BinaryIO, name: str = "standard input") -> None:
         self.words, self.ended = name, False
@@ -178,6 +199,7 @@ class StreamSource:
         Thread(target=self._follow, daemon=True).start()
 
     def _follow(self) -> None:
+        """Read the pipe until it is closed, or more has come than is allowed."""
         try:
             while some := os.read(self._stream.fileno(), 65536):
                 with self._lock:
@@ -192,7 +214,7 @@ class StreamSource:
                 self.ended = True
 
     def news(self) -> News:
-        """All rows until now where something came."""
+        """Return all rows so far if something has come."""
         with self._lock:
             data, said, self._said = self._data, self._said, []
         if len(data) == self._read or not data:
@@ -206,9 +228,10 @@ class StreamSource:
 
 
 class SimulatedSource:
-    """An instrument that is played: a robot that departs a little from its drawing, at the pose that is planned next.
+    """A simulated instrument, which measures a robot that departs a little from nominal.
 
-    pose : gives the next joints, shape (joints,) [rad or m]; count : of readings, after which it ends
+    pose : returns the joints of the next reading, shape (joints,) [rad or m]
+    count : number of readings, after which it ends
     """
 
     words = "simulated"
@@ -219,11 +242,11 @@ class SimulatedSource:
 
     @property
     def ended(self) -> bool:
-        """Whether all readings were given."""
+        """Return whether all readings were given."""
         return self.left == 0
 
     def news(self) -> News:
-        """The next reading."""
+        """Return the next reading."""
         if self.ended:
             return News()
         self.left -= 1
@@ -238,7 +261,10 @@ Source = FileSource | FolderSource | StreamSource | SimulatedSource
 
 
 def source_of(path: str, stdin: BinaryIO) -> Source:
-    """The source of this name; - is standard input. Raises InputError where its folder is not there."""
+    """Return the source of a path; "-" is standard input.
+
+    Raises InputError where the folder of the path is not there.
+    """
     if path == "-":
         return StreamSource(stdin)
     place = Path(path)
@@ -250,7 +276,7 @@ def source_of(path: str, stdin: BinaryIO) -> Source:
 
 
 def rows_of(path: Path, data: bytes) -> News:
-    """Rows of a table whose last line may be half written, which is left for later. Raises InputError."""
+    """Return the rows of a table, but a last line without its end. Raises InputError."""
     text = not data.startswith((b"PK\x03\x04", b"PAR1", b"\x1f\x8b"))
     whole = data[: data.rfind(b"\n") + 1] if text else data
     said: list[str] = []
@@ -271,7 +297,10 @@ def rows_of(path: Path, data: bytes) -> News:
 
 
 def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
-    """A table with blank lines for those that make it none (two writers of one file). Raises InputError."""
+    """Return a table with its unreadable lines blank, and a sentence on each of these.
+
+    Such lines come of two writers of one file. Raises InputError.
+    """
     lines = data.splitlines(keepends=True)
     good, said = 2, []
     read_table(path, b"".join(lines[:good]))

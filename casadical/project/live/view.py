@@ -1,28 +1,32 @@
-"""What a live session says, from its plain data (angles [deg], lengths [mm]): on its page and in a terminal."""
+"""The sentences and tables of a live session, from its plain data (angles [deg], lengths [mm])."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from casadical.core.telling.blocks import Table, Words
-from casadical.project.live.estimate import FEWEST
+from casadical.project.live.estimate import MIN_READINGS_OF_FIT
 
-# A share of readings of which 95 % lie below is stated from so many readings on.
-FOR_QUANTILE = 20
+# The 95 % quantile of errors is stated from this number of readings on.
+MIN_READINGS_FOR_QUANTILE = 20
 
 
 def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The data of a session with its sentences, as `casadical measure --json` keeps it."""
+    """Return a session's data with its sentences, as `casadical measure --json` stores it."""
     known = data["known"]
     good = sum(r["state"] == "good" for r in data["readings"])
     origin = "measured" if data["data"] == "real" else "SYNTHETIC"
     readings = []
     for reading in data["readings"]:
-        soon = f"judged from reading {FEWEST + 1} on" if known is None and reading["state"] == "good" else ""
+        soon = (
+            f"judged from reading {MIN_READINGS_OF_FIT + 1} on" if known is None and reading["state"] == "good" else ""
+        )
         readings.append({**reading, "words": "; ".join(filter(None, (_off(reading), reading["why"], soon)))})
-    known_words = f"{FEWEST} readings are needed"
+    known_words = f"{MIN_READINGS_OF_FIT} readings are needed"
     if known is not None:
         known_words = f"{known['readings']} readings tell of the robot; they scatter by {known['noise_mm']:.3f} mm a "
-        known_words += "coordinate" + (f"; a promise from {FOR_QUANTILE} on" if known["promise_mm"] is None else "")
+        known_words += "coordinate" + (
+            f"; a promise from {MIN_READINGS_FOR_QUANTILE} on" if known["promise_mm"] is None else ""
+        )
     return {
         **data,
         "about": f"{data['folder']}, {origin}: {good} of {len(readings)} readings count",
@@ -33,7 +37,7 @@ def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary(state: Mapping[str, Any]) -> list[Words | Table]:
-    """What is known and what was doubted, at the end of a session."""
+    """Return what is known and which readings are not good, at the end of a session."""
     known = state["known"]
     blocks: list[Words | Table] = [Words(f"{state['about']}.", "verdict"), Words(f"{state['known_words']}.")]
     blocks += [Table("", ("known by now", ""), known["figures"], frozenset({1}))] if known else []
@@ -42,7 +46,7 @@ def summary(state: Mapping[str, Any]) -> list[Words | Table]:
 
 
 def answer(state: Mapping[str, Any], number: int) -> str:
-    """What a reading told, in a line or two."""
+    """Return the judgement of a reading in a line or two."""
     reading = next(r for r in state["readings"] if r["number"] == number)
     left = state["known"] and state["known"]["left_out_mean_mm"]
     words = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
@@ -52,14 +56,14 @@ def answer(state: Mapping[str, Any], number: int) -> str:
     if words != "plausible":
         text += f": {reading['why']}"
     elif state["known"] is None:
-        text += f"; judged from reading {FEWEST + 1} on"
+        text += f"; judged from reading {MIN_READINGS_OF_FIT + 1} on"
     if reading["state"] in ("good", "doubtful") and left is not None:
         text += f"; {left:.3f} mm mean of readings left out one by one"
     return text
 
 
 def outlook(state: Mapping[str, Any]) -> list[str]:
-    """What is wrong with the whole table, and the next pose, in lines."""
+    """Return what is wrong with the whole table, and the next pose, as lines."""
     lines, ahead = [*state["table"]], state["next"]
     if ahead is not None:
         pairs = zip(state["fields"], ahead["poses"][0], strict=False)  # first the joints
@@ -69,10 +73,12 @@ def outlook(state: Mapping[str, Any]) -> list[str]:
 
 
 def _off(reading: Mapping[str, Any]) -> str:
+    """Return the distance of a reading from its prediction, in words."""
     return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
 
 
 def _figures(known: Mapping[str, float | None]) -> list[tuple[str, str]]:
+    """Return names and values of the expected errors, as texts."""
     named = {
         "mean, left out one by one": known["left_out_mean_mm"],
         "95 % below, to promise": known["promise_mm"],
