@@ -1,4 +1,4 @@
-"""Which causes of a search are named: each passes the same gate beside all others; the set's own probability."""
+"""Which causes of a search are claimed, and how probable the set of them is."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,20 +13,22 @@ from casadical.diagnosis.search import End, State, Step, indistinguishable, next
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Probabilities below this are not distinguished.
-LEAST = 1e-12
-# A cause in doubt, with those that cannot be distinguished from it, is at least so probable.
-LIKELY = 0.5
+# Lower bound of probabilities in denominators.
+MIN_PROBABILITY = 1e-12
+# A doubtful cause is kept only if it is at least this probable, together with the causes that the
+# data cannot distinguish from it.
+MIN_DOUBTFUL_PROBABILITY = 0.5
 
 
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
-    """The state with those causes alone that are certain beside the others, and why there is no further one.
+    """Return the state with only the causes that are certain, and why the search ended.
 
-    A cause is certain from `Settings.min_claim` on, against every other in its place and none, if
-    the gap shrinks with it on poses held out. So is a member with two or three names, which the
-    data do not distinguish, from the same on for these together. One that is there without being
-    certain is kept if it has more evidence than each certain one and is probable together with
-    what cannot be distinguished from it; it comes first. All others in doubt are left out.
+    A cause is certain if its probability against every alternative and none reaches
+    `Settings.min_claim` and the gap on held-out poses shrinks with it. A cause with two or three
+    labels that the data do not distinguish is certain if they reach the same probability together.
+    A detected cause that is not certain is kept, as the first one, if it has more evidence than
+    each certain one and is probable together with the causes that cannot be distinguished from it.
+    All other doubtful causes are removed.
     """
     if not state.steps:
         return state, end
@@ -38,7 +40,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     further = SETTINGS.max_p_nothing_further
     certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= further)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
-    doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= LIKELY]
+    doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= MIN_DOUBTFUL_PROBABILITY]
     strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
     if strongest and all(_evidence(strongest) > _evidence(s) + TIE for s in certain):
         certain = [strongest, *certain]
@@ -55,14 +57,15 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
         ):
             left = more.ranked()
             again, _ = next_cause(left, left.rankings[-1])
-    # What was left out is no certain cause, even if it comes first again.
+    # A cause that was removed is not certain, even if it is the most probable one again.
     return left, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
 
 
 def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
-    """The state without effects on no list that stand alone, which are never claimed; None where there is none.
+    """Return the state without unlisted effects that have no alternative; None if there are none.
 
-    One that was beside its listed rival took from it what the data do not tell from it.
+    Such effects are never claimed. If one cause remains, it is judged anew: an unlisted effect in
+    the model took probability from a listed cause that the data cannot distinguish from it.
     """
     kept = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
     if len(kept) == len(steps):
@@ -72,9 +75,9 @@ def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
 
 
 def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
-    """A step as all others in the model make it: its ranking, and the labels that cannot be distinguished from it.
+    """Return step k with ranking and indistinguishable labels given all other causes.
 
-    first : whether a single one is judged again, too
+    first : whether a single cause is judged again, too
     """
     step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
     if not others and not first:
@@ -87,16 +90,17 @@ def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
 
 
 def _is_listed(state: State, step: Step) -> bool:
-    """Whether what a step stands for is more probably listed than not, itself before all others that are listed."""
+    """Return whether a step's cause is probably listed and itself the most probable listed one."""
     ranking, listed = step.ranking, state.listed(step.ranking)
     share = sum(ranking.probability[k] for k in listed)
     return listed[0] == step.labels[0] and share >= 0.5 * (1 - ranking.none)
 
 
 def _is_certain(state: State, step: Step) -> bool:
-    """Whether a step has one name, or some that are known to look alike, of which one is right for certain.
+    """Return whether a step has one label, or confusable ones of which one is certainly right.
 
-    Names that share no more than how they describe what is left are those of a flaw in another equation.
+    Labels of effects that are not listed as confusable indicate a flaw in another cause's equation
+    instead.
     """
     each = [step.ranking.probability[k] for k in step.labels]
     own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
@@ -107,11 +111,12 @@ def _is_certain(state: State, step: Step) -> bool:
 
 
 def _evidence(step: Step) -> float:
+    """Return the log Bayes factor of a step's cause against none."""
     return step.ranking.log_factor[step.labels[0]]
 
 
 def _shrinks(state: State, k: int, seed: int) -> bool:
-    """Whether the gap shrinks with a cause, alone beside the base model or beside all others."""
+    """Return whether held-out errors shrink with cause k, alone or added to all others."""
     steps, own = state.steps, state.steps[k]
 
     def errors(model: Sequence[Step], noise: Noise) -> Array:
@@ -127,13 +132,13 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
 
 
 def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
-    """The set with the names of one more cause, where one is there and most of its probability is with few of them."""
+    """Return the set with the labels of one additional cause, if one is detected."""
     last = state.rankings[-1]
     said = {k for step in state.steps for k in step.labels}
     unsaid = [k for k in state.listed(last) if k not in said]
     likely = [k for k in unsaid if last.probability[k] >= SETTINGS.min_ambiguous][: SETTINGS.max_ambiguous]
     further = {k: last.probability[k] for k in likely}
-    if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < LIKELY:
+    if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < MIN_DOUBTFUL_PROBABILITY:
         return found
     effects = state.by_label[likely[0]].variants[last.variant[likely[0]]]
     columns = np.union1d(state.columns(), state.case.group(effects))
@@ -142,30 +147,31 @@ def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | 
 
 
 def cause_set(state: State) -> CauseSet | None:
-    """Probability of the named set among all that differ from it by one cause; None where nothing is named.
+    """Return the named set's probability among all sets that differ by one cause, else None.
 
-    These are the sets with one more (the last ranking), and those without one of its causes or with another in its
-    place (the ranking beside the others).
+    These are the sets with one more cause (the last ranking), and those without one of its causes
+    or with another one in its place (the ranking given the others).
     """
     if not state.steps:
         return None
     last, own = state.rankings[-1], tuple(s.labels[0] for s in state.steps)
-    # Odds of each set against the named one; another name of a cause that is in it already is no further one.
+    # Odds of each set against the named one; another label of a cause in the set is no additional
+    # cause.
     said = {k for step in state.steps for k in step.labels}
-    odds = {(*own, k): p / max(last.none, LEAST) for k, p in last.probability.items() if k not in said}
+    odds = {(*own, k): p / max(last.none, MIN_PROBABILITY) for k, p in last.probability.items() if k not in said}
     more = sum(odds.values())
     against, names = {}, {}
     for step, label in zip(state.steps, own, strict=True):
         ranking, rest = step.ranking, tuple(k for k in own if k != label)
         if len(step.labels) > 1:
             names[label] = {k: ranking.probability[k] for k in step.labels}
-        p = max(sum(ranking.probability[k] for k in step.labels), LEAST)
+        p = max(sum(ranking.probability[k] for k in step.labels), MIN_PROBABILITY)
         others = {k: q / p for k, q in ranking.probability.items() if k not in step.labels}
         odds |= {(*rest, k): q for k, q in others.items()} | {rest: ranking.none / p}
         against[label] = (1 - p) / p
     total = 1 + more + sum(against.values())
     keys = list(odds)
-    # So many other sets are said.
+    # At most three other sets are reported.
     first = [keys[k] for k in ranked(list(odds.values()))[:3]]
     sets = tuple((k, odds[k] / total) for k in first if odds[k] / total >= SETTINGS.min_ambiguous)
     return CauseSet(1 / total, more / (1 + more), {k: 1 - odd / total for k, odd in against.items()}, sets, names)

@@ -1,4 +1,4 @@
-"""From the end of the search to the result: the gap before and after, each cause's share of it, outliers, verdict."""
+"""Result of a diagnosis: gap, shares of the causes, outliers and verdict after a search."""
 
 from collections.abc import Sequence
 
@@ -25,14 +25,20 @@ from casadical.measurements.measurements import Noise
 def conclude(
     identification: Identification, state: State, end: End, seed: int, p_nothing: float | None = None
 ) -> Diagnosis:
-    """The result of a search; end, p_nothing : as of `search`."""
+    """Return the diagnosis that a search leads to.
+
+    state, end, p_nothing : as returned by `search`; seed : of the partitions into held-out poses
+    """
     state, end = named(state, end, seed)
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)
 
     def noise_of(state: State, end: End) -> tuple[Noise, NoiseAccount, float]:
-        """What the best model found leaves as noise, the unknown included; its account, and what it alone leaves."""
+        """Return the noise that the best model leaves, its account and its held-out error [m].
+
+        The best model includes an unlisted cause, unless the search ended without one.
+        """
         last = state.rankings[-1]
         noise = last.noise["" if end == "none" else last.order[0]]
         account = account_of(case, columns, noise, repeated)
@@ -82,9 +88,10 @@ def conclude(
 
 
 def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
-    """The state with one more ranking, where a form beside all causes leaves less than their floor, which is the fit's.
+    """Return the state with one more ranking if another effect leaves less than the floor.
 
-    Only the number of causes ended the search, and their floor counts as noise what none of them describes.
+    The search then ended only by its limit on the number of causes, and the floor, estimated by the
+    fit, counts as noise what no cause describes.
     """
     case, further = state.case, state.ranked()
     ranking = further.rankings[-1]
@@ -98,13 +105,14 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
 
 
 def _stages(state: State, noise: Noise) -> list[Stage]:
-    """The model as it grows cause by cause; each stage with the noise that it leaves."""
+    """Return the model's stages as it grows cause by cause, each with the noise that it leaves."""
     names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
     noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
     return [Stage(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
 
 
 def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
+    """Return a step as a named cause; before : held-out errors of the base model, (n,) [m]."""
     label, ranking = step.labels[0], step.ranking
     candidate = state.by_label[label]
     alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
@@ -122,7 +130,10 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 
 
 def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
-    """Other names of a cause, or those of the listed labels, the most probable first, that remain probable."""
+    """Return the other labels of a cause, else the listed labels that remain probable.
+
+    listed : labels of listed effects, the most probable first
+    """
     probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > SETTINGS.min_ambiguous)
     return step.labels[1:] or tuple(probable)[: SETTINGS.max_ambiguous - 1]
 
@@ -130,9 +141,11 @@ def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
 def parameter_values(
     case: Case, columns: Array, effects: Sequence[Effect], noise: Noise
 ) -> dict[tuple[Effect, str], tuple[float, float, str]]:
-    """Parameters of effects, all columns fitted together: effect and name -> value, standard error, unit [SI].
+    """Return value, standard error and unit [SI] of the effects' parameters by effect and name.
 
-    None of an effect that has too many to be shown.
+    columns : of all causes, which are fitted together, shape (k,). Effects with too many parameters
+        to be shown
+    are left out.
     """
     value, error = fit_of(case.judged, columns, noise).causes
     parameters = {}
@@ -142,13 +155,14 @@ def parameter_values(
         if effect.from_kind:
             seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
         for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
-            if there:  # not of an instrument that is not there
+            # Parameters of an instrument that is not in use are left out.
+            if there:
                 parameters[effect, name] = float(value[place] * size), float(error[place] * size), unit
     return parameters
 
 
 def _outliers(case: Case, left: Array, distance: Array) -> tuple[Outlier, ...]:
-    """Poses left out, the farthest first; left, distance : as of `remainders`."""
+    """Return the outlier poses, the farthest first; left, distance : of `remainders`."""
     out = sorted(np.flatnonzero(~case.kept), key=lambda i: -left[i])
     return tuple(Outlier(int(case.m.row[i]), float(left[i]), float(np.sqrt(distance[i]))) for i in out)
 
@@ -156,7 +170,11 @@ def _outliers(case: Case, left: Array, distance: Array) -> tuple[Outlier, ...]:
 def _outliers_as_cause(
     case: Case, before: Array, left: Array, distance: Array, seed: int
 ) -> tuple[Array, tuple[Cause, ...]]:
-    """Errors of all poses, outliers included, and the outliers as a cause; a single one only if it is far out."""
+    """Return the errors of all poses, outliers included, and the outliers as a cause.
+
+    before : held-out errors of the inliers, shape (n_inliers,) [m]. A single outlier is a cause
+        only if it is far out.
+    """
     out = ~case.kept
     count = int(out.sum())
     if count == 0 or (count == 1 and distance[out][0] < 2 * SETTINGS.outlier_distance):
@@ -168,7 +186,11 @@ def _outliers_as_cause(
 
 
 def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks: pd.DataFrame) -> Verdict:
-    """The verdict; rest : share of the gap that no named cause explains; found : whether any cause is named."""
+    """Return the verdict.
+
+    rest : share of the gap that no named cause explains; found : whether any cause is named
+    shrinks : held-out errors of the stages (see `course`)
+    """
     if not state.steps and end in ("unknown", "ambiguous"):
         return "unknown" if end == "unknown" else "ambiguous"
     if not found:
@@ -180,12 +202,13 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"
-    blocks = shrinks["blocks_mm"].to_numpy()  # what does not hold over time explains nothing
+    # A model that does not predict blocks of time left out explains nothing.
+    blocks = shrinks["blocks_mm"].to_numpy()
     return "unknown" if blocks[-1] > SETTINGS.max_block_ratio * blocks[0] else "explained"
 
 
 def _remainder(state: State) -> float:
-    """Evidence of the remainder, as a share of that of the causes."""
+    """Return the log evidence of the best additional cause over that of the causes in the model."""
     claimed = state.log_gain
     last = state.rankings[-1]
     return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0

@@ -1,17 +1,17 @@
-"""Where the gap lies: shares by joint, link, direction, region, payload, temperature, time and approach, each with a
-95 % interval.
+"""Localisation of the gap: shares by part of the robot, direction, region and circumstances.
 
-In which part of the robot the gap arises: what the whole model explains of each.
+Every share has a 95 % interval.
 
-What named causes explain is theirs: it goes to the joints, links, base, tool or instrument through which they act,
-with the values and the spread that a fit to all poses gives them. For what they leave there is a variance component
-for every joint, link, the base and the tool. Each may be wrong by any smooth function of joint readings, load,
-approach, time and temperature; its errors act through the base model's own Jacobian, whose constant part is
-re-estimated. The size of each part's errors, and of the noise, is found by maximum likelihood
-(y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone updates as in Zhou et al. 2019), and drawn from its own likelihood
-beside the others' best, so that parts which the data do not need come near nothing, and may still be what the data
-cannot exclude. Harmonics of a joint's own angle have a size of their own.
-Shares and their spread are those of draws from the posterior, each at poses drawn from these.
+Contributions of named causes go to the joints, links, base, tool or instrument through which they
+act, with the posterior that a fit to all poses gives them. The remaining error is divided by
+variance components: one for every joint, link, the base and the tool. Each part may err by any
+smooth function of joint readings, load, approach, time and temperature; its errors act through the
+base model's own Jacobian, whose constant part is re-estimated. The variances of the parts' errors
+and of the noise are found by maximum likelihood (y ~ N(0, sigma^2 I + sum v_k E_k E_k'), monotone
+updates as in Zhou et al. 2019). Each variance is then drawn from its likelihood given the others'
+maximum, so that parts which the data do not need get almost nothing, with an interval that covers
+what the data cannot exclude. Harmonics of a joint's own angle have a variance of their own. Shares
+and intervals are those of draws from the posterior, each at a bootstrap sample of the poses.
 """
 
 import itertools
@@ -36,50 +36,61 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
 
-# Poses at which causes are shared out.
-OF_CAUSES = 1000
-ROUNDS = 40
-PART_DRAWS = 200
-# Sizes that are tried, as a share of what would explain an even part of all, and how many of these are drawn.
-SIZES, SIZE_DRAWS = np.geomspace(1e-4, 1e2, 61), 20
-SIZE = 30e-6
-# Harmonics of a joint's own reading, beside the slow ones of every joint.
-FAST = range(3, 13)
-INSTRUMENT = "instrument"
-# Variables of a twist among the seams.
-TWIST = 6
+# Largest number of poses at which the contributions of causes are computed.
+MAX_CAUSE_POSES = 1000
+# Iterations of the maximum-likelihood updates of the variances.
+LIKELIHOOD_ROUNDS = 40
+# Draws from the posterior of the parts' errors.
+POSTERIOR_DRAWS = 200
+# Grid of a part's variance, relative to the variance that would explain an equal part of the whole.
+VARIANCE_FACTORS = np.geomspace(1e-4, 1e2, 61)
+# Draws of each part's variance; each is shared by several draws from the posterior.
+VARIANCE_DRAWS = 20
+# Error that counts as one in the columns of smooth errors [rad or m].
+UNIT_ERROR = 30e-6
+# Harmonics of a joint's own reading [cycles per turn], in addition to the slow ones of every joint.
+FAST_HARMONICS = range(3, 13)
+# Name of the part to which causes at the measured point belong.
+INSTRUMENT_PART = "instrument"
+# Number of variables of a twist among the seam variables.
+TWIST_VARIABLES = 6
+# Names of kinematic parameters with the number of their link.
 _NUMBERED = re.compile(r"(alpha|a|beta|b|d)(\d+)")
 
 
 def components(case: Case, noise: Noise, columns: Array, seed: int, remains: float) -> dict[str, Array]:
-    """Visible signal of each part: draws of its mean square in what the base model leaves, shape (draws,) [m^2].
+    """Return draws of each part's mean square in the residual, shape (draws,) [m^2].
 
-    columns : of the named causes; remains : how probable it is that these leave more than noise
+    columns : of the named causes, shape (k,)
+    remains : probability that the named causes leave more than noise
     """
     rng = np.random.default_rng(seed)
     energy, left = _of_causes(case, noise, columns, rng)
-    for part in _levers(case):
-        energy.setdefault(part, np.zeros(PART_DRAWS))
-    # Errors that are less probable lie outside of a 95 % interval.
+    for part in _part_jacobians(case):
+        energy.setdefault(part, np.zeros(POSTERIOR_DRAWS))
+    # Less probable errors lie outside of a 95 % interval.
     if remains > 0.025:
         smooth = _of_smooth_errors(case, noise, left, rng)
-        there = rng.permutation(PART_DRAWS) < round(remains * PART_DRAWS)
+        there = rng.permutation(POSTERIOR_DRAWS) < round(remains * POSTERIOR_DRAWS)
         for part, drawn in smooth.items():
             energy[part] = energy[part] + there * drawn
     return energy
 
 
 def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.Generator) -> dict[str, Array]:
-    """Draws of the mean square that smooth errors of each part explain; left : the problem that causes leave."""
-    # Of smooth errors, more poses make the shares no more accurate, and cost the third power of
-    # their number.
-    kept = _some(np.flatnonzero(case.kept), 120, rng)
-    functions = _functions(case)[kept]
-    E = [(part, _products(lever[kept], functions)) for part, lever in _levers(case).items()]
+    """Return draws of the mean square of each part's smooth errors, shape (draws,) [m^2].
+
+    left : linear model of the residual that the named causes leave
+    """
+    # More than 120 poses make these shares no more accurate, at a cost of the third power of their
+    # number.
+    kept = _sample(np.flatnonzero(case.kept), 120, rng)
+    functions = _smooth_functions(case)[kept]
+    E = [(part, _products(lever[kept], functions)) for part, lever in _part_jacobians(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
-            own = sines(case.m.q[kept, j - 1], FAST)
-            E.append((f"joint {j}", SIZE * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
+            own = sines(case.m.q[kept, j - 1], FAST_HARMONICS)
+            E.append((f"joint {j}", UNIT_ERROR * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
     some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projected(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
@@ -95,55 +106,67 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
     return dict(zip(signal, _mean_squares([*signal.values()], some, rng), strict=True))
 
 
-def _some(kept: Array, most: int, rng: np.random.Generator) -> Array:
+def _sample(kept: Array, most: int, rng: np.random.Generator) -> Array:
+    """Return at most this many of the indices, drawn without replacement, in order."""
     return kept if len(kept) <= most else np.sort(rng.choice(kept, most, replace=False))
 
 
 def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generator) -> tuple[dict[str, Array], Evidence]:
-    """Draws of the mean square that causes explain through each part, and the problem that their mean leaves."""
+    """Return draws of the mean square that causes explain by part, and the model of the residual.
+
+    The residual is that of the causes' posterior mean. columns : of the causes, shape (k,)
+    """
     e = case.evidence
     if not len(columns):
         return {}, e
     fit = new_fit(e, columns, noise, combined=False)
     first = len(fit.prior) - len(columns)
-    # The root is a triangle: nothing is drawn for the base, whose number of directions round-off decides.
-    mean, spread = fit.x[first:], fit.root.T[first:, first:] @ rng.standard_normal((len(columns), PART_DRAWS))
+    # The root is triangular: nothing is drawn for the base, whose number of directions depends on
+    # round-off.
+    mean, spread = fit.x[first:], fit.root.T[first:, first:] @ rng.standard_normal((len(columns), POSTERIOR_DRAWS))
     left = np.asarray(e.r - (e.take(columns) @ mean))
-    poses = _some(np.arange(len(e.r)), OF_CAUSES, rng)
+    poses = _sample(np.arange(len(e.r)), MAX_CAUSE_POSES, rng)
     assert isinstance(e.E, EffectColumns)
     E, some = e.E.only(columns).at(poses), e.at(poses)
     S, signal = E.levers(), dict[str, Array]()
     for variable, own, values in E.factors().blocks:
         part, drawn = _part_of(variable, case.given.n), values.T @ (mean[own, None] + spread[own])
         signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
-    # In mm, whatever part of it the noise of the joints can hide.
+    # Rows are whitened without joint repeatability, so that the squares are those of position
+    # errors.
     projection = some.projected(0.0)
     squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
     return dict(zip(signal, squares, strict=True)), replace(e, r=left)
 
 
 def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:
-    """Mean square of each signal, shape (rows, PART_DRAWS), in every draw, at poses drawn with replacement."""
+    """Return the mean square of each signal in every draw, at poses drawn with replacement.
+
+    signals : shape (rows, POSTERIOR_DRAWS) each
+    """
     n, numbers = e.r.shape[:2]
-    times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), PART_DRAWS).T, numbers, axis=0)
-    # Behind the poses' rows stand those of the base's priors, which are no errors of a pose.
+    times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), POSTERIOR_DRAWS).T, numbers, axis=0)
+    # The rows after those of the poses belong to the base's priors and are no errors of a pose.
     return [(times * rows[: n * numbers] ** 2).sum(axis=0) / e.count for rows in signals]
 
 
 def _part_of(variable: int, joints: int) -> str:
-    """The part that a seam's variable belongs to: joint variables, twists behind links, at base and tool, the point."""
+    """Return the part of the robot to which a seam variable (by index) belongs."""
     frames = [*(f"link {j}" for j in range(1, joints)), "tool", "base", "tool"]
-    places = [*(f"joint {j}" for j in range(1, joints + 1)), *(f for f in frames for _ in range(TWIST))]
-    return places[variable] if variable < len(places) else INSTRUMENT
+    places = [*(f"joint {j}" for j in range(1, joints + 1)), *(f for f in frames for _ in range(TWIST_VARIABLES))]
+    return places[variable] if variable < len(places) else INSTRUMENT_PART
 
 
 def _products(lever: Array, functions: Array) -> Array:
-    """Every lever times every function, shape (n, 3, levers * functions)."""
+    """Return the products of every lever and every function, shape (n, 3, levers * functions).
+
+    lever : Jacobian columns, shape (n, 3, levers); functions : shape (n, functions)
+    """
     return np.asarray((lever[:, :, :, None] * functions[:, None, None, :]).reshape(*lever.shape[:2], -1))
 
 
-def _levers(case: Case) -> dict[str, Array]:
-    """What an error of one size in each part does to the point, shape (n, 3, ways in which the part can err) [m]."""
+def _part_jacobians(case: Case) -> dict[str, Array]:
+    """Return the displacement by a unit error of each part, shape (n, 3, parameters) [m]."""
     names = case.given.parameters.names
     columns: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -155,15 +178,15 @@ def _levers(case: Case) -> dict[str, Array]:
             columns.setdefault("loop", []).append(k)
     n = case.robot.n
     moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in columns]
-    links = {k: SIZE * case.base.J[:, :, columns[k]] for k in moved}
+    links = {k: UNIT_ERROR * case.base.J[:, :, columns[k]] for k in moved}
     last = [*columns.get(f"link {n}", []), *columns.get("tool", [])]
-    tool = {"tool": SIZE * case.base.J[:, :, last]} if last else {}
-    joints = {f"joint {j + 1}": SIZE * case.whole.Jq[:, :, [j]] for j in range(n)}
+    tool = {"tool": UNIT_ERROR * case.base.J[:, :, last]} if last else {}
+    joints = {f"joint {j + 1}": UNIT_ERROR * case.whole.Jq[:, :, [j]] for j in range(n)}
     return {**joints, **links, **tool}
 
 
-def _functions(case: Case) -> Array:
-    """Smooth functions of pose and circumstances, shape (n, functions), each of size one or so."""
+def _smooth_functions(case: Case) -> Array:
+    """Return smooth functions of pose and circumstances of order one, shape (n, functions)."""
     robot, q = case.given, case.m.q
     parts = []
     for j, joint in enumerate(robot.joints):
@@ -182,13 +205,14 @@ def _functions(case: Case) -> Array:
     return np.stack(parts, axis=1)
 
 
-def sizes_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
-    """Variance of each group of columns by maximum likelihood, shape (groups,), and the noise.
+def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
+    """Return the maximum-likelihood variance of each group, shape (groups,), and the noise.
 
-    K : see `products_of_rows`. The noise is no less than sigma, but grows where no group explains what is there.
+    y : whitened residual, shape (n,); K : see `products_of_rows`
+    sigma : lower bound of the noise, which grows where no group explains the residual
     """
-    size, variance = _even_sizes(y, K), sigma**2
-    for _ in range(ROUNDS):
+    size, variance = _even_variances(y, K), sigma**2
+    for _ in range(LIKELIHOOD_ROUNDS):
         root = root_of_inverse(_total(K, size, variance))
         inverse = root.T @ root
         z = inverse @ y
@@ -198,50 +222,58 @@ def sizes_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
     return np.asarray(size), float(np.sqrt(variance))
 
 
-def _even_sizes(y: Array, K: Array) -> Array:
-    """The variance at which each group explains an even part of all, shape (groups,)."""
+def _even_variances(y: Array, K: Array) -> Array:
+    """Return the variance at which each group explains an equal part, shape (groups,)."""
     return np.asarray(float(y @ y) / len(K) / np.maximum(K[:, :: len(y) + 1].sum(axis=1), 1e-30))
 
 
-def _drawn_sizes(y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator) -> Array:
-    """Variances of the groups, each drawn from its likelihood beside the others' best, shape (SIZE_DRAWS, groups)."""
+def _drawn_variances(
+    y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator
+) -> Array:
+    """Return draws of the groups' variances, shape (VARIANCE_DRAWS, groups).
+
+    Each is drawn from its likelihood given the maximum-likelihood variances of the others.
+    """
     sizes = []
-    for k, (g, even) in enumerate(zip(groups, _even_sizes(y, K), strict=True)):
-        # Without the group: to take it away again would leave round-off alone where it explains much.
+    for k, (g, even) in enumerate(zip(groups, _even_variances(y, K), strict=True)):
+        # The covariance is formed without the group: subtracting the group would leave only
+        # round-off where it explains much.
         root = root_of_inverse(_total(K, np.where(np.arange(len(size)) == k, 0.0, size), sigma**2))
         white = root @ g
         d, axes = np.linalg.eigh(white.T @ white)
-        own = even * SIZES[:, None]
+        own = even * VARIANCE_FACTORS[:, None]
         grown = 1 + own * np.maximum(d, 0.0)
         log = 0.5 * (own * (axes.T @ (white.T @ (root @ y))) ** 2 / grown - np.log(grown)).sum(axis=1)
-        # Alike for all standard deviations (Gelman 2006).
-        log += 0.5 * np.log(SIZES)
+        # The prior is uniform in the standard deviation (Gelman 2006).
+        log += 0.5 * np.log(VARIANCE_FACTORS)
         share = np.cumsum(np.exp(log - log.max()))
-        sizes.append(even * np.exp(np.interp(rng.random(SIZE_DRAWS) * share[-1], share, np.log(SIZES))))
+        sizes.append(even * np.exp(np.interp(rng.random(VARIANCE_DRAWS) * share[-1], share, np.log(VARIANCE_FACTORS))))
     return np.stack(sizes, axis=1)
 
 
 def products_of_rows(groups: list[Array]) -> Array:
-    """Products of the rows of each group, one matrix a row, shape (groups, n * n)."""
+    """Return the Gram matrix of the rows of each group, flattened, shape (groups, n * n)."""
     return np.stack([(g @ g.T).ravel() for g in groups])
 
 
 def _total(K: Array, size: Array, variance: float) -> Array:
-    """Covariance of all groups and the noise, shape (n, n)."""
+    """Return the covariance of all groups and the noise, shape (n, n)."""
     n = math.isqrt(K.shape[1])
     return (size @ K).reshape(n, n) + variance * np.eye(n)
 
 
 def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.random.Generator) -> list[Array]:
-    """Factors of each group's columns in draws from the posterior, shape (columns, PART_DRAWS) (Matheron's rule).
+    """Return posterior draws of each group's coefficients, shape (columns, POSTERIOR_DRAWS).
 
-    axes : of the base's parameters, as columns, whose priors are the last rows: noise is drawn for the parameters, for
-        round-off chooses between axes that the data determine alike, and how many move a pose
+    Draws follow Matheron's rule.
+    axes : directions of the base's parameters, as columns, whose priors are the last rows. Noise is
+        drawn for the parameters instead of the directions, because round-off decides between
+        directions that the data determine equally and how many of them move a pose.
     """
     K = products_of_rows(groups)
-    size, sigma = sizes_of_groups(y, K, sigma)
-    draws, each = [], PART_DRAWS // SIZE_DRAWS
-    for own in _drawn_sizes(y, groups, K, size, sigma, rng):
+    size, sigma = variances_of_groups(y, K, sigma)
+    draws, each = [], POSTERIOR_DRAWS // VARIANCE_DRAWS
+    for own in _drawn_variances(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
         known = sum(g @ f for f, g in zip(prior, groups, strict=True))
         of_poses = rng.standard_normal((len(y) - axes.shape[1], each))
@@ -251,25 +283,32 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 
 
-DRAWS = 500
-ELSEWHERE = "elsewhere"
-PARTS = ("part", "share", "low", "high", "rms_mm")
-DIRECTIONS = ("frame", *PARTS)
-BINS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "rms_high_mm")
+# Bootstrap samples of the poses.
+BOOTSTRAP_DRAWS = 500
+# Name of the row that sums up the parts of other kinds.
+OTHER_PARTS = "elsewhere"
+# Columns of the tables (see `Localisation`).
+PART_COLUMNS = ("part", "share", "low", "high", "rms_mm")
+DIRECTION_COLUMNS = ("frame", *PART_COLUMNS)
+BIN_COLUMNS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "rms_high_mm")
 
 
 @dataclass(frozen=True, eq=False)
 class Localisation:
-    """Where the gap that the base model leaves lies; a table each, empty where a column was not logged.
+    """Shares of the base model's residual, one table for each kind; empty without its column.
 
-    joints : columns part, share, low, high, rms_mm: what named causes explain through each joint, and smooth errors of
-        it beside them; the rest as "elsewhere"; shares sum to one, intervals are those of the fit
-    links : the same of base, links and tool, and of the instrument where a cause is in it
-    directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical about joint 1), tool (x,
-        y, z); each frame sums to one, noise included; intervals by bootstrap over poses, as in all that follow
-    regions : columns by, part, poses, share (of the squared error), low, high, rms_mm (of the distance), rms_low_mm,
-        rms_high_mm, of the poses that fall in each part of the ranges
-    payload, temperature, time : the same by these; approach : by the direction from which a joint came
+    joints : columns part, share, low, high, rms_mm: what named causes explain through each joint
+        plus smooth errors of this joint; the rest as "elsewhere"; shares sum to one, intervals are
+        those of the fit
+    links : the same for base, links and tool, and for the instrument if a cause acts there
+    directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical
+        about joint 1), tool (x, y, z); each frame sums to one, noise included; intervals by
+        bootstrap over poses, as in all tables that follow
+    regions : columns by, part, poses, share (of the squared error), low, high, rms_mm (of the
+        distance), rms_low_mm, rms_high_mm, for the poses in each part of the range of a joint, of
+        radius and of height
+    payload, temperature, time : the same by these; approach : by the direction from which a joint
+        came
     """
 
     joints: pd.DataFrame
@@ -282,7 +321,7 @@ class Localisation:
     approach: pd.DataFrame
 
     def tables(self) -> Iterator[tuple[str, pd.DataFrame]]:
-        """Name and table of each that is not empty."""
+        """Yield name and table of each table that is not empty."""
         for f in fields(self):
             table = getattr(self, f.name)
             if len(table):
@@ -290,7 +329,11 @@ class Localisation:
 
     @property
     def worst(self) -> pd.DataFrame:
-        """Parts of the data that hold surely more of the squared error than of the poses, the worst first."""
+        """Return the parts of the data with significantly more than their share of the error.
+
+        The worst part comes first; its excess is the share of the error over the share of the
+        poses.
+        """
         every = pd.concat([t for name, t in self.tables() if "poses" in t], ignore_index=True)
         even = every["poses"] / every.groupby("by")["poses"].transform("sum")
         every = every.assign(excess=every["share"] / even)
@@ -298,22 +341,23 @@ class Localisation:
 
 
 def localise(found: Diagnosis) -> Localisation:
-    """Where the gap of a diagnosis' base model lies: by joint, link, direction, region and circumstances."""
+    """Return the shares of a diagnosis' gap by joint, link, direction, region and circumstances."""
     return localise_residual(found.case, found.noise, found.columns, found.seed, remains=found.remains)
 
 
 def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *, remains: float = 1.0) -> Localisation:
-    """Where the residual of a case lies.
+    """Return the shares of a case's residual by joint, link, direction, region and circumstances.
 
-    noise : that is left aside in the shares of joints and links; causes : columns of those that were found
-    remains : how probable it is that these leave more than noise
+    noise : excluded from the shares of joints and links; causes : columns of the named causes,
+        shape (k,)
+    remains : probability that the named causes leave more than noise
     """
-    # Between two poses no one reading is where the gap lies.
+    # The error of a distance between two poses cannot be assigned to the parts at one of them.
     parts = components(case, noise, causes, seed, remains) if case.one_end else {}
-    split = _Split(case, seed)
+    split = _BootstrapShares(case, seed)
     return Localisation(
         joints=_parts(parts, "joint"),
-        links=_parts(parts, "link", "base", "loop", "tool", INSTRUMENT),
+        links=_parts(parts, "link", "base", "loop", "tool", INSTRUMENT_PART),
         directions=_directions(case, split),
         regions=split.table(*_regions(case)),
         payload=split.table(*_payload(case)),
@@ -324,32 +368,39 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
 
 
 def _parts(energy: dict[str, Array], *kinds: str) -> pd.DataFrame:
-    """Shares of the parts of some kinds, with the others summed up as elsewhere; energy : of `components`."""
+    """Return the shares of the parts of some kinds, with all others summed up as "elsewhere".
+
+    energy : draws of each part's mean square, of `components`
+    """
     mine = {part: drawn for part, drawn in energy.items() if part.startswith(kinds)}
     if energy:
         others = (drawn for part, drawn in energy.items() if part not in mine)
-        mine[ELSEWHERE] = sum(others, np.zeros(PART_DRAWS))
+        mine[OTHER_PARTS] = sum(others, np.zeros(POSTERIOR_DRAWS))
     whole, rows = np.maximum(np.sum([*energy.values()], axis=0), 1e-30), []
     for part, drawn in mine.items():
         share = drawn / whole
         rows.append((part, share.mean(), *np.quantile(share, [0.025, 0.975]), 1e3 * np.sqrt(drawn.mean())))
-    return pd.DataFrame(rows, columns=list(PARTS))
+    return pd.DataFrame(rows, columns=list(PART_COLUMNS))
 
 
+# Each (quantity, range of it, mask over all poses).
 Masks = list[tuple[str, str, Array]]
 
 
-class _Split:
-    """Shares of the squared residual that fall into parts of the data, by bootstrap over the kept poses."""
+class _BootstrapShares:
+    """Shares of the squared residual in parts of the data, by bootstrap over the inlier poses."""
 
     def __init__(self, case: Case, seed: int) -> None:
         self.kept = case.kept
         self.r = case.lengths
         n = len(self.r)
-        self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), DRAWS).astype(float)
+        self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), BOOTSTRAP_DRAWS).astype(float)
 
     def shares(self, squares: Array) -> tuple[Array, Array, Array]:
-        """Share, low and high of each column of squares, shape (n, parts), whose sum counts as one."""
+        """Return share, low and high of each column of squares, shape (parts,) each.
+
+        squares : shape (n, parts); their total counts as one
+        """
         total = squares.sum()
         drawn = self.times @ squares
         drawn /= np.maximum(drawn.sum(axis=1, keepdims=True), 1e-30)
@@ -357,7 +408,7 @@ class _Split:
         return squares.sum(axis=0) / max(total, 1e-30), low, high
 
     def table(self, *masks: tuple[str, str, Array]) -> pd.DataFrame:
-        """A row for each (by, part, mask over all poses) with poses in it."""
+        """Return a table with a row for each (by, part, mask) that contains inlier poses."""
         rows = []
         size = (self.r**2).sum(axis=1)
         for by in dict.fromkeys(m[0] for m in masks):
@@ -370,13 +421,14 @@ class _Split:
             for k, (part, mask) in enumerate(mine):
                 rms = 1e3 * float(np.sqrt(size[mask].mean()))
                 rows.append((by, part, int(mask.sum()), share[k], low[k], high[k], rms, rms_low[k], rms_high[k]))
-        return pd.DataFrame(rows, columns=list(BINS))
+        return pd.DataFrame(rows, columns=list(BIN_COLUMNS))
 
 
-def _directions(case: Case, split: _Split) -> pd.DataFrame:
+def _directions(case: Case, split: _BootstrapShares) -> pd.DataFrame:
+    """Return the shares by the axes of base, joint 1 and tool; an empty table without positions."""
     r = case.vectors
     if r is None:
-        return pd.DataFrame(columns=list(DIRECTIONS))
+        return pd.DataFrame(columns=list(DIRECTION_COLUMNS))
     in_base, about = r @ case.robot.base.T[:3, :3], about_vertical(_in_base(case)[case.kept])
     R = predicted(case.robot, case.m)[1][case.kept]
     rows = []
@@ -388,25 +440,27 @@ def _directions(case: Case, split: _Split) -> pd.DataFrame:
         share, low, high = split.shares(parts**2)
         rms = 1e3 * np.sqrt((parts**2).mean(axis=0))
         rows += [(frame, names[k], share[k], low[k], high[k], rms[k]) for k in range(3)]
-    return pd.DataFrame(rows, columns=list(DIRECTIONS))
+    return pd.DataFrame(rows, columns=list(DIRECTION_COLUMNS))
 
 
 def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
+    """Return the poses in each third of the values; nothing if the thirds coincide."""
     which, edges = thirds(values)
     if not (np.diff(edges) > 0).all():
         return []
-    # Rounded first, so that round-off about zero or a half is not told.
+    # Values are rounded first, so that round-off about zero or a half does not show.
     shown = [f"{round(round(float(v), 9), digits) + 0.0:.{digits}f}" for v in edges]
     return [(by, f"{a} .. {b} {unit}", which == k) for k, (a, b) in enumerate(itertools.pairwise(shown))]
 
 
 def _in_base(case: Case) -> Array:
-    """Where the measured point was in the base frame, shape (n, 3) [m]."""
+    """Return the measured points in the robot's base frame, shape (n, 3) [m]."""
     T = case.robot.base.T
     return np.asarray((case.positions - T[:3, 3]) @ T[:3, :3])
 
 
 def _regions(case: Case) -> Masks:
+    """Return the poses in each third of every joint's readings, of radius and of height."""
     masks: Masks = []
     for (column, factor), q in zip(case.robot.reading_units.items(), case.m.q.T, strict=True):
         name, unit = column.split("_")
@@ -417,6 +471,7 @@ def _regions(case: Case) -> Masks:
 
 
 def _payload(case: Case) -> Masks:
+    """Return the poses with each payload, or in thirds of it if there are many."""
     mass = case.m.conditions.get("payload_kg")
     if mass is None or np.ptp(mass) == 0:
         return []
@@ -427,6 +482,7 @@ def _payload(case: Case) -> Masks:
 
 
 def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
+    """Return the poses in each third of a logged column; nothing if it was not logged."""
     logged = case.m.conditions.get(column)
     return [] if logged is None else _in_thirds(by, logged, unit, 1)
 
@@ -437,6 +493,7 @@ def _time(case: Case) -> Masks:
 
 
 def _approach(case: Case) -> Masks:
+    """Return the poses that each joint reached with rising and with falling readings."""
     names = [f"approach{i}" for i in range(1, case.robot.n + 1)]
     m, _ = derive(case.m, names)
     sides = ((1, "rising"), (-1, "falling"))

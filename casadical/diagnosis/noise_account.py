@@ -14,7 +14,7 @@ from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
-from casadical.diagnosis.structure import BEFORE, Remainder, Structure, remainder_of
+from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
 # Estimated noise above the independent figure by more than this factor contains structure ...
@@ -149,7 +149,7 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     """
     e, known = case.evidence, case.evidence.known
     taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
-    if any(s.over == BEFORE for s in left.structures):
+    if any(s.over == PREVIOUS_POSE for s in left.structures):
         # Autocorrelated noise is still noise, if the residual shows no dependence under it.
         form, (ar_form, own, _) = AR_NOISE, best_ar_form(case, columns)
         left = remainder_of(case, columns, own, ar_form)

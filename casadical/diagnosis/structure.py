@@ -1,12 +1,13 @@
-"""Whether what is left of a campaign is noise: does it follow anything that is known of the poses?
+"""Tests of the residual for structure: does it depend on anything that is known of the poses?
 
-Residuals, white by the noise that was found, are regressed on functions of a driver (the angle of a joint, sums of
-two, order in time, place, orientation, the sense of the last motion) along a direction (an axis of base or tool, about
-the base's vertical, the motion of a joint). No driver is a candidate cause, and no prior says how large an error is:
-each share is judged against what it is by chance among all that are tried (F test, Bonferroni), with the degrees of
-freedom that the scatter of the squares says (Satterthwaite 1946), so that heavy tails and a single noisy direction
-count for as much as they are. Close poses are compared, too: in joint space, where they were measured, and one after
-the other.
+Whitened residuals are regressed on functions of a driver (a joint angle, sums of two, order in
+time, position, orientation, the sense of the last motion) along a direction (an axis of base or
+tool, about the base's vertical, the motion of a joint). No driver is a candidate cause, and no
+prior limits the size of an error: the explained share of the square is compared with its
+distribution by chance among all tests (F test, Bonferroni correction). The degrees of freedom are
+those of the scatter of the squares (Satterthwaite 1946), which accounts for heavy tails and for
+noise in a single direction. Neighbouring poses are compared, too: in joint space, in position, and
+in the order of measuring.
 """
 
 import re
@@ -33,28 +34,37 @@ from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# What is left follows a driver, and outliers a joint, if chance alone does it so rarely, among all that are tried.
-CHANCE = 1e-3
-# Poses that are looked at, spread over the campaign; where noise follows itself, so many of the first.
-MOST_POSES, MOST_FOLLOWING = 600, 4000
-# Sines of an angle up to these cycles a turn together; beyond, of a joint's own angle, each for itself up to the last.
-TOGETHER, LAST_LINE = 3, 140.0
-# Squares scatter like those of noise if their degrees of freedom are this share of the numbers at least; and noise is
-# alike in all directions if chance alone makes them differ as much so often.
-LIKE_NOISE, ISOTROPIC = 0.6, 1e-4
-# Poses that are compared with all others in one go.
-AT_ONCE = 512
-# Of poses one after the other.
-BEFORE = "the pose before"
+# Largest probability by chance, among all tests, at which a dependence on a driver, or of outliers
+# on a joint, is significant.
+MAX_CHANCE = 1e-3
+# Number of poses that are tested, spread over the campaign.
+MAX_POSES = 600
+# Number of poses that are tested under autocorrelated noise: the first ones, in sequence.
+MAX_AUTOCORRELATED_POSES = 4000
+# Harmonics of an angle that are tested together [cycles per turn].
+MAX_JOINT_HARMONIC = 3
+# Largest frequency of the lines of a joint's own angle that are tested one by one [cycles per
+# turn].
+MAX_LINE_CYCLES = 140.0
+# A residual has Gaussian tails if the degrees of freedom of its squares are at least this share of
+# the measured numbers.
+MIN_FREEDOM_SHARE = 0.6
+# Noise is isotropic if Mauchly's test gives at least this probability.
+MIN_ISOTROPY_CHANCE = 1e-4
+# Rows whose distances to all others are computed at once, which bounds memory.
+ROWS_PER_BLOCK = 512
+# Driver of consecutive poses.
+PREVIOUS_POSE = "the pose before"
 
 
 @dataclass(frozen=True)
 class Structure:
-    """What is left follows a driver.
+    """A dependence of the residual on a driver.
 
-    along : the direction of the error; over : the driver; share : of the square of what is left
-    log_chance : logarithm of how probable so large a share is in noise, among all that were tried
-    line : cycles a turn of a sine of a joint's own angle along this joint, and the joint
+    along : direction of the error; over : driver; share : explained share of the squared residual
+    log_chance : log of the probability of so large a share in pure noise, among all tests
+    line : joint (1-based) and cycles per turn of a sine of its own angle along its motion; None for
+        others
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("log10_chance", lambda found: found.log_chance / log(10), digits=1),)
@@ -68,27 +78,39 @@ class Structure:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What is known of the remainder of a model: structures, the surest first; whether it looks like noise besides."""
+    """Result of the tests of a residual.
+
+    structures : significant dependences, the most significant first
+    like_noise : whether the residual otherwise has Gaussian tails and is isotropic
+    """
 
     structures: tuple[Structure, ...]
     like_noise: bool
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
-    """What is left beside columns of causes, shape (k,), at a noise of a form."""
-    return _White(case, columns, noise, form or Form()).judged()
+    """Return the structure of the residual of a fit with causes.
+
+    columns : of the causes, shape (k,); noise, form : noise by which the residual is whitened
+    """
+    return _WhitenedResidual(case, columns, noise, form or Form()).judged()
 
 
 def lines_of(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[tuple[int, float], ...]:
-    """Joint and cycles a turn of the surest line of each joint in the same remainder, among all that is tried there."""
-    return _White(case, columns, noise, form).lines()
+    """Return joint (1-based) and cycles per turn of the most significant line of each joint.
+
+    The arguments and the number of tests are those of `remainder_of`.
+    """
+    return _WhitenedResidual(case, columns, noise, form).lines()
 
 
 def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
-    """The joint along whose motion the poses left out err, as one that is wrong in few places makes them; else None.
+    """Return the joint (1-based) along whose motion the outliers deviate, or None.
 
-    columns : of the causes, shape (k,). Of points that are wrong each for itself the cosine to any direction is uniform
-    from -1 to 1; of each joint Fisher's sum of logarithms, Bonferroni.
+    A joint that errs at few places makes such outliers. For unrelated outliers the cosine between
+    error and any direction is uniform from -1 to 1; the chances are combined by Fisher's sum of
+    logarithms, with a
+    Bonferroni correction over the joints. columns : of the causes, shape (k,)
     """
     out = ~case.kept
     if out.sum() < 2 or case.vectors is None:
@@ -100,85 +122,91 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     best = first_of_best(total)
     # A sum of k logarithms has a gamma distribution of shape k.
     chance = len(total) * float(gammaincc(len(left), total[best]))
-    return best + 1 if chance < CHANCE else None
+    return best + 1 if chance < MAX_CHANCE else None
 
 
-# Drivers with their functions; and along a direction, those of as many functions each, with the cycles of lines.
+# Drivers and their functions, shape (n, functions) each.
 _Functions = tuple[tuple[str, Array], ...]
+# A direction, its vectors (n, numbers), drivers of equal numbers of functions, and the joint and
+# cycles of those that are lines.
 _Group = tuple[str, Array, _Functions, Mapping[str, tuple[int, float]]]
 
 
-class _White:
-    """White residuals of some poses in the order of measuring, and what makes functions of the poses alike."""
+class _WhitenedResidual:
+    """Whitened residuals of poses in the order of measuring, with tests against drivers."""
 
     def __init__(self, case: Case, columns: Array, noise: Noise, form: Form) -> None:
         self.case = case
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
         kept = np.flatnonzero(case.kept)
         self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
-        n, most = len(order), min(len(order), MOST_FOLLOWING if form.stays else MOST_POSES)
-        # Noise that follows itself is white only where poses follow each other.
+        n, most = len(order), min(len(order), MAX_AUTOCORRELATED_POSES if form.stays else MAX_POSES)
+        # Autocorrelated noise can be whitened only over consecutive poses.
         self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
         self._form = form if form.times is None else replace(form, times=form.times[self.pick])
         self._m, self.at = m[kept[order]], kept[order[self.pick]]
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
-        # What a fit with priors takes.
+        # Orthonormal basis of what a fit with priors absorbs.
         whole = e.with_base(columns)
         A = self.rows(whole.J) * noise.sigma
         Q, _ = axes_of_base(A, noise.sigma / whole.prior)
         self._Q = Q[: len(A)]
-        self._taken = float((self._Q**2).sum())
-        self.y = self._beside(self.rows(e.r[:, :, None]))[:, 0]
+        self._absorbed = float((self._Q**2).sum())
+        self.y = self._without_fit(self.rows(e.r[:, :, None]))[:, 0]
         self.squares = (self.y.reshape(len(e.r), -1) ** 2).sum(axis=1)
 
     def rows(self, X: Array) -> Array:
-        """Numbers at the poses, shape (n, numbers, k), as white rows, shape (n numbers, k)."""
+        """Return numbers (n, numbers, k) at the poses as whitened rows (n numbers, k)."""
         white = self._W @ self._form.serial(len(X)).whiten(X)
         return np.asarray(white.reshape(-1, X.shape[2]))
 
-    def _beside(self, rows: Array) -> Array:
-        """White rows less what the fit takes of them, shape (rows, k)."""
+    def _without_fit(self, rows: Array) -> Array:
+        """Return whitened rows minus what the fit absorbs of them, shape (rows, k)."""
         return np.asarray(rows - self._Q @ (self._Q.T @ rows))
 
     @cached_property
     def freedom(self) -> float:
-        """Degrees of freedom of what is left, by the scatter of its squares over the poses."""
+        """Return the degrees of freedom by the scatter of the squares (Satterthwaite)."""
         n, numbers = len(self.squares), self.e.count
         scatter = n * float((self.squares**2).sum()) / float(self.squares.sum()) ** 2 - 1
-        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._taken / max(numbers, 1))
+        return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._absorbed / max(numbers, 1))
 
     def judged(self) -> Remainder:
-        if not self._is_left:
+        """Return the significant dependences, and whether the residual is noise-like otherwise."""
+        if not self._has_residual:
             return Remainder((), like_noise=True)
-        tests = [*(s for group in self._groups() for s in self._followed(*group)), *self._close()]
-        sure = _sure(tests, len(tests))
-        each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}  # of a joint's lines the surest
-        tails = self.freedom >= LIKE_NOISE * (self.e.count - self._taken)
-        # Drivers that are said.
+        tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
+        sure = _significant(tests, len(tests))
+        # Of a joint's lines only the most significant one is kept.
+        each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}
+        tails = self.freedom >= MIN_FREEDOM_SHARE * (self.e.count - self._absorbed)
+        # At most three drivers are reported.
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
     def lines(self) -> tuple[tuple[int, float], ...]:
-        """The surest line of each joint, among all that are tried."""
-        if not self._is_left:
+        """Return (joint, cycles per turn) of the most significant line of each joint."""
+        if not self._has_residual:
             return ()
         groups = [*self._groups()]
-        tried = sum(len(some) for _, _, some, _ in groups) + len([*self._close()])  # as where all is judged
+        # The Bonferroni correction counts the same tests as `judged`.
+        tried = sum(len(some) for _, _, some, _ in groups) + len([*self._neighbours()])
         lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
-        sure = _sure([s for group in lines if group[2] for s in self._followed(*group)], tried)
+        sure = _significant([s for group in lines if group[2] for s in self._tests(*group)], tried)
         return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
 
     @property
-    def _is_left(self) -> bool:
-        """Whether anything is left to be judged."""
-        return self.e.count - self._taken >= 2 and bool(self.squares.sum() > 0)
+    def _has_residual(self) -> bool:
+        """Return whether there is a residual to test."""
+        return self.e.count - self._absorbed >= 2 and bool(self.squares.sum() > 0)
 
     @cached_property
     def _places(self) -> Array:
-        """Where the points of all kept poses are, in the order of measuring, shape (kept, 3) [m].
+        """Return the inlier poses' predicted points in the order of measuring, (n_inliers, 3) [m].
 
-        As the model has them, and of what is touched several times the mean: neither order nor nearness is the noise's.
+        Predictions are used, averaged over repeated touches of a point, so that noise changes
+        neither the order nor the neighbours of the points.
         """
         p, alike = predicted(self.case.robot, self._m)[0], self.case.evidence.alike
         if alike is None or any(m.label is None for m in self.case.observations.sets):
@@ -187,8 +215,8 @@ class _White:
         return np.asarray(np.stack([np.bincount(which, c) for c in p.T], axis=1) / np.bincount(which)[:, None])[which]
 
     def _groups(self) -> Iterator[_Group]:
-        """Drivers of as many functions each along every direction."""
-        functions = _by_width((name, g[self.pick]) for name, g in _of_poses(self.case.robot, self._m, self._places))
+        """Yield the tests in groups: along one direction, drivers of equal numbers of functions."""
+        functions = _by_width((name, g[self.pick]) for name, g in _drivers(self.case.robot, self._m, self._places))
         for along, v in self._directions():
             own, cycles = dict(functions), dict[str, tuple[int, float]]()
             if hit := re.fullmatch(r"joint (\d+)", along):
@@ -197,35 +225,38 @@ class _White:
             for some in own.values():
                 yield along, v, some, cycles
 
-    def _followed(
+    def _tests(
         self, along: str, v: Array, some: _Functions, cycles: Mapping[str, tuple[int, float]]
     ) -> Iterator[Structure]:
-        """Drivers of as many functions each along a direction."""
+        """Yield the dependence along a direction on each driver of a group."""
         width = some[0][1].shape[1]
         G = np.stack([g for _, g in some], axis=1)
-        F = self._beside(self.rows(v[:, :, None] * G.reshape(len(v), 1, -1)))
+        F = self._without_fit(self.rows(v[:, :, None] * G.reshape(len(v), 1, -1)))
         F = F.reshape(len(F), len(some), width).transpose(1, 0, 2)
         for (over, _), (share, k) in zip(some, self._shares(F), strict=True):
             yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))
 
     def _shares(self, F: Array) -> Iterator[tuple[float, int]]:
-        """Of each group of columns, shape (groups, rows, width), the share that they explain and their rank."""
+        """Return explained share of the square and rank of each group of columns.
+
+        F : whitened columns without what the fit absorbs, shape (groups, rows, width)
+        """
         normal, right = F.transpose(0, 2, 1) @ F, np.einsum("gri,r->gi", F, self.y)
         scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         value, vector = np.linalg.eigh(normal / scale[:, :, None] / scale[:, None])
         turned = np.einsum("gij,gi->gj", vector, right / scale)
-        # Directions of which a share of this is linear in others move nothing more.
+        # Directions with a smaller eigenvalue are linearly dependent on the others.
         seen = value > 1e-6
         part = np.where(seen, turned**2 / np.where(seen, value, 1.0), 0.0).sum(axis=1) / float(self.squares.sum())
         return zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
 
-    def _close(self) -> Iterator[Structure]:
-        """Whether close poses err alike: in joint space, where they were measured, and one after the other."""
+    def _neighbours(self) -> Iterator[Structure]:
+        """Yield the correlation of neighbours: in joint space, in position and in sequence."""
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
         pairs = {
             "poses that are near in joint space": _pairs(_nearest(q)),
-            BEFORE: np.column_stack([np.arange(len(y) - 1), np.arange(1, len(y))]),
+            PREVIOUS_POSE: np.column_stack([np.arange(len(y) - 1), np.arange(1, len(y))]),
         }
         if self.case.vectors is not None:
             pairs["poses whose points are near"] = _pairs(_nearest(self._places[self.pick]))
@@ -235,7 +266,7 @@ class _White:
             yield Structure("any direction", over, max(alike, 0.0), float(log_ndtr(-z)))
 
     def _directions(self) -> Iterator[tuple[str, Array]]:
-        """Of an error at the poses, with their names, shape (n, numbers)."""
+        """Yield name and vectors, shape (n, numbers), of each direction of an error."""
         for name, axes in self._frames.items():
             yield from zip(name.split(", "), axes.transpose(2, 0, 1), strict=True)
         for j in range(self.e.Jq.shape[2]):
@@ -243,7 +274,7 @@ class _White:
 
     @cached_property
     def _frames(self) -> Mapping[str, Array]:
-        """Axes as columns, shape (n, numbers, 3), of positions; of other kinds of measurement none."""
+        """Return the axes of each frame as columns, shape (n, numbers, 3); empty without positions."""
         if self.case.vectors is None:
             return {}
         p, n = self.case.positions[self.at], len(self.at)
@@ -257,7 +288,7 @@ class _White:
         return {name: np.concatenate([F, np.zeros((n, more, 3))], axis=1) for name, F in frames.items()}
 
     def _isotropic(self) -> bool:
-        """Whether noise is alike along the axes of every frame (Mauchly's test of sphericity)."""
+        """Return whether noise is equal along the axes of every frame (Mauchly's test)."""
         n = len(self.squares)
         y = self.y.reshape(n, -1)[:, :3]
         if y.shape[1] < 3 or not self._frames or self._form.stays:
@@ -267,36 +298,40 @@ class _White:
             turned = np.einsum("nij,ni->nj", axes[:, :3], y)
             value = np.linalg.eigvalsh(turned.T @ turned / n)
             square = -(n - 1 - 17 / 18) * float(np.log(max(value.prod(), 1e-300) / value.mean() ** 3))
-            # Six even degrees of freedom for five.
+            # Chi-square tail with six instead of five degrees of freedom, which has a closed form.
             chances.append(-square / 2 + np.log1p(square / 2 + square**2 / 8))
-        return bool(min(chances) > log(ISOTROPIC / len(chances)))
+        return bool(min(chances) > log(MIN_ISOTROPY_CHANCE / len(chances)))
 
 
 def _nearest(q: Array) -> Array:
-    """The number of the row nearest to each row, shape (n,), some at a time; of equally near ones the first."""
+    """Return the index of the row nearest to each row, shape (n,); the first of equally near ones."""
     square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
-    for first in range(0, len(q), AT_ONCE):
-        some = slice(first, first + AT_ONCE)
+    for first in range(0, len(q), ROWS_PER_BLOCK):
+        some = slice(first, first + ROWS_PER_BLOCK)
         apart = square[some, None] + square - 2 * q[some] @ q.T
         apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
-        # Decimals of a squared distance: of poses on a grid many are equally near, within rounding.
+        # Squared distances are rounded, because many poses on a grid are equally near up to
+        # round-off.
         nearest[some] = apart.round(9).argmin(axis=1)
     return nearest
 
 
 def _pairs(nearest: Array) -> Array:
-    """Each row with the one nearest to it, each pair once, shape (pairs, 2)."""
+    """Return the pairs of each row and its nearest one, each pair once, shape (pairs, 2)."""
     return np.unique(np.sort(np.column_stack([np.arange(len(nearest)), nearest]), axis=1), axis=0)
 
 
-def _sure(found: Sequence[Structure], tried: int) -> list[Structure]:
-    """Those that chance does not make among so many that are tried, the surest first."""
+def _significant(found: Sequence[Structure], tried: int) -> list[Structure]:
+    """Return the dependences significant among this many tests, the most significant first."""
     among = [replace(s, log_chance=s.log_chance + log(tried)) for s in found]
-    return sorted((s for s in among if s.log_chance < log(CHANCE)), key=lambda s: s.log_chance)
+    return sorted((s for s in among if s.log_chance < log(MAX_CHANCE)), key=lambda s: s.log_chance)
 
 
 def about_vertical(p: Array) -> Array:
-    """Axes at points as columns: away from the vertical, around it, up; shape (n, 3, 3)."""
+    """Return cylindrical axes at points as columns (radial, azimuthal, up), shape (n, 3, 3).
+
+    p : points in a frame with vertical z, shape (n, 3) [m]
+    """
     a = np.arctan2(p[:, 1], p[:, 0])
     zero, one = np.zeros(len(a)), np.ones(len(a))
     axes = [[np.cos(a), -np.sin(a), zero], [np.sin(a), np.cos(a), zero], [zero, zero, one]]
@@ -304,10 +339,11 @@ def about_vertical(p: Array) -> Array:
 
 
 def log_chance_of(share: float, width: int, freedom: float) -> float:
-    """Logarithm of the chance that as many columns explain such a share of noise, of so many degrees of freedom.
+    """Return the log probability that columns explain at least this share of pure noise.
 
-    An odd number of columns counts as one more: the share has a beta distribution, whose tail is a finite sum then.
-    The sum is of logarithms because scipy's tail underflows below 1e-308.
+    width : number of columns; freedom : degrees of freedom of the noise
+    An odd number of columns counts as one more: the tail of the share's beta distribution is then a
+    finite sum. It is summed in logarithms because scipy's tail underflows below 1e-308.
     """
     half, rest = (width + 1) // 2, (freedom - width) / 2
     if rest <= 0 or not half:
@@ -317,17 +353,17 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
     return min(0.0, rest * float(np.log1p(-share)) + float(np.logaddexp.reduce(terms)))
 
 
-def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
-    """Every driver's name and functions of it, shape (n, functions).
+def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
+    """Yield every driver's name and its functions at the poses, shape (n, functions).
 
-    m : in the order of measuring; p : of the points, shape (n, 3) [m]
+    m : poses in the order of measuring; p : measured points, shape (n, 3) [m]
     """
     q, n = m.q, m.q.shape[1]
     for j in range(n):
-        yield f"q{j + 1}", sines(q[:, j], range(1, TOGETHER + 1))
+        yield f"q{j + 1}", sines(q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
     for i, j in combinations(range(n), 2):
-        yield f"q{i + 1} + q{j + 1}", sines(q[:, i] + q[:, j], range(1, TOGETHER + 1))
-        yield f"q{i + 1} - q{j + 1}", sines(q[:, i] - q[:, j], range(1, TOGETHER + 1))
+        yield f"q{i + 1} + q{j + 1}", sines(q[:, i] + q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
+        yield f"q{i + 1} - q{j + 1}", sines(q[:, i] - q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
     R, about = predicted(robot, m)[1], about_vertical(p)
     yield "time", _cosines(m.conditions["progress"])
     places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
@@ -346,7 +382,7 @@ def _of_poses(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Ar
 
 
 def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[str, Array], ...]]:
-    """Drivers by their number of functions; without those that are alike at all poses."""
+    """Return the drivers by their number of functions, without constant ones."""
     groups: dict[int, list[tuple[str, Array]]] = {}
     for name, g in functions:
         if len(g) and np.ptp(g, axis=0).max() > 0:
@@ -355,20 +391,26 @@ def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[s
 
 
 def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:
-    """Sines of a joint's own angle, one by one, as close as its readings distinguish them; which they are."""
+    """Return the lines of a joint's own angle, and (joint, cycles per turn) of each by name.
+
+    angle : readings of the joint [rad]. The spacing of the frequencies is what the range of
+        readings resolves.
+    """
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
-    cycles = np.arange(TOGETHER + step, LAST_LINE, step)
+    cycles = np.arange(MAX_JOINT_HARMONIC + step, MAX_LINE_CYCLES, step)
     names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
     return tuple((name, sines(angle, [f])) for name, (_, f) in names.items()), names
 
 
 def sines(angle: Array, cycles: range | list[float]) -> Array:
-    """Sine and cosine of each number of cycles a turn in turn, shape (n, 2 cycles)."""
+    """Return sine and cosine of multiples of an angle [rad], in turn, shape (n, 2 cycles)."""
     return np.stack([f(h * angle) for h in cycles for f in (np.sin, np.cos)], axis=1)
 
 
 def _cosines(values: Array) -> Array:
-    """Of the rank of the values, from zero to one."""
+    """Return the first four cosines of the rank of the values, shape (n, 4).
+
+    Ranks, from zero to one, make quantities that are no angles comparable.
+    """
     rank = (np.argsort(np.argsort(values, kind="stable")) + 0.5) / len(values)
-    # The first four cosines of the rank of what is no angle.
     return np.stack([np.cos(np.pi * k * rank) for k in range(1, 5)], axis=1)

@@ -13,14 +13,14 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.localisation import (
-    BINS,
-    DIRECTIONS,
-    PARTS,
+    BIN_COLUMNS,
+    DIRECTION_COLUMNS,
+    PART_COLUMNS,
     Localisation,
     localise,
     localise_residual,
     products_of_rows,
-    sizes_of_groups,
+    variances_of_groups,
 )
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Noise
@@ -87,14 +87,14 @@ def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
 
 def test_tables_have_stable_columns_and_sum_to_one() -> None:
     w = localise(diagnosed("ur10e-P06"))
-    assert list(w.joints) == list(w.links) == list(PARTS)
-    assert list(w.directions) == list(DIRECTIONS)
+    assert list(w.joints) == list(w.links) == list(PART_COLUMNS)
+    assert list(w.directions) == list(DIRECTION_COLUMNS)
     assert w.joints["share"].sum() == pytest.approx(1)
     assert w.links["share"].sum() == pytest.approx(1)
     np.testing.assert_allclose(w.directions.groupby("frame")["share"].sum(), 1)
     for name in ("regions", "payload", "temperature", "time", "approach"):
         table = getattr(w, name)
-        assert list(table) == list(BINS)
+        assert list(table) == list(BIN_COLUMNS)
         np.testing.assert_allclose(table.groupby("by")["share"].sum(), 1)
         assert (table["low"] <= table["share"] + 1e-12).all()
         assert (table["share"] <= table["high"] + 1e-12).all()
@@ -231,7 +231,7 @@ def test_sizes_of_parts_are_those_of_a_dense_inverse() -> None:
     rng, sigma = np.random.default_rng(0), 1e-3
     groups = [rng.normal(size=(700, width)) * np.geomspace(1, 1e-3, width) for width in (30, 60)]
     y = groups[0] @ rng.normal(size=30) + sigma * rng.normal(size=700)
-    size, noise = sizes_of_groups(y, products_of_rows(groups), sigma)
+    size, noise = variances_of_groups(y, products_of_rows(groups), sigma)
     assert 0.3 < size[0] < 3.0
     assert size[1] < 1e-3 * size[0]
     assert noise == pytest.approx(sigma, rel=0.2)

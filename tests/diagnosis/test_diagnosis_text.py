@@ -15,7 +15,7 @@ from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.localisation import BINS, DIRECTIONS, PARTS, Localisation
+from casadical.diagnosis.localisation import BIN_COLUMNS, DIRECTION_COLUMNS, PART_COLUMNS, Localisation
 from casadical.diagnosis.next_poses import probability_after
 from casadical.diagnosis.noise_account import NoiseAccount, Rule
 from casadical.diagnosis.noise_floor import Replicates
@@ -96,10 +96,10 @@ def seen() -> Details:
         ("payload", "0 kg", 50, 0.3, 0.22, 0.38, 0.1, 0.09, 0.11),
         ("payload", "10 kg", 50, 0.7, 0.62, 0.78, 0.16, 0.14, 0.18),
     ]
-    none = pd.DataFrame(columns=list(BINS))
-    tables = [pd.DataFrame(parts, columns=list(PARTS)), pd.DataFrame(links, columns=list(PARTS))]
-    directions = pd.DataFrame(columns=list(DIRECTIONS))
-    where = Localisation(*tables, directions, none, pd.DataFrame(payload, columns=list(BINS)), none, none, none)
+    none = pd.DataFrame(columns=list(BIN_COLUMNS))
+    tables = [pd.DataFrame(parts, columns=list(PART_COLUMNS)), pd.DataFrame(links, columns=list(PART_COLUMNS))]
+    directions = pd.DataFrame(columns=list(DIRECTION_COLUMNS))
+    where = Localisation(*tables, directions, none, pd.DataFrame(payload, columns=list(BIN_COLUMNS)), none, none, none)
     effects = pd.DataFrame(
         {"size_mm": [0.1, 0.1, 0.1, 0.0], "absorbed": [0.6, 0.7, 0.99, 1.0], "findable_from": [0.5, 0.6, 9.0, np.inf]},
         index=[label, rival, "gravity_compensator", "link_flexure"],
