@@ -1,1 +1,1 @@
-"""Whether a calibrated robot is as accurate as it must be: checks with later poses, ISO 9283, certificate data."""
+"""Acceptance tests of a calibrated robot: verification with later poses, ISO 9283, certificates."""

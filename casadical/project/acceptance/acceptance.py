@@ -1,12 +1,12 @@
-"""The one form of what a test of a calibrated robot says: figures, sentences, and whether it is accepted."""
+"""The common interface of acceptance tests: their figures, sentences and acceptance."""
 
 from casadical.core.telling.result import Result
 
 
 class Acceptance(Result):
-    """A test of a calibrated robot: verification, ISO 9283 or certificate."""
+    """The result of a test of a calibrated robot: verification, ISO 9283 or certificate."""
 
     @property
     def accepted(self) -> bool | None:
-        """Return whether the error is within what it is held against; None where that is open or nothing is."""
+        """Return whether the error is within its limit; None where open or without a limit."""
         raise NotImplementedError

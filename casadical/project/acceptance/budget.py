@@ -1,16 +1,22 @@
-"""The accuracy of a robot's model over the space in which it was measured, with the uncertainty of that figure (GUM).
+"""The uncertainty budget of a robot's accuracy over the space in which it was measured (GUM).
 
-The measurand is E, the rms distance between where the model says that the tool is and where it stands, over the space
-that the poses stand for, base placed as well as can be. With held-out errors e_i at n poses, to which k numbers were
-fitted, t of them not the base's (JCGM 100:2008, sections 4 and 5):
+The measurand is E, the rms distance between the modelled and the actual position of the tool over
+the space that the poses represent, with the base placed as well as can be. With held-out errors e_i
+at n poses, to which k numbers were fitted, t of them not the base's (JCGM 100:2008, sections 4 and
+5):
 
     E^2 = (3n + t) / (3n - k) mean(e_i^2) - 3 (s_n^2 + s_r^2) + R^2 (u_s^2 + u_t^2)
 
-Elsewhere the base may be placed again, but the tool stays as these n poses told it.
-s_n, s_r : noise of the instrument and repeatability, of a coordinate; R : rms distance of the poses from their centre;
-u_s : of the instrument's scale; u_t : of the robot's growth with temperature. The last two are hidden: an instrument
-that measures everything too long leaves no residual. u(E) = u(E^2) / (2 E), and U = k u(E) with the quantile of
-Student's t for 95.45 % at the effective degrees of freedom (Welch and Satterthwaite), 2 where they are many.
+Elsewhere the base may be placed again, but the tool stays as these n poses determined it.
+
+s_n, s_r : noise of the instrument and repeatability, of a coordinate
+R : rms distance of the poses from their centre
+u_s : relative uncertainty of the instrument's scale
+u_t : relative growth of the robot with temperature
+
+The last two cannot be seen in residuals: an instrument whose scale is wrong leaves none. u(E) =
+u(E^2) / (2 E), and U = k u(E) with the quantile of Student's t for 95.45 % at the effective degrees
+of freedom (Welch and Satterthwaite), which is 2 where they are many.
 """
 
 from collections.abc import Sequence
@@ -29,20 +35,24 @@ from casadical.identification.remaining_errors import evaluated
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# Degrees of freedom of a noise that a data sheet states: it is known to 25 % (JCGM 100:2008, G.4.2).
-STATED = 8.0
-# Held-out poses without which a mean square has no scatter that is known.
-LEAST = 8
-ENDLESS = 1e6
+# Degrees of freedom of a stated noise, which is taken as known to 25 % (JCGM 100:2008, G.4.2).
+STATED_NOISE_FREEDOM = 8.0
+# With fewer held-out poses the scatter of the mean square is not known.
+MIN_HELD_OUT_POSES = 8
+# Stands for infinitely many degrees of freedom.
+INFINITE_FREEDOM = 1e6
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What the readings do not tell, standard uncertainties; zero: not stated.
+    """Standard uncertainties that the readings do not show; zero: not stated.
 
-    noise : of a coordinate as the instrument reads it [m]; scale : of its lengths [1]
-    repeatability : of the robot, of a coordinate [m]; used where the table has no repeated readings
-    growth : of the robot's lengths by the temperatures in which the result is to hold [1]
+    noise : noise of the instrument, of a coordinate [m]
+    scale : relative uncertainty of the instrument's lengths [1]
+    repeatability : repeatability of the robot, of a coordinate [m]; used where the table has no
+        repeated readings
+    growth : relative growth of the robot's lengths over the temperatures in which the result is to
+        hold [1]
     """
 
     noise: float = 0.0
@@ -53,24 +63,31 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Contribution:
-    """One line of the budget.
+    """One line of the uncertainty budget.
 
     source : instrument, repeatability, model, frames, temperature or sampling
-    kind : A, of readings, or B, of other knowledge; stated : false where nobody said anything of it
-    square : what it adds to E^2 [m^2]; u : its standard uncertainty there [m^2]; freedom : its degrees of freedom
+    kind : A, evaluated from readings, or B, from other knowledge
+    square : contribution to E^2 [m^2]
+    u : standard uncertainty of E^2 from this source [m^2]
+    freedom : degrees of freedom of u
+    stated : whether anything was stated about the source
     """
 
     source: str = field(metadata=WRITTEN)
     kind: str = field(metadata=written("type"))
     square: float = field(metadata=written("adds", "mm2"))
     u: float = field(metadata=written(unit="mm2"))
-    freedom: float = field(default=ENDLESS, metadata=WRITTEN)
+    freedom: float = field(default=INFINITE_FREEDOM, metadata=WRITTEN)
     stated: bool = field(default=True, metadata=WRITTEN)
 
 
 @dataclass(frozen=True, eq=False)
 class Budget:
-    """E with its uncertainty [m]; errors : held out, as the instrument reads, shape (n,); lines : of the budget."""
+    """The rms position error E of a robot's model with its uncertainty.
+
+    errors : held-out errors as the instrument reads them, shape (n,) [m]
+    lines : contributions to E^2 and its uncertainty
+    """
 
     derived: ClassVar[tuple[Key, ...]] = (
         Key("error", unit="mm"),
@@ -89,49 +106,49 @@ class Budget:
 
     @property
     def n(self) -> int:
-        """Number of held-out poses."""
+        """Return the number of held-out poses."""
         return len(self.errors)
 
     @property
     def rms(self) -> float:
-        """Of the errors [m]."""
+        """Return the rms of the held-out errors [m]."""
         return float(np.sqrt(np.mean(self.errors**2)))
 
     @property
     def worst(self) -> float:
-        """The greatest [m]."""
+        """Return the greatest held-out error [m]."""
         return float(self.errors.max())
 
     @property
     def square(self) -> float:
-        """E^2 [m^2]; below zero where the errors are smaller than the noise that was stated."""
+        """Return E^2 [m^2]; it is below zero where the errors are smaller than the stated noise."""
         return self.rms**2 + sum(line.square for line in self.lines)
 
     @property
     def error(self) -> float:
-        """E [m]."""
+        """Return the rms position error E [m]."""
         return float(np.sqrt(max(self.square, 0.0)))
 
     @property
     def u_square(self) -> float:
-        """Standard uncertainty of E^2 [m^2]."""
+        """Return the standard uncertainty of E^2 [m^2]."""
         return float(np.sqrt(sum(line.u**2 for line in self.lines)))
 
     @property
     def freedom(self) -> float:
-        """Effective degrees of freedom."""
+        """Return the effective degrees of freedom (Welch and Satterthwaite)."""
         weighted = sum(line.u**4 / line.freedom for line in self.lines)
-        return float(self.u_square**4 / weighted) if weighted else ENDLESS
+        return float(self.u_square**4 / weighted) if weighted else INFINITE_FREEDOM
 
     @property
     def factor(self) -> float:
-        """k."""
-        # The quantile of 95.45 %, which is k = 2 with many degrees of freedom.
-        return float(stdtrit(max(1, int(min(self.freedom, ENDLESS))), 0.97725))
+        """Return the coverage factor k."""
+        # The quantile for a coverage of 95.45 %: k = 2 with many degrees of freedom.
+        return float(stdtrit(max(1, int(min(self.freedom, INFINITE_FREEDOM))), 0.97725))
 
     @property
     def resolved(self) -> bool:
-        """Whether E is seen beside its uncertainty; where not, only its upper limit is."""
+        """Return whether E exceeds its uncertainty; if not, it has an upper limit only."""
         return self.square > self.factor * self.u_square
 
     @property
@@ -142,22 +159,30 @@ class Budget:
         return f"<= {mm(self.error + self.expanded)} mm"
 
     def u(self, line: Contribution | None = None) -> float:
-        """Standard uncertainty of E, or the share of one line in it [m]."""
+        """Return the standard uncertainty of E, or the share of one line in it [m].
+
+        It is NaN where E is not resolved.
+        """
         size = self.u_square if line is None else line.u
         return size / (2 * self.error) if self.resolved else float("nan")
 
     @property
     def expanded(self) -> float:
-        """U [m]: E +- U; where E is not resolved, E + U is the upper limit."""
+        """Return the expanded uncertainty U [m], for E +- U.
+
+        Where E is not resolved, E + U is its upper limit.
+        """
         if self.resolved:
             return self.factor * self.u()
         return float(np.sqrt(max(self.square + self.factor * self.u_square, 0.0))) - self.error
 
 
 def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float]:
-    """Scatter of a coordinate where the robot came back to a reading [m], degrees of freedom; zeros without repeats.
+    """Return the scatter of a coordinate at repeated readings [m], and its degrees of freedom.
 
-    robot : by which the small differences of the readings are taken out
+    Both are zero without repeats.
+
+    robot : robot by which the small differences between the readings are removed
     """
     square = freedom = 0.0
     for m in sets:
@@ -178,16 +203,21 @@ def budget_of(
     repeats: tuple[float, float] = (0.0, 0.0),
     groups: Sequence[str] = ("base",),
 ) -> Budget:
-    """E of a robot's model at held-out positions, with all that makes it unsure.
+    """Return E of a robot's model at held-out positions, with its uncertainty budget.
 
-    robot : as it is judged; groups : of parameters that are fitted to these poses first, those that it has
-    repeats : as of `repeats_of`
-    Raises InputError: fewer than `LEAST` poses, or no positions.
+    robot : robot that is judged
+    held_out : measured positions that the calibration has not seen
+    known : stated uncertainties
+    repeats : scatter and degrees of freedom, as of `repeats_of`
+    groups : groups of parameters that are fitted to these poses first, as far as the robot has them
+    Raises InputError: fewer than `MIN_HELD_OUT_POSES` poses, or no positions.
     """
     sets = [m.positions_alone() for m in held_out]
     n = sum(map(len, sets))
-    if n < LEAST:
-        raise InputError(f"{n} held-out poses; a statement of uncertainty needs {LEAST} or more: [sets] report")
+    if n < MIN_HELD_OUT_POSES:
+        raise InputError(
+            f"{n} held-out poses; a statement of uncertainty needs {MIN_HELD_OUT_POSES} or more: [sets] report"
+        )
     # A tool that is not fitted is the robot's own, which `prepare` would place by these poses.
     own_tool = robot if "tool" in groups else replace(robot, tool=replace(robot.tool, unknown="none"))
     prepared = prepare(own_tool, sets)
@@ -202,26 +232,26 @@ def budget_of(
     whole, mean = made_up * float(np.std(e**2, ddof=1)) / np.sqrt(n), made_up * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
     (s, freedom), noise = repeats, known.noise
-    if freedom:  # what repeats scatter holds the noise, too
+    if freedom:  # the scatter of repeats includes the instrument's noise
         noise = 0.0
     else:
-        s, freedom = known.repeatability, STATED
+        s, freedom = known.repeatability, STATED_NOISE_FREEDOM
     by_noise = [3 * v**2 for v in (noise, s)]
     random = sum(by_noise) / 3
-    # Of the scatter of e^2 noise makes this much by itself; the rest is that of the space.
+    # The part of the variance of mean(e^2) that is due to noise; the rest is due to the space.
     own_part = (6 * random**2 + 4 * random * max(mean - 3 * random, 0.0)) / n
     lines = (
         Contribution(
             "instrument", "B", -by_noise[0] + known.scale**2 * spread,
-            float(np.hypot(by_noise[0] * np.sqrt(2 / STATED), np.sqrt(2) * known.scale**2 * spread)),
-            STATED if by_noise[0] else ENDLESS, known.noise > 0 or known.scale > 0,
+            float(np.hypot(by_noise[0] * np.sqrt(2 / STATED_NOISE_FREEDOM), np.sqrt(2) * known.scale**2 * spread)),
+            STATED_NOISE_FREEDOM if by_noise[0] else INFINITE_FREEDOM, known.noise > 0 or known.scale > 0,
         ),
         Contribution(
             "repeatability", "A" if repeats[1] else "B", -by_noise[1],
             float(np.hypot(by_noise[1] * np.sqrt(2 / freedom), np.sqrt(min(own_part, whole**2)))),
             freedom if by_noise[1] else n - 1.0, s > 0,
         ),
-        Contribution("model", "B", 0.0, _beyond(robot, sets)),
+        Contribution("model", "B", 0.0, _interpolation_uncertainty(robot, sets)),
         Contribution("frames", "A", mean - mean / made_up, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
         Contribution("temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread,
                      stated=known.growth > 0),
@@ -231,7 +261,11 @@ def budget_of(
 
 
 def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
-    """F of what a robot file tells of parameters in another campaign, F F' their covariance, shape (k, k) [SI]."""
+    """Return F with F F' the covariance of parameters in a robot file, shape (k, k) [SI].
+
+    known : covariance blocks and misfit, as the robot file states them from its calibration
+    names : parameters, in the order of rows and columns
+    """
     root = np.zeros((len(names), len(names)))
     for block in known.covariance:
         own = block.only(names)
@@ -241,15 +275,19 @@ def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
     return root
 
 
-def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
-    """How much E^2 may differ between the poses, half an even width [m^2], by the covariance of the robot file."""
+def _interpolation_uncertainty(robot: Robot, sets: Sequence[Measurements]) -> float:
+    """Return the standard uncertainty of E^2 between the poses [m^2], zero without a covariance.
+
+    The robot file's covariance gives the variance at new poses between the measured ones; its
+    difference from that at the measured ones is the half-width of a rectangular distribution.
+    """
     if robot.knowledge is None or not (blocks := robot.knowledge.covariance):
         return 0.0
     names = tuple(n for b in blocks for n in b.names if robot.parameters[n].group != "base")
     factor = covariance_root(robot.knowledge, names)
     q = np.concatenate([m.q for m in sets])
     rng = np.random.default_rng(0)
-    # E is interpolated between each of 300 poses and one of its five nearest.
+    # New poses are drawn between each of 300 poses and one of its five nearest neighbours.
     some = q[rng.permutation(len(q))[:300]]
     far = np.stack([np.linalg.norm(q - one, axis=1) for one in some])
     near = np.argsort(far, axis=1)[np.arange(len(some)), rng.integers(1, 6, len(some))]
@@ -257,6 +295,7 @@ def _beyond(robot: Robot, sets: Sequence[Measurements]) -> float:
     scale = np.array([robot.parameters[n].scale for n in names])[:, None]
 
     def mean_square(some: Measurements) -> float:
+        """Return the mean variance of position over these poses [m^2]."""
         J = 1e-3 * evaluated(robot, [some], names)[1]
         J = J[np.isfinite(J).all(axis=(1, 2))]
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))

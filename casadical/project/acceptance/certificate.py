@@ -1,6 +1,6 @@
-"""Certificate data of a calibration: what was measured, how, with which uncertainty, and what follows for a tolerance.
+"""Calibration certificate data: what was measured, how, with which uncertainty, and the decision.
 
-It is data for a certificate, in the form that an auditor asks for. It never says that a laboratory is accredited.
+They have the form that an auditor asks for, and never state that a laboratory is accredited.
 """
 
 import tomllib
@@ -36,13 +36,14 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
+# Uncertainties in um/m, as a share.
 PER_MILLION = 1e-6
 Text = Annotated[str, Field(max_length=300)]
 Positive = Annotated[float, Field(ge=0.0, le=1e6)]
 
 
 class InstrumentTable(TomlTable):
-    """[instrument] of certificate.toml."""
+    """[instrument] of certificate.toml: the measuring instrument and its noise and scale."""
 
     name: Text = ""
     serial: Text = ""
@@ -53,7 +54,7 @@ class InstrumentTable(TomlTable):
 
 
 class ConditionsTable(TomlTable):
-    """[conditions]: temperature while measuring, and by how much it may differ where the result is used."""
+    """[conditions] of certificate.toml: temperature while measuring, and its range in use."""
 
     place: Text = ""
     temperature_degC: Annotated[float | None, Field(ge=-273.15, le=1e4)] = None
@@ -63,13 +64,13 @@ class ConditionsTable(TomlTable):
 
 
 class DecisionTable(TomlTable):
-    """[decision]: the tolerance of the rms position error."""
+    """[decision] of certificate.toml: the tolerance of the rms position error."""
 
     tolerance: Annotated[float | None, LENGTH] = None
 
 
 class Details(TomlTable):
-    """What certificate.toml holds."""
+    """The contents of certificate.toml."""
 
     casadical: Annotated[Literal[1], WHOLE]
     language: Literal["en", "de"] = "en"
@@ -87,7 +88,11 @@ class Details(TomlTable):
 
     @property
     def known(self) -> Conditions:
-        """What the budget needs of it, SI; a range is that of an even distribution. Raises InputError: zero or less."""
+        """Return the stated uncertainties for the budget [SI].
+
+        The temperature range is the half-width of a rectangular distribution. Raises InputError for
+        a value of zero or less.
+        """
         c, i = self.conditions, self.instrument
         for name, value in (("instrument.noise", i.noise), ("conditions.repeatability", c.repeatability),
                             ("decision.tolerance", self.decision.tolerance)):  # fmt: skip
@@ -101,15 +106,16 @@ class Details(TomlTable):
 class Certificate(Acceptance):
     """Certificate data of a robot's calibration.
 
-    problem : whose results they are
-    method : by which the robot was calibrated
+    problem : calibrated problem
+    method : method by which the robot was calibrated
     details : what the operator stated
-    before : of the nominal robot, base and tool placed
-    after : of the calibrated robot
-    places : shape (n, 3) [m]: of the held-out poses, in the robot's base frame
-    files : from which it was made
-    iso9283 : of a test by the standard
-    refit : poses to which the robot file was fitted once it was judged; 0: it is the one that was judged
+    before : budget of the nominal robot, base and tool placed
+    after : budget of the calibrated robot
+    places : held-out positions in the robot's base frame, shape (n, 3) [m]
+    files : files from which it was made
+    iso9283 : figures of a test by ISO 9283, None without one
+    refit : number of poses to which the robot file was fitted once it was judged; 0: the file's
+        robot is the one that was judged
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -134,11 +140,15 @@ class Certificate(Acceptance):
 
     @property
     def accepted(self) -> bool | None:
+        """Return whether the tolerance is kept; None where that is open or there is none."""
         return {"conforms": True, "fails": False}.get(self.decision)
 
     @property
     def decision(self) -> Literal["", "conforms", "open", "fails"]:
-        """By the guarded tolerance: E + U within it, E - U beyond it, or neither; "" without a tolerance."""
+        """Return the decision with guard band: conforms, fails or open; "" without a tolerance.
+
+        The robot conforms where E + U is within the tolerance, and fails where E - U is beyond it.
+        """
         tolerance, after = self.details.decision.tolerance, self.after
         if tolerance is None:
             return ""
@@ -148,7 +158,7 @@ class Certificate(Acceptance):
 
     @property
     def missing(self) -> list[str]:
-        """Statements that are not there, by key of the words about them."""
+        """Return the keys of the statements that are missing, as of `no_KEY` in the words."""
         d = self.details
         known = {line.source: line.stated for line in self.after.lines}
         given = {
@@ -159,7 +169,7 @@ class Certificate(Acceptance):
         return [key for key, value in given.items() if not value]
 
     def pages(self) -> list[Page]:
-        """Two pages of paper."""
+        """Return the two pages of the certificate."""
         w, d = words_of(self.details.language), self.details
         badge = (w["data"], f"casadical, {w['number']} {d.number or '-'}")
         first = (
@@ -187,7 +197,7 @@ class Certificate(Acceptance):
                 Page("Certificate", w["second"], w["about"], second, badges=badge)]  # fmt: skip
 
     def pdf(self) -> bytes:
-        """The file of two pages. Raises InputError."""
+        """Return the PDF file of the two pages. Raises InputError for an invalid date of issue."""
         day = None
         if self.details.issued:
             try:
@@ -204,6 +214,7 @@ class Certificate(Acceptance):
         return [*self._refit(w), *self._decided(w), self.budget_table(w), *missing]
 
     def _fields(self, w: Mapping[str, str]) -> Table:
+        """Return the table of who, what, where and with which instrument."""
         d, c, i = self.details, self.details.conditions, self.details.instrument
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
         made_by = f"casadical {dict(provenance_of(()).versions).get('casadical', '')}"
@@ -223,14 +234,17 @@ class Certificate(Acceptance):
         return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
 
     def _results(self, w: Mapping[str, str]) -> Table:
+        """Return the table of errors before and after."""
         both = (("before", self.before), ("after", self.after))
         rows = [(w[name], b.stated, mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
         return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
 
     def _refit(self, w: Mapping[str, str]) -> list[Words]:
+        """Return a note on the later fit to all poses, if there was one."""
         return [Words(w["refit"].format(n=self.refit))] if self.refit else []
 
     def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
+        """Return the decision and its rule, or that there is no tolerance."""
         if not self.decision:
             return [Words(w["no_decision"])]
         tolerance = mm(self.details.decision.tolerance or 0.0)
@@ -238,7 +252,10 @@ class Certificate(Acceptance):
         return [Words(w[self.decision].format(**given), "verdict"), Words(w["rule"].format(**given))]
 
     def budget_table(self, w: Mapping[str, str]) -> Table:
-        """A row a source: what it adds to E^2, its standard uncertainty there, and its share in u(E)."""
+        """Return the uncertainty budget, one row for each source.
+
+        A row has the contribution to E^2, its standard uncertainty, and its share in u(E).
+        """
         after = self.after
         rows = [(w["mean_square"], "", f"{1e6 * after.rms**2:.4g}", "", "", "")]
         rows += [
@@ -258,13 +275,17 @@ class Certificate(Acceptance):
         return Table("", head, rows, frozenset({2, 3, 4, 5}), frozenset({len(rows) - 1}))
 
     def _picture(self, w: Mapping[str, str], k: int) -> Figure:
-        """Held-out poses from the side, or from above where they are flat, coloured by the error."""
+        """Return a figure of the held-out poses, coloured by their error.
+
+        They are seen from the side, or from above where their heights are equal; k : 0 before, 1
+        after
+        """
         e, most = (self.before, self.after)[k].errors, (1.0, 2.0, 3.0)
         rms = float(np.sqrt(np.mean(e**2)))
         roles = ("sky", "blue", "orange", "red")
         colour = [roles[int(np.searchsorted(most, v / rms))] for v in e]
         x, y, z = self.places.T
-        # Poses whose heights differ by a smaller share of their extent are shown from above.
+        # Poses whose heights differ by less than this share of their extent are shown from above.
         flat = np.ptp(z) < 0.02 * np.ptp(self.places)
         r, up = (x, y) if flat else (np.hypot(x, y), z)
         order = np.argsort(e)
@@ -284,6 +305,7 @@ def words_of(language: Literal["en", "de"]) -> Mapping[str, str]:
 
 
 def _many(freedom: float) -> str:
+    """Return degrees of freedom as a text."""
     return f"{freedom:.0f}" if freedom < 1000 else "> 1000"
 
 
@@ -294,14 +316,14 @@ def certificate(
     problem: str | Path | None = None,
     iso9283: str | Path | None = None,
 ) -> Certificate:
-    """Certificate data of a calibration's results.
+    """Return certificate data of a calibration's results.
 
     results : folder as `casadical calibrate --out` writes it, or the robot file in it
     details : certificate.toml; None: nothing is stated
     problem : folder that was calibrated; None: as result.json names it, beside the results or here
     iso9283 : table of a test, as `casadical plan --iso9283` plans it
-    Raises InputError: results and measurements that do not belong together, no held-out positions, details that cannot
-        be.
+    Raises InputError: results and measurements that do not belong together, no held-out positions,
+        details that cannot be.
     """
     place = result_in(Path(results))
     said = Details(casadical=1) if details is None else check(Details, load_toml(details), str(details))
@@ -314,7 +336,7 @@ def certificate(
     if not sets:
         raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
     refit = int(stated.get("refit_poses", 0))
-    if refit:  # the file's robot has seen the held-out poses: that of the others is judged, as it was then
+    if refit:  # the file's robot has seen the held-out poses: the one before the refit is judged
         robot = with_knowledge(calibrate(replace(calibrated, whole=()), method=method).identification)
     _refuse_others(stated, method, robot, sets, place)
     for m in sets:
@@ -334,11 +356,14 @@ def certificate(
 def _refuse_others(
     stated: Mapping[str, Any], method: str, robot: Robot, sets: Sequence[Measurements], place: Path
 ) -> None:
-    """Raises InputError where the measurements do not give the figures of the results: another seed, another table."""
+    """Raises InputError where the measurements do not give the figures of the results.
+
+    They were then split by another seed, or are of another table.
+    """
     report = dict(stated.get("methods", {}).get(method, {}).get("sets", {})).get("report", {})
     n, mean = report.get("n"), report.get("mean_mm")
     own = np.concatenate([errors(robot, m) for m in sets])
-    # Figures of the results and of the measurements agree so well, if both are of one calibration.
+    # The mean errors of results and measurements of the same calibration agree to rounding.
     if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > 1e-3 * mean + 1e-5):
         given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
         raise InputError(

@@ -1,8 +1,9 @@
-"""Tests by ISO 9283:1998: the poses of the standard's cube, and what a table that was measured at them says.
+"""Tests by ISO 9283:1998: planned poses in the standard's cube, and evaluation of measured tables.
 
-The table has a row a visit: `test` (accuracy, directions or drift), `pose` (1 to 5), `cycle`, of directions `path` (1
-to 3), of drift `group` (0 at the start), the command cx_mm, cy_mm, cz_mm in the robot's base frame and the measured
-x_mm, y_mm, z_mm. Formulas, with a bar for the mean over a pose's n visits and c for the command (sections 7.2, 7.3):
+The table has one row for each visit: `test` (accuracy, directions or drift), `pose` (1 to 5),
+`cycle`, for directions `path` (1 to 3), for drift `group` (0 at the start), the command cx_mm,
+cy_mm, cz_mm in the robot's base frame and the measured x_mm, y_mm, z_mm in the measuring frame.
+Formulas, with a bar for the mean over a pose's n visits and c for the command (sections 7.2, 7.3):
 
     AP = |p_bar - p_c|                        accuracy of a pose
     RP = l_bar + 3 S_l, l_j = |p_j - p_bar|   repeatability, S_l with n - 1
@@ -32,13 +33,19 @@ from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
+# Visits of each pose in the accuracy test of the standard.
 CYCLES = 30
 TESTS = ("accuracy", "directions", "drift")
-FEWEST = 2
+# RP needs a standard deviation, so at least two visits.
+MIN_VISITS = 2
 
 
 def poses_in(centre: Array, side: float) -> Array:
-    """P1 to P5 on the plane C1-C2-C7-C8 of a cube, shape (5, 3) [m]; P1 is the centre of the cube."""
+    """Return P1 to P5 on the plane C1-C2-C7-C8 of a cube, shape (5, 3) [m]; P1 is its centre.
+
+    centre : of the cube, shape (3,) [m], in the frame of its edges
+    side : of the cube [m]
+    """
     # P2 to P5 lie on the cube's diagonals, 10 % from their ends (section 6.8).
     h = side / 2 * (1 - 2 * 0.1)
     return np.asarray(centre + h * np.array([[0, 0, 0], [-1, -1, -1], [-1, 1, -1], [1, 1, 1], [1, -1, 1]]))
@@ -47,9 +54,10 @@ def poses_in(centre: Array, side: float) -> Array:
 def planned_test(
     robot: Robot, side: float | None = None, workspace: Workspace | None = None, seed: int = 0
 ) -> tuple[pd.DataFrame, Array, float]:
-    """The table of a test, without what is measured; the cube's centre in the base frame [m], and its side [m].
+    """Return the table of a test to measure, the cube's centre in the base frame, and its side [m].
 
-    side : of the cube [m]; None: the largest of the standard that the robot holds
+    side : side of the cube [m]; None: the largest of the standard that the robot reaches
+    workspace : where poses may lie; None: everywhere
     Raises InputError: no cube is within reach.
     """
     room, rng = workspace or Workspace(), np.random.default_rng(seed)
@@ -58,25 +66,29 @@ def planned_test(
     R, origin = robot.base.T[:3, :3], robot.base.T[:3, 3]
     farthest = float(np.linalg.norm(inside - origin, axis=1).max())
     order = np.argsort(np.linalg.norm(inside - np.median(inside, axis=0), axis=1))
-    # Sides of the standard's cubes [m].
+    # Sides of the standard's cubes [m], the largest first.
     for size in (side,) if side else (1.0, 0.63, 0.4, 0.25):
-        # Every twentieth of the most central places is tried as the centre, twelve of them.
+        # Twelve centres are tried, spread over the most central half of the reachable places.
         for middle in inside[order[:240:20]]:
             local = (middle - origin) @ R
             places = poses_in(local, size) @ R.T + origin
             if np.linalg.norm(places - origin, axis=1).max() > 1.05 * farthest:
                 continue
-            # From twenty readings that hold P1 the other poses are reached.
+            # The other poses are reached from twenty readings with the tool at P1.
             q, _ = held_in(robot, places[:1], 20, room, rng)
             held = _one_orientation(robot, q, places, room) if len(q) else None
             if held is not None:
-                return _table(robot, held, poses_in(local, size)), local, size
+                return _test_table(robot, held, poses_in(local, size)), local, size
     wanted = "of the standard" if side is None else f"of {1e3 * side:.0f} mm"
     raise InputError(f"{robot.name}: no cube {wanted} is within its reach in one orientation; give --cube-mm or --room")
 
 
 def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
-    """Readings, (5, joints), at the places in the orientation of the first, which q, (k, joints), holds; or None."""
+    """Return readings at the places in one orientation, shape (5, joints); None without any.
+
+    q : readings at the first place, shape (k, joints) [rad or m]; one of them gives the orientation
+    places : in the measuring frame, shape (5, 3) [m]
+    """
     R = predicted(robot, unmeasured(q))[1]
     rows, limits = 6 if robot.n >= 6 else 3, room.ranges(robot)
     held, good = [q], np.ones(len(q), dtype=bool)
@@ -101,7 +113,7 @@ def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> 
 
 
 def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float) -> list[Words]:
-    """What the operator must know of a planned test."""
+    """Return what the operator must know of a planned test."""
     x, y, z = (f"{1e3 * v:.0f}" for v in centre)
     return [
         Words(
@@ -119,8 +131,14 @@ def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float)
     ]
 
 
-def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
-    """Every visit in the order of the standard: P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h."""
+def _test_table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
+    """Return every visit in the order of the standard, with nothing measured.
+
+    P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h.
+
+    q : readings of the poses, shape (5, joints) [rad or m]
+    command : positions in the base frame, shape (5, 3) [m]
+    """
     rows: list[tuple[str, int, int, int, int]] = []
     rows += [("accuracy", p, c, 0, 0) for c in range(1, CYCLES + 1) for p in (5, 4, 3, 2, 1)]
     rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, CYCLES + 1) for h in (1, 2, 3)]
@@ -139,7 +157,14 @@ def _table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class PoseFigures:
-    """Of one pose and n visits [m]: accuracy AP with its parts, shape (3,), repeatability RP."""
+    """The figures of one pose.
+
+    pose : 1 to 5
+    n : number of visits
+    AP : accuracy [m]
+    parts : its components in the base frame, shape (3,) [m]
+    RP : repeatability [m]
+    """
 
     pose: int = field(metadata=WRITTEN)
     n: int = field(metadata=WRITTEN)
@@ -149,9 +174,13 @@ class PoseFigures:
 
 
 def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
-    """AP and RP of visits p, shape (n, 3) [m], to a command, shape (3,) [m]. Raises InputError: a single visit."""
-    if len(p) < FEWEST:
-        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {FEWEST} or more, the standard {CYCLES}")
+    """Return AP and RP of one pose. Raises InputError for a single visit.
+
+    p : measured positions, shape (n, 3) [m]
+    command : shape (3,) [m], in the same frame
+    """
+    if len(p) < MIN_VISITS:
+        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {MIN_VISITS} or more, the standard {CYCLES}")
     mean = p.mean(axis=0)
     length = np.linalg.norm(p - mean, axis=1)
     off = mean - command
@@ -162,10 +191,15 @@ def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
 
 @dataclass(frozen=True, eq=False)
 class Iso9283(Acceptance):
-    """What a table says by the standard, beside what the calibration says of the same visits; lengths in m.
+    """The figures of a test table by the standard, and those of the calibration at the same visits.
 
-    accuracy : of each pose; directions : vAP by pose; drift : dAP and dRP; model : rms error of the calibrated model
-    at the mean places; promised : rms that the calibration states
+    robot : name of the robot
+    accuracy : AP and RP of each pose
+    directions : vAP by pose [m]
+    drift : dAP and dRP [m], None where drift was not tested
+    model : rms error of the calibrated model at the mean positions [m], None without joint readings
+    promised : rms error that the calibration states [m], None without one
+    notes : doubts about the table, in words
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -184,7 +218,7 @@ class Iso9283(Acceptance):
 
     @property
     def worst(self) -> tuple[float, float]:
-        """Greatest AP and RP [m]."""
+        """Return the greatest AP and the greatest RP [m]."""
         return max(f.AP for f in self.accuracy), max(f.RP for f in self.accuracy)
 
     @property
@@ -200,7 +234,7 @@ class Iso9283(Acceptance):
         """Return None: the standard states figures and no limit."""
 
     def table(self) -> Table:
-        """A row a pose."""
+        """Return a table of the figures, one row for each pose."""
         rows = [
             (f"P{f.pose}", str(f.n), mm(f.AP), *(f"{1e3 * v:+.4f}" for v in f.parts), mm(f.RP),
              mm(self.directions[f.pose]) if f.pose in self.directions else "-")
@@ -211,9 +245,11 @@ class Iso9283(Acceptance):
 
 
 def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> Iso9283:
-    """What a table of a test says. Raises InputError: a missing column, no finite number, a test without visits.
+    """Return the figures of a measured test table.
 
-    robot : calibrated, whose base frame is that of the commands; promised : rms of its calibration [m]
+    robot : calibrated robot, whose base frame is that of the commands
+    promised : rms error of its calibration [m]
+    Raises InputError: a missing column, no finite number, a test without visits.
     """
     columns = Columns.of_file(read_table(path))
     measured, command = columns.vector(""), columns.vector("c")
@@ -252,6 +288,7 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
 
 
 def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFigures, ...]:
+    """Return the figures of each pose over the visits that `own` selects."""
     return tuple(
         pose_figures(int(k), p[own & (pose == k)], command[own & (pose == k)].mean(axis=0))
         for k in np.unique(pose[own])
@@ -261,7 +298,10 @@ def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFig
 def _model_error(
     robot: Robot, columns: Columns, own: Array, measured: Array, accuracy: Sequence[PoseFigures]
 ) -> float | None:
-    """Rms distance of the mean places from the calibrated model's [m]; None where the table has no joint readings."""
+    """Return the rms error of the calibrated model at the mean positions of the poses [m].
+
+    Returns None where the table has no joint readings.
+    """
     if any(key not in columns.table for key in robot.reading_units):
         return None
     q = columns.joints([j.kind for j in robot.joints])[own]

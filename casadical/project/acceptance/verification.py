@@ -1,4 +1,4 @@
-"""Whether a calibrated robot still is as accurate as it was said to be, from a few poses measured later."""
+"""Verification by a few later poses: whether a calibrated robot is still as accurate as promised."""
 
 from __future__ import annotations
 
@@ -28,22 +28,31 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
+# The kind by which full poses are judged, too.
 POSITION = "position"
-# So many numbers must be left to judge by.
-SPARE = 6
+# The judgement needs at least this many degrees of freedom.
+MIN_FREEDOM = 6
 
 
 @dataclass(frozen=True)
 class Verification(Acceptance):
-    """What a check with later poses says.
+    """The result of a check of a calibrated robot with later poses.
 
-    promised : rms position error on held-out poses of the calibration [m]
-    found : now, base and tool fitted again, the fit's own share made up for [m]; limit : what it may be by chance [m]
-    n : poses; far : those far off; without : `found` without the far ones, where it is not valid with them
-    lost : rows in which a cell is no number; again : what was fitted again, in words
-    gone : labels of effects of the instrument, left out; notes : what was assumed of the tables
-    seen : error that these poses show to be too great in nine of ten cases [m]
+    robot : name of the robot
+    promised : rms error on the held-out poses of the calibration [m]
+    found : rms error now, base and tool fitted again, corrected for the degrees of freedom of that
+        fit [m]
+    limit : greatest `found` that is within chance [m]
+    n : number of poses
+    far : poses that are far off
+    without : `found` without the far ones, where the robot is not valid with them [m]
+    lost : file and row of each row in which a cell is no number
+    tables : names of the tables
+    again : what was fitted again, in words
+    gone : labels of effects of the instrument, which are left out
+    seen : error that these poses reveal as too great in nine of ten cases [m]
     sources : robot file and tables, as they were given
+    notes : assumptions about the tables, in words
 
     Examples
     --------
@@ -75,13 +84,14 @@ class Verification(Acceptance):
 
     @property
     def valid(self) -> bool:
-        """Whether the error still is what was promised."""
+        """Return whether the error is still as promised, within chance."""
         return self.found <= self.limit
 
     report: ClassVar[str] = "verification.j2"
 
     @property
     def accepted(self) -> bool:
+        """Return whether the error is still as promised, within chance."""
         return self.valid
 
     @property
@@ -91,7 +101,7 @@ class Verification(Acceptance):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now, where it is known of which files this is."""
+        """Return the command to run next, where the files of the check are known."""
         if not self.sources:
             return ()
         robot, *tables = self.sources
@@ -100,7 +110,7 @@ class Verification(Acceptance):
         if self.valid:
             return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv",
                               "--promised-mm", f"{1e3 * self.promised:.4g}"),)  # fmt: skip
-        # Of so large a share of the poses a few are far off; more are no bad rows.
+        # Poses far off are taken as bad rows only up to this share of all poses.
         few = len(self.far) <= max(1, 0.1 * self.n)
         if few and self.without is not None and self.without <= self.limit:
             return (next_step("when the rows that are far off are measured again", "verify", *self.sources),)
@@ -112,11 +122,11 @@ def verify(
 ) -> Verification:
     """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
 
-    With `found` of c n - k degrees of freedom, c numbers a pose (3 of a position), k those of base, tool and unknown
-    points, its limit is the 99 % quantile of chi-squared. Base and tool may stand elsewhere
-    in each session. Effects of the instrument that was there are left out.
+    With c n - k degrees of freedom of `found`, c numbers a pose (3 of a position), k those of base,
+    tool and unknown points, the limit is the 99 % quantile of chi-squared. Base and tool may stand
+    elsewhere in each session. Effects of the instrument that was there are left out.
 
-    robot : file as `casadical calibrate --out` writes it, or that folder (the method that counts)
+    robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
     tables : measured poses, one table or several of one kind
     promised_mm : rms error [mm] of this kind; None: of the held-out poses, see `promised_rms`
     Raises InputError: too few poses, several kinds of measurement, or no promise is known.
@@ -137,21 +147,22 @@ def verify(
     promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
     arm, named, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in named])
-    placing = _Placing.needed_by(prepared)
+    placing = _Refit.needed_by(prepared)
     placing.refuse_too_few(", ".join(map(str, given)))
     placed, k = prepared.robot, 0
     if placing.groups:
         fitted = calibrated(prepared, placing.groups)
-        placed, k = fitted.robot, len(fitted.names)  # contacts do not tell where the base is
+        # Only identifiable parameters count: contacts, for one, do not determine the base.
+        placed, k = fitted.robot, len(fitted.names)
     e = np.concatenate([errors(placed, m) for m in prepared.sets])
     at = [(m.source, int(row)) for m in prepared.sets for row in m.row]
     freedom = placing.freedom(len(e), k)
-    # A robot that keeps its promise is said to break it once in a hundred checks.
+    # A robot as accurate as promised fails one check in a hundred.
     found, limit = placing.scatter(e, k), promised * float(np.sqrt(chdtri(freedom, 0.01) / freedom))
-    # A pose with more than so many times the promised error is named.
+    # A pose with more than four times the promised error is named.
     far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > 4.0 * promised]
     without = None
-    if found > limit and placing.groups:  # a few gross errors draw base and tool, and so all others, towards themselves
+    if found > limit and placing.groups:  # a few gross errors bias base and tool, and so all errors
         robust = calibrated(prepared, placing.groups, loss="huber")
         if 0 < len(robust.outliers) <= len(e) // 3:
             kept = np.concatenate([errors(robust.robot, m) for m in robust.used])
@@ -175,15 +186,16 @@ def verify(
 
 
 def without_instrument(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    """The robot without effects of the instrument that measured it, and their labels."""
+    """Return the robot without the effects of the instrument, and the labels of these."""
     gone = tuple(e.label for e in robot.effects if e.from_kind)
     return robot.with_only(e for e in robot.effects if not e.from_kind) if gone else robot, gone
 
 
 def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
-    """What a table of a test by ISO 9283 says, beside what the calibration states.
+    """Return the figures of a test table by ISO 9283, and what the calibration states.
 
-    robot : as of `verify`; tables : one, as `casadical plan --iso9283` plans it
+    robot : as of `verify`
+    tables : a single one, as `casadical plan --iso9283` plans it
     Raises InputError: several tables, or what is wrong in the one.
     """
     if len(tables) != 1:
@@ -195,8 +207,17 @@ def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
 
 
 @dataclass(frozen=True)
-class _Placing:
-    """What is fitted again: `numbers` of these groups, `points` coordinates of unknown places; n : poses."""
+class _Refit:
+    """What is fitted again to the later poses.
+
+    groups : groups of parameters
+    numbers : number of their parameters
+    points : number of coordinates of unknown points
+    n : number of poses
+    lengths : lengths that are observed in each pose
+    base : whether the base is one of the groups
+    touched : whether unknown points are touched, and not anchors of distances
+    """
 
     groups: tuple[str, ...]
     numbers: int
@@ -207,10 +228,11 @@ class _Placing:
     touched: bool
 
     @classmethod
-    def needed_by(cls, prepared: Prepared) -> _Placing:
+    def needed_by(cls, prepared: Prepared) -> _Refit:
+        """Return what must be fitted again for these measurements."""
         robot, sets = prepared.robot, prepared.sets
         kind = find_kind(sets[0].kind)
-        # Readings to unknown places alone do not tell where the base is.
+        # Readings of unknown places alone do not determine the base.
         base = any(kind.at_rest(m.arrays) for m in sets)
         wanted = (*(["base"] if base else []), "tool", *prepared.free)
         groups = tuple(g for g in wanted if g in robot.parameters.groups)
@@ -219,39 +241,44 @@ class _Placing:
         return cls(groups, numbers, points, sum(map(len, sets)), kind.lengths, base, kind.name != "distance")
 
     def refuse_too_few(self, tables: str) -> None:
-        """Raises InputError where fewer than six numbers are left to judge by."""
-        if self.freedom(self.n, self.numbers) >= SPARE:
+        """Raises InputError where fewer than six degrees of freedom are left."""
+        if self.freedom(self.n, self.numbers) >= MIN_FREEDOM:
             return
         have = f"base and tool have {self.numbers} numbers" if self.base else f"the tool has {self.numbers} numbers"
-        needed = -(-(self.numbers + self.points + SPARE) // self.lengths)
+        needed = -(-(self.numbers + self.points + MIN_FREEDOM) // self.lengths)
         points = f", the points {self.points}" if self.points else ""
         raise InputError(f"{tables}: {self.n} poses; {have}{points}: measure {needed} or more")
 
     def freedom(self, n: int, k: int) -> int:
-        """Numbers of n poses that k fitted parameters, and the points, leave."""
+        """Return the degrees of freedom of n poses after a fit of k parameters and the points."""
         return self.lengths * n - self.points - k
 
     def scatter(self, e: Array, k: int) -> float:
-        """Rms [m] of errors, shape (n,), after a fit of k parameters; the fit's own share is made up for."""
-        # Touched points, which are many for few poses, lower the promised error alike; far ends of distances hardly do.
+        """Return the rms [m] of errors, shape (n,), corrected for the fit of k parameters."""
+        # Touched points, many for few poses, lower the promised error in the same way; anchors of
+        # distances hardly do.
         made_up = k if self.touched else self.points + k
         freedom = self.freedom(len(e), k)
         return float(np.sqrt(np.mean(e**2) * (freedom + made_up) / freedom))
 
     @property
     def again(self) -> str:
-        """What was fitted again, as the beginning of a sentence."""
+        """Return what was fitted again, as the beginning of a sentence."""
         if self.base:
             return "Base and tool were"
         return "The tool was" if not self.points else "The tool and the unknown places were"
 
 
 def promised_rms(robot: Path, kind: str = POSITION) -> float:
-    """Rms error of held-out poses [m] that the file beside METHOD.robot.toml or diagnosed.robot.toml states.
+    """Return the rms error of held-out poses [m] that the results beside a robot file state.
 
-    kind : of measurement; full poses are judged by their positions Of result.json it is that of the report set, without
-        poses that were far off; diagnosis.json and discovery.json state a mean, which is taken for that of normally
-        distributed errors. Raises InputError.
+    Of METHOD.robot.toml it is that of the report set in result.json, without poses that were far
+    off. Of diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state
+    a mean, which is converted as that of normally distributed errors.
+
+    robot : robot file in the folder of results
+    kind : kind of measurement; full poses are judged by their positions
+    Raises InputError.
     """
     for name, stated in (("diagnosed", "diagnosis"), ("discovered", "discovery")):
         if robot.name == f"{name}.robot.toml":
@@ -261,7 +288,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
                 mean = gap["gap_mm"][gap.get("kept", "after")]
             if mean is not None:
                 remedy = "; diagnose again, or give the promised rms error with --promised-mm"
-                # Of the length of a normally distributed error in three coordinates.
+                # The ratio of rms to mean length of a normally distributed error in three axes.
                 return float(np.sqrt(3 * np.pi / 8)) * _in_metres(mean, f"{path}: gap_mm", remedy)
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
@@ -286,14 +313,17 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
 
 
 def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
-    """An rms error that is stated [mm], in m. Raises InputError for what is no number above 0."""
+    """Return a stated rms error [mm] in m. Raises InputError for what is no number above 0."""
     if not isinstance(stated, int | float) or isinstance(stated, bool) or stated <= 0 or number_fault(stated):
         raise InputError(f"{place} is {shown(repr(stated))}; allowed: a number above 0{remedy}")
     return 1e-3 * float(stated)
 
 
 def problem_of(robot: Path) -> Path | None:
-    """The problem folder of a calibration, beside its results or here: its poses tell more than its robot file."""
+    """Return the problem folder of a calibration, beside its results or here; None without one.
+
+    robot : robot file in the folder of results
+    """
     results = robot.parent
     with suppress(OSError, ValueError, KeyError, TypeError):
         name = str(load_json(results / "result.json")["problem"])
