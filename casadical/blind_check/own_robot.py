@@ -25,7 +25,7 @@ from casadical.blind_check.protocol import Answer
 from casadical.blind_check.recording import COLUMNS, Plan, Subject, draw_plans
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
-from casadical.core.parts import with_estimated_masses, without_masses
+from casadical.core.parts import lacks_masses, with_estimated_masses
 from casadical.core.telling.blocks import Block, Table, Words
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
@@ -63,7 +63,7 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
         base_turn=robot.base.unknown == "pose" or robot.joints[0].beta is not None,
         reflector=robot.tool.unknown != "none",
     )
-    weighed = with_estimated_masses(robot) if without_masses(robot) else robot
+    weighed = with_estimated_masses(robot) if lacks_masses(robot) else robot
     if weighed.masses == "estimated":
         building = replace(building, mass_spread=MASS_SPREAD)
         assumed.append(f"masses of the links are estimates from the reach, each off by some {MASS_SPREAD:.0%}")

@@ -22,7 +22,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from casadical.core.basics import MOST_FAULTS, FaultsError, Show, shown, visible
+from casadical.core.basics import MAX_FAULTS_SHOWN, FaultsError, Show, shown, visible
 from casadical.core.files import json_text, write_together
 from casadical.core.telling.blocks import Block, Page, Table, next_step
 from casadical.core.telling.result import terminal
@@ -38,13 +38,13 @@ def refusal(error: object) -> None:
         rows = [
             (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
              f.allowed or f.wrong, f.remedy)
-            for f in error.faults[:MOST_FAULTS]
+            for f in error.faults[:MAX_FAULTS_SHOWN]
         ]  # fmt: skip
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else WIDE
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
-        left = max(0, MOST_FAULTS - len(error.faults))
+        left = max(0, MAX_FAULTS_SHOWN - len(error.faults))
         more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
         lines = [line for text in error.others[:left] for line in text.splitlines()]
         lines += [f"and {more} more"] if more else []

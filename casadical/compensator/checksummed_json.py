@@ -11,7 +11,7 @@ from typing import Any
 
 from casadical.core.basics import InputError
 from casadical.core.files import json_text, write_whole
-from casadical.core.reading import MOST_JSON, json_of, read_text
+from casadical.core.reading import MAX_JSON_BYTES, json_of, read_text
 
 
 def digest(body: dict[str, Any]) -> str:
@@ -37,7 +37,7 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
     try:
-        text = read_text(Path(path), MOST_JSON)
+        text = read_text(Path(path), MAX_JSON_BYTES)
         document = json_of(text, str(path), object)
     except InputError as error:
         raise InputError(f"{path} is truncated or not JSON ({error}); take an undamaged copy") from None

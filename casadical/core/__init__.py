@@ -1,1 +1,4 @@
-"""What every room may use: errors, frames, files, parameters, parts of a robot as plain data. It imports no room."""
+"""What every package may use: errors, frames, files, parameters, a robot's structure as plain data.
+
+It imports none of the other packages.
+"""

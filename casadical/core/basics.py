@@ -1,6 +1,7 @@
-"""What nearly every module needs: the one name for arrays, the errors, and how long work says where it stands.
+"""What nearly every module needs: the array type, the errors, and the callback that reports
+progress.
 
-Each message of an error says what is wrong, the value, what is allowed, and what to do.
+An error message says what is wrong, the value, what is allowed, and what to do.
 """
 
 import importlib
@@ -10,23 +11,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-if TYPE_CHECKING:  # numpy is not loaded for a name in annotations
+if TYPE_CHECKING:  # numpy is not loaded for an annotation
     from numpy.typing import NDArray
 
     Array: TypeAlias = NDArray[Any]
 else:
     Array = Any
 
-# How long work says where it stands: a function that is called with a line.
+# Progress callback of long computations: it is called with a line of text.
 Show = Callable[[str], None]
 
 
 def silent(_text: str) -> None:
-    """Shows nothing."""
+    """Ignore a line of progress."""
 
 
-# Faults of one file that a message tells.
-MOST_FAULTS = 50
+# Number of faults of one file that an error message lists.
+MAX_FAULTS_SHOWN = 50
 
 
 class CasadicalError(Exception):
@@ -54,10 +55,11 @@ class InputError(CasadicalError, ValueError):
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a column of a table.
+    """A fault in a column of a table.
 
-    source : file; rows : its lines, none where a column is missing; value : the first one, or the worst
-    wrong : what it is; allowed : in its place
+    source : file; rows : its faulty rows, empty where the column is missing
+    column : name of the column; value : the first faulty value, or the worst
+    wrong : what is wrong with it; allowed : what would be right; remedy : what to do
     """
 
     source: str
@@ -69,7 +71,7 @@ class Fault:
     remedy: str
 
     def within(self, other: "Fault") -> bool:
-        """Whether another one says the same of more rows."""
+        """Return whether another fault is the same in more rows."""
         same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
         return same and {*self.rows} < {*other.rows}
 
@@ -82,15 +84,15 @@ class Fault:
 
 
 class FaultsError(InputError):
-    """All faults of files that were found at once.
+    """Several faults of files, raised together.
 
-    faults : of tables; others : in words, what else is wrong, each of one file
+    faults : faults of tables; others : other faults, as text
     """
 
     def __init__(self, faults: Sequence[Fault], others: Sequence[str] = ()) -> None:
         texts = [*map(str, faults), *others]
-        more = [f"and {len(texts) - MOST_FAULTS} more"] if len(texts) > MOST_FAULTS else []
-        super().__init__("\n".join([*texts[:MOST_FAULTS], *more]))
+        more = [f"and {len(texts) - MAX_FAULTS_SHOWN} more"] if len(texts) > MAX_FAULTS_SHOWN else []
+        super().__init__("\n".join([*texts[:MAX_FAULTS_SHOWN], *more]))
         self.faults, self.others = tuple(faults), tuple(others)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -98,7 +100,9 @@ class FaultsError(InputError):
 
     @staticmethod
     def joined(errors: Iterable[InputError]) -> InputError:
-        """Several errors as one, each fault once; of the same in fewer rows of the same column, that of most rows."""
+        """Return errors as one, without duplicates; of the same fault in a column, the most
+        rows.
+        """
         every = list(errors)
         faults = list(dict.fromkeys(f for e in every if isinstance(e, FaultsError) for f in e.faults))
         files = list(dict.fromkeys(f.source for f in faults))
@@ -109,7 +113,7 @@ class FaultsError(InputError):
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:
-    """Takes several steps; their errors are raised together. Raises InputError."""
+    """Run several steps and raise their errors together. Raises InputError."""
     errors: list[InputError] = []
     for step in steps:
         try:
@@ -122,7 +126,10 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
 
 @contextmanager
 def errors_of(place: str) -> Iterator[None]:
-    """Raises InputError with a place, "file: " or "key.", in front of what the block raises as such."""
+    """Prefix the message of every InputError of the block with a place, "file: " or "key.".
+
+    Raises InputError.
+    """
     try:
         yield
     except InputError as error:
@@ -140,7 +147,10 @@ class ConvergenceError(CasadicalError, RuntimeError):
 
 
 def optional(module: str, otherwise: str) -> Any:
-    """A module that an extra installs. Raises InputError, with this message, where it is not installed."""
+    """Return a module that an extra installs.
+
+    Raises InputError, with the message `otherwise`, where it is not installed.
+    """
     try:
         return importlib.import_module(module)
     except ImportError:
@@ -148,11 +158,13 @@ def optional(module: str, otherwise: str) -> Any:
 
 
 def visible(text: str) -> str:
-    """Lines as a terminal may get them: control characters of what was read escaped."""
+    """Return text that is safe for a terminal: control characters but line feeds and tabs
+    escaped.
+    """
     return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", lambda found: repr(found[0])[1:-1], text)
 
 
 def shown(value: object) -> str:
-    """A name or path as a message shows it: control characters escaped, and cut where it is very long."""
+    """Return a name or path for a message: control characters escaped, at most 300 characters."""
     text = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(value))
     return text if len(text) <= 300 else f"{text[:297]}..."

@@ -1,4 +1,4 @@
-"""The user's own folder for what is kept between runs: nobody else may have written what is loaded from there."""
+"""The user's private cache folder; code and data loaded from it must not be writable by others."""
 
 import os
 import re
@@ -11,8 +11,8 @@ import platformdirs
 def private_folder(name: str = "") -> Path | None:
     """Return the cache folder (CASADICAL_CACHE, else the user's), or one in it; made with mode 0700.
 
-    If others could write to it, they no longer can, and what was kept is removed. None where it cannot
-    be made, is a link, or belongs to another user.
+    If others could write to it, their permission and the cached files are removed. None where it
+    cannot be made, is a link, or belongs to another user.
     """
     try:
         given = os.environ.get("CASADICAL_CACHE")

@@ -1,8 +1,8 @@
-"""CasADi functions compiled with the machine's C compiler, where there is one; kept in the user's own cache.
+"""CasADi functions compiled by the machine's C compiler, if there is one, and cached for the user.
 
-A library is used only if its content has the hash in its name; it gets that name after it was loaded in a process of
-its own and gave there what CasADi gives. Where anything is in doubt, the library is made again, or the function is used
-as it is.
+A library is loaded only if its content has the hash in its name; it gets that name after a separate
+process has loaded it and its outputs have agreed with CasADi's. In every doubtful case the library
+is built again, or CasADi evaluates the function.
 """
 
 import ctypes
@@ -24,7 +24,7 @@ from casadical.core.cache_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 
-_HEAD = """\
+_C_PRELUDE = """\
 #include <math.h>
 
 typedef double real __attribute__((vector_size(16)));
@@ -45,10 +45,11 @@ static inline double if_else_zero(double a, double b) { return a != 0 ? b : 0; }
 
 
 def source(f: ca.Function) -> str | None:
-    """C of `void name(long long n, const double *const *in, double *const *out)`; None for operations it has not.
+    """Return the C source of a CasADi function for many points; None for unsupported operations.
 
-    f : dense SX function; its first input is that of a point, the others are shared by all. The n points, and the
-    outputs of each, lie behind one another.
+    Its signature is `void name(long long n, const double *const *in, double *const *out)`. The n
+    points, and the outputs of each, are contiguous.
+    f : dense SX function; its first input differs between points, the others are shared by all
     """
     lines = []
     for name, operands, results, constant in SxInstructions.read(f).instructions:
@@ -72,7 +73,7 @@ def source(f: ca.Function) -> str | None:
     inside = [f"const double *p0 = in[0] + i * {rows}, *p1 = p0 + more * {rows};", *outputs, *lines]
     return "\n".join(
         (
-            _HEAD,
+            _C_PRELUDE,
             f"void {f.name()}(long long n, const double *const *in, double *const *out)",
             "{",
             f"    real {', '.join(f'a{k}' for k in range(max(1, f.sz_w())))};",
@@ -88,14 +89,17 @@ def source(f: ca.Function) -> str | None:
 
 
 def _number(value: float) -> str:
+    """Return a number as a C literal, exact to the bit."""
     return value.hex() if math.isfinite(value) else "NAN" if math.isnan(value) else f"{'-' * (value < 0)}INFINITY"
 
 
-FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
-# An odd number, as the code goes through the points by twos.
+# Flags without fused multiply-add, so that the results are those of CasADi.
+COMPILER_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
+# Number of points of a trial; it is odd because the code computes points in pairs.
 TRIAL_POINTS = 3
-# Prints the outputs of a library's function at some points; run in a process of its own.
-_TRIAL = """
+# Python script that prints the outputs of a library's function at some points, run in a separate
+# process.
+_TRIAL_SCRIPT = """
 import ctypes, json, sys
 n, given, sizes = json.loads(sys.argv[3])
 ins, outs = [(ctypes.c_double * len(v))(*v) for v in given], [(ctypes.c_double * k)() for k in sizes]
@@ -106,7 +110,7 @@ print(json.dumps([[x.hex() for x in out] for out in outs]))
 
 
 class MachineCode:
-    """A function over any number of points, as compiled: its first input differs between them, others do not."""
+    """A compiled function of many points: its first input differs between points, others do not."""
 
     def __init__(self, function: ca.Function, library: Path) -> None:
         self._call = getattr(ctypes.CDLL(str(library)), function.name())
@@ -114,7 +118,10 @@ class MachineCode:
         self._outputs = [function.size_out(k) for k in range(function.n_out())]
 
     def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Outputs side by side, (rows, columns n) each; points : shape (a, n). Raises ValueError for other shapes."""
+        """Return the outputs of all points side by side, shape (rows, columns n) each.
+
+        points : shape (a, n). Raises ValueError for other shapes.
+        """
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
         if [g.size for g in given] != [n * self._inputs[0], *self._inputs[1:]]:
@@ -125,60 +132,62 @@ class MachineCode:
 
 
 def _pointers(arrays: Sequence[Array]) -> Any:
+    """Return a C array of pointers to the data of numpy arrays."""
     return (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays))
 
 
 def compiler() -> str | None:
-    """Path of the C compiler that is used: $CC, gcc, clang or cc; None where there is none."""
+    """Return the path of the C compiler: $CC, gcc, clang or cc; None where there is none."""
     names = filter(None, (os.environ.get("CC"), "gcc", "clang", "cc"))
     return next(filter(None, map(shutil.which, names)), None)
 
 
 def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
-    """A dense SX function over many points as machine code; None where there is no C compiler or no cache of one's own.
+    """Return a dense SX function as machine code; None without C compiler or private cache folder.
 
-    make : whether a library that is not there is made
-    The library's name holds the hash of source and flags, so that it is compiled once per machine and never stale, and
-    the hash of its own content.
+    make : whether a library that is not cached is built
+    The library's name contains the hash of source and flags, so that it is compiled once per
+    machine and never stale, and the hash of its own content.
     """
     cc, folder, code = compiler(), private_folder(), source(function)
     if cc is None or folder is None or code is None:
         return None
-    digest = hashlib.sha256("\n".join((code, cc, *FLAGS)).encode()).hexdigest()[:32]
+    digest = hashlib.sha256("\n".join((code, cc, *COMPILER_FLAGS)).encode()).hexdigest()[:32]
     stem = f"{function.name()}-{digest}"
-    library = _kept(folder, stem) or (_made(folder, stem, cc, code, function) if make else None)
+    library = _cached_library(folder, stem) or (_built_library(folder, stem, cc, code, function) if make else None)
     return None if library is None else MachineCode(function, library)
 
 
-def _kept(folder: Path, stem: str) -> Path | None:
-    """The library of a name, if its content is what it was; a damaged one is removed."""
+def _cached_library(folder: Path, stem: str) -> Path | None:
+    """Return the cached library of a name, or None; one whose content has changed is removed."""
     for library in sorted(folder.glob(f"{stem}-*.so")):
-        if library.name == _name(stem, library):
+        if library.name == _library_name(stem, library):
             return library
         library.unlink(missing_ok=True)
     return None
 
 
-def _name(stem: str, library: Path) -> str:
+def _library_name(stem: str, library: Path) -> str:
+    """Return the file name of a library, which contains the hash of its content."""
     return f"{stem}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so"
 
 
-def _made(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
-    """A new library, which appears whole or not at all; None where the compiler fails or it does not compute right."""
+def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
+    """Build a library and return its path; None where it fails to compile or computes wrongly."""
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".casadical-") as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"
             code.write_text(text, encoding="utf-8")
-            done = finished([cc, *FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)
-            if done is None or done.returncode or not made.is_file() or not _right(function, made):
+            done = finished([cc, *COMPILER_FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)
+            if done is None or done.returncode or not made.is_file() or not _computes_correctly(function, made):
                 return None
-            return made.replace(folder / _name(stem, made))
+            return made.replace(folder / _library_name(stem, made))
     except OSError:
         return None
 
 
-def _right(function: ca.Function, library: Path) -> bool:
-    """Whether a library, in a process of its own, computes what the function does."""
+def _computes_correctly(function: ca.Function, library: Path) -> bool:
+    """Return whether a library, run in a separate process, gives the outputs of the function."""
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])
     shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]
@@ -186,7 +195,7 @@ def _right(function: ca.Function, library: Path) -> bool:
     wanted = [out.full() for out in mapped.call([points, *shared])]
     given = [points.ravel(order="F").tolist(), *(s.tolist() for s in shared)]
     task = json.dumps([TRIAL_POINTS, given, [out.size for out in wanted]])
-    printed = tried(_TRIAL, str(library), function.name(), task)
+    printed = tried(_TRIAL_SCRIPT, str(library), function.name(), task)
     try:
         values = [np.array([float.fromhex(x) for x in out]) for out in json.loads(printed or "")]
         return len(values) == len(wanted) and all(

@@ -1,4 +1,6 @@
-"""What is known of a robot's drives: the table [drive] of a robot file. What is left out is unknown, and no default."""
+"""Properties of a robot's drives, the table [drive] of a robot file; an omitted value is
+unknown.
+"""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -8,16 +10,23 @@ from pydantic import ConfigDict, Discriminator, Field, Tag
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
-from casadical.core.schema import FORMS, FaultError, Quantity, TomlTable, check
+from casadical.core.schema import VALUE_FORMS, FaultError, Quantity, TomlTable, check
 
-Least = Annotated[float, Field(ge=0)]
-Above = Annotated[float, Field(gt=0)]
-_ALL, _EACH = Tag(FORMS[2]), (Field(min_length=1), Tag(FORMS[3]))
-_EITHER = Discriminator(lambda value: FORMS[2 + isinstance(value, list)])
-# One number for all joints, or one of each; above zero; of either sign.
-Each = Annotated[Annotated[Least, _ALL] | Annotated[list[Least], *_EACH], _EITHER] | None
-Positive = Annotated[Annotated[Above, _ALL] | Annotated[list[Above], *_EACH], _EITHER] | None
-EachSigned = Annotated[Annotated[float, _ALL] | Annotated[list[float], *_EACH], _EITHER] | None
+NonNegative = Annotated[float, Field(ge=0)]
+AboveZero = Annotated[float, Field(gt=0)]
+_ONE_NUMBER, _LIST_OF_NUMBERS = Tag(VALUE_FORMS[2]), (Field(min_length=1), Tag(VALUE_FORMS[3]))
+_NUMBER_OR_LIST = Discriminator(lambda value: VALUE_FORMS[2 + isinstance(value, list)])
+# One number for all joints or a list with one for each: zero or more; above zero; of either sign.
+Each = (
+    Annotated[Annotated[NonNegative, _ONE_NUMBER] | Annotated[list[NonNegative], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST]
+    | None
+)
+Positive = (
+    Annotated[Annotated[AboveZero, _ONE_NUMBER] | Annotated[list[AboveZero], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST] | None
+)
+EachSigned = (
+    Annotated[Annotated[float, _ONE_NUMBER] | Annotated[list[float], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST] | None
+)
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
@@ -32,18 +41,35 @@ _HEIGHT = Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)
 
 
 class Drive(TomlTable):
-    """Drives of all joints, in SI, on the joint's side unless said otherwise; a number holds for every joint.
+    """Drives of all joints in SI units; a single number holds for every joint, None is unknown.
 
-    kp, kd, ki : gains of the position servo; joint_stiffness : of the gear, between motor and joint
-    friction : dry, damping : of all that grows with speed, bias : a constant torque, all three at the joint
-    torque_limit : at the joint; current_limit : of the motor; speed_limit : of the joint
-    gear_ratio : turns of the motor a turn of the joint; torque_constant, rotor_inertia : on the motor's side
-    rotor_inertia_at_joint : times the ratio squared; encoder_quantum : as logged, at the joint
-    encoder_side : on which the logged position is measured
-    delay : from the logged command to the servo; command_filter : time constant; read_skew : from joint to joint
-    servo, command_logged, temperature : in words (before or after limits and interpolation, and so on)
-    floor : height of the tool's point on a surface below that it rests on, over the measuring frame's origin
-    log_angles, log_effort : unit of angles, and what stands in the field effort, where a log does not say it
+    Torques and inertias are those at the joint unless said otherwise; units are those of revolute
+    joints, with N, m and kg in place of N m, rad and kg m^2 for prismatic ones.
+    servo : description of the servo, as text
+    kp, kd, ki : gains of the position servo [N m/rad, N m s/rad, N m/(rad s)]
+    friction : dry friction torque [N m]
+    damping : viscous friction and all else that grows with speed [N m s/rad]
+    bias : constant torque [N m]
+    torque_limit : at the joint [N m]; current_limit : of the motor [A]
+    speed_limit : of the joint [rad/s]
+    gear_ratio : motor revolutions per revolution of the joint
+    torque_constant, rotor_inertia : on the motor's side [N m/A, kg m^2]
+    rotor_inertia_at_joint : rotor inertia times the gear ratio squared [kg m^2]
+    joint_stiffness : of the gear, between motor and joint [N m/rad]
+    encoder_side : the side of the gear on which the logged position is measured
+    encoder_quantum : resolution of the logged position, at the joint [rad]
+    current_quantum : resolution of the logged current [A]
+    command_logged : description of the logged command (before or after limits, interpolation and so
+        on)
+    delay : from the logged command to the servo [s]
+    command_filter : time constant of the filter of commands [s]
+    read_skew : time between the readings of one joint and the next [s]
+    floor : height of the tool point when the arm rests on the surface below, over the origin of the
+        measuring frame [m]
+    log_rate_Hz : sampling rate of logs [Hz]
+    log_angles, log_effort : unit of angles, and meaning of the field effort, where a log does not
+        say it
+    temperature : description of the temperatures, as text
     """
 
     model_config = ConfigDict(frozen=True)
@@ -77,35 +103,38 @@ class Drive(TomlTable):
     temperature: str = ""
 
     def of_joints(self, field: str, joints: int) -> Array | None:
-        """A field joint by joint, shape (joints,) [SI]; None where it is unknown."""
+        """Return a field joint by joint, shape (joints,) [SI]; None where it is unknown."""
         value = getattr(self, field)
         return None if value is None else np.broadcast_to(np.asarray(value, dtype=float), (joints,))
 
     def torque_per_ampere(self, joints: int) -> Array | None:
-        """Torque at the joint a motor current of 1 A, shape (joints,) [N m or N]; None without constant and ratio."""
+        """Return the joint torque per motor current, (joints,) [N m/A or N/A]; None if unknown."""
         ratio, constant = (self.of_joints(name, joints) for name in ("gear_ratio", "torque_constant"))
         return None if ratio is None or constant is None else ratio * constant
 
     def inertia_at_joint(self, joints: int) -> Array | None:
-        """Rotor inertia as the joint feels it, shape (joints,) [kg m^2 or kg]; None where it is unknown."""
+        """Return the rotor inertia at the joint, (joints,) [kg m^2 or kg]; None if unknown."""
         fields = ("rotor_inertia_at_joint", "gear_ratio", "rotor_inertia")
         stated, ratio, rotor = (self.of_joints(name, joints) for name in fields)
         return stated if stated is not None or ratio is None or rotor is None else ratio**2 * rotor
 
     def refuse_other(self, joints: int) -> None:
-        """Raises FaultError where a list has not one number for each joint."""
+        """Check that every list has one number for each joint. Raises FaultError."""
         for name, value in self:
             if isinstance(value, list) and len(value) != joints:
                 wanted = f"allowed: one, or one for each of {joints} joints"
                 raise FaultError(("drive", name), f"has {len(value)} numbers; {wanted}")
 
     def table(self) -> dict[str, object]:
-        """As a file has it: what is known, by keys with units."""
+        """Return the known values as the table of a file, with units in the keys."""
         return {key: value for (_, value), key in zip(self, self.keys(), strict=True) if value not in (None, "")}
 
 
 def read_drive(path: str | Path, joints: int) -> Drive:
-    """The table [drive] of a TOML file beside a log. Raises InputError: no such table, or what is wrong in it."""
+    """Return the table [drive] of a TOML file.
+
+    Raises InputError: no such table, or what is wrong in it.
+    """
     path = Path(path)
     table = load_toml(path).get("drive")
     if not isinstance(table, dict):

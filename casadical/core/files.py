@@ -1,7 +1,7 @@
-"""Files are written whole or not at all: under a hidden name beside the target, which is then renamed.
+"""Atomic writing of files: each is written under a hidden name in its folder, then renamed.
 
-Everything of one call is on disk before the first rename. A folder that was made for the outputs of a command is
-written as a hidden folder and appears by one rename.
+All files of one call are on disk before the first rename. A folder that was made for the outputs of
+a command is written as a hidden folder and appears by one rename.
 """
 
 import csv
@@ -207,6 +207,7 @@ def _into(path: Path, blob: bytes) -> None:
 
 
 def _failure(path: Path, error: Exception, written: Sequence[str] = ()) -> InputError:
+    """Return the InputError of a failed write, with the names of files written so far."""
     if isinstance(error, InputError):
         return error
     so_far = f"written so far: {', '.join(written)}" if written else "nothing was written"

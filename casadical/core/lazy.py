@@ -1,4 +1,4 @@
-"""A package's public names, loaded when they are first used: its stub is the one list (Scientific Python's SPEC 1)."""
+"""Lazy loading of a package's public names, listed in its stub (Scientific Python's SPEC 1)."""
 
 from importlib import import_module
 
@@ -9,12 +9,13 @@ if TYPE_CHECKING:
 
 
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
-    """`__getattr__`, `__dir__` and `__all__` of a package.
+    """Return `__getattr__`, `__dir__` and `__all__` of a package that loads its names when used.
 
-    package, file : its `__name__` and `__file__`. The stub beside it, `__init__.pyi`, which type checkers and editors
-    read too, has a line `from MODULE import NAME as NAME` for each public name and is copied nowhere else.
-    A name must not be that of a module in the package: once that is imported, Python finds the module first. Packages
-    and modules beneath the package are found without an import of their own, too.
+    package, file : its `__name__` and `__file__`
+    The stub beside it, `__init__.pyi`, which type checkers and editors read too, has a line
+    `from MODULE import NAME as NAME` for each public name and is the only list of them. A name must
+    not be that of a module in the package: once that is imported, Python finds the module first.
+    Subpackages and modules of the package are loaded on first use, too.
     """
     with open(f"{file}i", encoding="utf-8") as stub:
         lines = [line.split() for line in stub if line.startswith("from ")]

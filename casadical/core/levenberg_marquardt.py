@@ -1,4 +1,4 @@
-"""Levenberg and Marquardt's method for nonlinear least squares, many problems at once."""
+"""The Levenberg-Marquardt method for nonlinear least squares, for many problems at once."""
 
 from collections.abc import Callable
 

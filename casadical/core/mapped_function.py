@@ -1,6 +1,6 @@
-"""CasADi functions called with numpy arrays, without a copy through Python lists, at one point or at many.
+"""CasADi functions called with numpy arrays, without a copy through lists, at one point or at many.
 
-At many, what all points share is computed once, the rest point by point.
+For many points, expressions of the shared inputs are computed once, the others for each point.
 """
 
 from collections.abc import Sequence
@@ -12,18 +12,25 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.compile_cache import MachineCode, compiled
 
-# So many points, evaluated since the start of the process, take as long as to look for a compiled library, and to make
-# one. Waiting for that costs at most twice what knowing beforehand would (the ski rental problem).
-LOOK_FROM, COMPILE_FROM = 10_000, 500_000
-# Points at a time, and fewer where each has many numbers: their Jacobians fit the processor's cache, and to map a
-# function over more of them takes longer.
-CHUNK, NUMBERS, LEAST = 1024, 400_000, 64
-# Numbers of points for which the mapped functions are kept.
-SIZES = 64
+# Numbers of evaluated points, since the start of the process, from which a compiled library is
+# looked for, and built.
+# Evaluating them takes as long; waiting for that costs at most twice the optimum (the ski rental
+# problem).
+LIBRARY_LOOKUP_POINTS = 10_000
+COMPILATION_POINTS = 500_000
+# Points are evaluated in chunks of at most this many points, and of at most this many output
+# numbers if that leaves
+# the minimum of points: their Jacobians fit the processor's cache, and mapping over more points
+# takes longer.
+MAX_CHUNK_POINTS = 1024
+MAX_CHUNK_NUMBERS = 400_000
+MIN_CHUNK_POINTS = 64
+# Number of chunk sizes for which mapped functions are cached.
+MAX_CACHED_MAPS = 64
 
 
 class Buffered:
-    """A function with dense inputs and outputs, to be called many times; its memory is kept from call to call."""
+    """A CasADi function of dense inputs and outputs, called many times with reused memory."""
 
     def __init__(self, f: ca.Function) -> None:
         self.name = f.name()
@@ -32,10 +39,10 @@ class Buffered:
         self._function, self._idle = f, list[Any]()
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Its outputs, each of its own shape.
+        """Return the outputs, each of its own shape.
 
-        An argument of fewer columns than the input is repeated side by side, as CasADi does. Raises ValueError for
-        shapes that do not fit.
+        An argument with fewer columns than the input is repeated side by side, as by CasADi. Raises
+        ValueError for shapes that do not fit.
         """
         try:  # a buffer serves one call at a time: another thread takes another one
             buffer, trigger = self._idle.pop()
@@ -62,23 +69,27 @@ class Buffered:
 
 
 def call(f: ca.Function, *arguments: Array) -> list[Array]:
-    """Outputs of a function that is called once; see `Buffered`."""
+    """Return the outputs of a function that is called once (see `Buffered`)."""
     return Buffered(f)(*arguments)
 
 
 def _view(values: Array) -> Any:
-    """The memory of a column-major array."""
+    """Return a view of the memory of a column-major array."""
     return memoryview(values.reshape(-1, order="F"))  # type: ignore[arg-type]
 
 
 class MappedFunction:
-    """Outputs at one point, mapped over some points at a time: graphs do not grow with them.
+    """A function of one point, evaluated at many in chunks; the graph does not grow with their
+    number.
 
-    Sines, cosines and products of the shared numbers alone, a third of a robot's model, are taken out of the loop, and
-    so is what derivatives would compute again. The operations that are left are the same, and so is every bit.
+    Expressions of the shared inputs only, a third of a robot's model, are computed once, and common
+    subexpressions are eliminated. The other operations are unchanged, and so is every bit of the
+    results.
 
-    point : symbols that differ between the points, shape (a,); shared : symbols that do not, shape (b,)
-    evaluated : points so far
+    point : symbols that differ between the points, shape (a,)
+    shared : symbols that do not, shape (b,)
+    outputs : expressions of both
+    evaluated : number of points evaluated so far
     """
 
     def __init__(self, name: str, point: ca.SX, shared: ca.SX, outputs: Sequence[ca.SX]) -> None:
@@ -87,17 +98,18 @@ class MappedFunction:
         self._shared = Buffered(ca.Function(name + "_once", [shared], [ca.vertcat(ca.SX(0, 1), *once)]))
         self._each = ca.Function(name, [point, shared, ca.vertcat(ca.SX(0, 1), *symbols)], each)
         outputs_of_each = sum(self._each.nnz_out(k) for k in range(self._each.n_out()))
-        self._chunk = min(CHUNK, max(LEAST, NUMBERS // max(outputs_of_each, 1)))
+        self._chunk = min(MAX_CHUNK_POINTS, max(MIN_CHUNK_POINTS, MAX_CHUNK_NUMBERS // max(outputs_of_each, 1)))
         self._mapped: dict[int, Buffered] = {}
         self.evaluated = self._tried = 0
         self._machine_code: MachineCode | None = None
 
     @property
     def is_compiled(self) -> bool:
+        """Return whether machine code is used."""
         return self._machine_code is not None
 
     def __call__(self, points: Array, shared: Array) -> list[Array]:
-        """Outputs side by side; points : shape (a, n); shared : shape (b,)."""
+        """Return the outputs of all points side by side; points : (a, n); shared : (b,)."""
         n = points.shape[1]
         self._compile(n)
         (once,) = self._shared(shared)
@@ -115,21 +127,21 @@ class MappedFunction:
         return whole
 
     def _over(self, n: int) -> Buffered:
-        """The function over n points."""
+        """Return the function mapped over n points, cached."""
         if n not in self._mapped:
-            if len(self._mapped) >= SIZES:
+            if len(self._mapped) >= MAX_CACHED_MAPS:
                 self._mapped.clear()
             self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
         return self._mapped[n]
 
     def _compile(self, n: int) -> None:
-        """Go over to machine code where the points evaluated before and these n pay for it."""
+        """Switch to machine code if the points evaluated so far and these n pay for it."""
         self.evaluated += n
-        for make, least in ((False, LOOK_FROM), (True, COMPILE_FROM))[self._tried :]:
+        for make, least in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
             if self._machine_code is None and self.evaluated >= least:
                 self.compile(make=make)
                 self._tried += 1
 
     def compile(self, *, make: bool = True) -> None:
-        """Go over to machine code if there is a library; make : else one is made."""
+        """Switch to machine code if there is a library; make : whether one is built if not."""
         self._machine_code = compiled(self._each, make=make)

@@ -1,4 +1,4 @@
-"""Parameters by name: value, unit, scale, bounds, prior; chosen by name or group, never by position."""
+"""Model parameters by name: value, unit, scale, bounds and prior; selected by name or group."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,11 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 
-# SI unit -> (unit of reports, factor)
-_READABLE = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
+# Unit of reports and its number per SI unit, by SI unit.
+_REPORT_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
 
-# Words that stand for several groups.
-_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
+# Words that select several groups of parameters.
+_GROUP_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class Parameter:
     group : base, geometry, loop, tool, compliance, or the name of an effect
     unit : SI unit
     value : nominal value [unit]
-    scale : unit of the solver's variable: 1 mm, 1 mrad [unit]
-    lower, upper : bound [unit]
-    prior : one sigma of the deviation from nominal [unit]
-    held : why it is never identified; empty if it can be
-    guess : whether nobody knows its value: its prior holds it back in every fit
+    scale : value of one unit of the solver's variable, such as 1 mm or 1 mrad [unit]
+    lower, upper : bounds [unit]
+    prior : prior standard deviation of the deviation from nominal [unit]
+    held : reason why it is fixed and never identified; empty if it can be identified
+    guess : whether its nominal value is a guess: its prior then applies in every fit
     """
 
     name: str
@@ -43,16 +43,19 @@ class Parameter:
 
     @property
     def readable_unit(self) -> str:
-        """Unit of reports: mm, deg, urad/(N m), or the SI unit."""
-        return _READABLE.get(self.unit, (self.unit, 1.0))[0]
+        """Return the unit of reports: mm, deg, urad/(N m), or the SI unit."""
+        return _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
-        """A value [SI] in the unit of reports (mm, deg, urad/(N m))."""
-        return value * _READABLE.get(self.unit, (self.unit, 1.0))[1]
+        """Return a value [SI] in the unit of reports (mm, deg, urad/(N m))."""
+        return value * _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[1]
 
 
 class Parameters(Sequence[Parameter]):
-    """An ordered, immutable set of parameters, in model order. Raises InputError: two of one name."""
+    """An ordered, immutable set of parameters, in model order.
+
+    Raises InputError: two parameters of one name.
+    """
 
     def __init__(self, items: Iterable[Parameter]) -> None:
         self._items = tuple(items)
@@ -71,41 +74,45 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
-        """Place of a parameter in the list. Raises InputError: no such name; those that there are."""
+        """Return the index of a parameter. Raises InputError, with all names, for an unknown
+        one.
+        """
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")
         return self._index[name]
 
     @property
     def names(self) -> tuple[str, ...]:
+        """Return the names, in model order."""
         return tuple(p.name for p in self._items)
 
     @property
     def values(self) -> Array:
-        """Nominal values, shape (len(self),) [SI]."""
+        """Return the nominal values, shape (len(self),) [SI]."""
         return np.array([p.value for p in self._items])
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """Groups, each once, in model order."""
+        """Return the groups, each once, in model order."""
         return tuple(dict.fromkeys(p.group for p in self._items))
 
     def select(self, wanted: Iterable[str]) -> tuple[str, ...]:
-        """Names chosen by group, union of groups (kinematic, placement), name, or pattern with * - in model order.
+        """Return the names of the selected parameters, in model order.
 
-        Raises InputError: a word that chooses nothing.
+        wanted : groups, unions of groups (kinematic, placement), names, or patterns with *
+        Raises InputError: a word that selects nothing.
         """
         chosen: set[str] = set()
         for word in [wanted] if isinstance(wanted, str) else wanted:
-            if word in self._index:  # at once: a prior names hundreds
+            if word in self._index:  # a prior names hundreds of parameters: no search
                 chosen.add(word)
                 continue
-            groups = _UNIONS.get(word, (word,))
+            groups = _GROUP_UNIONS.get(word, (word,))
             hit = {p.name for p in self._items if p.group in groups or fnmatchcase(p.name, word)}
-            if not hit and word not in (*_UNIONS, "compliance"):
+            if not hit and word not in (*_GROUP_UNIONS, "compliance"):
                 raise InputError(
                     f"{word!r} is no parameter, group or pattern of this robot; groups: "
-                    f"{', '.join((*_UNIONS, *self.groups))}; parameters: {', '.join(self.names)}"
+                    f"{', '.join((*_GROUP_UNIONS, *self.groups))}; parameters: {', '.join(self.names)}"
                 )
             chosen |= hit
         return tuple(n for n in self.names if n in chosen)

@@ -1,12 +1,12 @@
-"""A robot as plain data: rows with joints and bodies, four-bars, frames, payload and gravity, and the sizes of their
-errors; no model and no parameters.
+"""A robot's structure as plain data: joints, bodies, loops, frames, payload, gravity, and priors.
 
-Masses of links whose masses nobody knows, estimated from the reach.
-
-Between light arms (UR10e, Panda: 4 to 7 kg) and heavy ones (KR 210, HH800: 16 to 19 kg a cubic metre of reach) the
-moving links weigh 10 kg times the cube of all link lengths, each link half of the one before, its mass centre in its
-middle; one sigma is twice the mass. Gravity deflects joints by compliance times torque, so a wrong scale of all
-masses is the joints' stiffness: such masses do not determine it, but the deflection.
+It contains neither a kinematic model nor parameters. It also estimates unknown link masses from the
+reach: between light arms (UR10e, Panda: 4 to 7 kg per cubic metre of reach) and heavy ones (KR 210,
+HH800: 16 to 19 kg) the moving links weigh 10 kg times the cube of all link lengths; each link
+weighs half of the one before, with its mass centre in its middle; the prior standard deviation is
+twice the mass. Gravity deflects joints by compliance times torque, so that a common scale of all
+masses is equivalent to the joints' stiffness: such masses do not determine the stiffness, but the
+deflection.
 """
 
 from __future__ import annotations
@@ -21,12 +21,14 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 
-NEAR_PARALLEL = np.deg2rad(5.0)
+# Consecutive joint axes are nearly parallel below this angle [rad]; d is then replaced by beta and
+# b.
+NEAR_PARALLEL_RAD = np.deg2rad(5.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A mass in its link's frame.
+    """A rigid body in the frame of its link.
 
     mass : of the link or load [kg]
     com : shape (3,) [m]: mass centre in the link's frame
@@ -43,21 +45,21 @@ class Body:
     inertia: Array | None = None
 
     def moved(self, T: Array) -> Body:
-        """Seen from the frame in which T, shape (4, 4) [m], is this body's own."""
+        """Return the body in the frame in which its own frame has the pose T, shape (4, 4) [m]."""
         R = T[:3, :3]
         inertia = None if self.inertia is None else R @ self.inertia @ R.T
         return Body(self.mass, R @ self.com + T[:3, 3], inertia)
 
     @property
     def likely_inertia(self) -> Array:
-        """The inertia, or one of a usual slender link where it is unknown, shape (3, 3) [kg m^2]."""
+        """Return the inertia, or that of a typical slender link if unknown, (3, 3) [kg m^2]."""
         if self.inertia is not None:
             return self.inertia
         return np.asarray(self.mass * (0.1 + 0.3 * np.linalg.norm(self.com)) ** 2 * np.eye(3))
 
     @staticmethod
     def joined(parts: Sequence[Body]) -> Body:
-        """Bodies of one frame as one (Steiner); its inertia is unknown where that of a part is."""
+        """Return bodies of one frame as one (parallel axis theorem); inertia None if any is."""
         masses = np.array([part.mass for part in parts])
         com = masses @ np.array([part.com for part in parts]) / masses.sum()
         moments = np.zeros((3, 3))
@@ -70,16 +72,20 @@ class Body:
 
 
 def possible_inertia(moments: Array) -> bool:
-    """Whether a body may have these moments, shape (3, 3): none negative, none greater than the other two together."""
+    """Return whether an inertia matrix, shape (3, 3), is physically possible.
+
+    No principal moment is negative, and none is greater than the sum of the other two.
+    """
     least, middle, most = np.linalg.eigvalsh(moments)
     return bool(np.isfinite(most) and least >= -1e-6 * most and most <= (1 + 1e-6) * (least + middle))
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """Reading of a joint without an encoder: at + sum of factor * reading of another; of none: the joint is locked.
+    """The reading of a joint without encoder: at + sum of factor * reading of other joints.
 
-    follows : (number of a joint, 1-based, and its factor); at : the rest [rad or m]
+    follows : number of another joint, 1-based, and its factor, for each; empty for a locked joint
+    at : constant term [rad or m]
     """
 
     follows: tuple[tuple[int, float], ...] = ()
@@ -98,10 +104,11 @@ class Joint:
     b : offset along y where the axes are nearly parallel [m]; None as of beta
     kind : revolute, or prismatic (then the reading is added to d)
     lower, upper : least and greatest reading [rad or m]
-    compliance : of the drive train [rad/(N m) or m/N]; None: taken as rigid
-    body : of the link that the joint moves
-    coupling : what its reading follows from, where it is no axis of its own: a mimic joint, a passive one, a locked one
-    name : by which tables of measurements may call its readings
+    compliance : of the drive train [rad/(N m) or m/N]; None: rigid
+    body : mass of the link that the joint moves
+    coupling : how its reading follows from others, for a mimic, passive or locked joint; None
+        otherwise
+    name : name that tables of measurements may give its readings
 
     Examples
     --------
@@ -126,7 +133,7 @@ class Joint:
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:
-    """Raises InputError for a joint that cannot be; i : its number, from 1."""
+    """Check the values of a joint; i : its number, from 1. Raises InputError."""
     if joint.kind not in ("revolute", "prismatic"):
         raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
     for name in ("alpha", "a", "theta", "d", "beta", "b", "lower", "upper", "compliance"):
@@ -184,25 +191,32 @@ class Placement:
 
 @dataclass(frozen=True, eq=False)
 class Target:
-    """A further measured point on the flange: its name, and its position in the last link's frame, shape (3,) [m]."""
+    """An additional measured point on the flange.
+
+    name : of the point; point : its position in the last link's frame, shape (3,) [m]
+    """
 
     name: str
     point: Array
 
     @property
     def column(self) -> str:
-        """The condition that is 1 where this point was measured, else 0."""
+        """Return the name of the column that is 1 where this point was measured, else 0."""
         return f"tool_{self.name}"
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Names of its three coordinates."""
+        """Return the names of the parameters of its three coordinates."""
         return tuple(f"{self.column}_{c}" for c in "xyz")
 
 
 @dataclass(frozen=True)
 class Width:
-    """Half width of bounds and one sigma of the prior, for the lengths [m] and angles [rad] of one group."""
+    """Bounds and priors of the deviations of one group of parameters.
+
+    length_bound, angle_bound : half width of the bounds [m, rad]
+    length_prior, angle_prior : prior standard deviation [m, rad]
+    """
 
     length_bound: float
     angle_bound: float
@@ -210,19 +224,23 @@ class Width:
     angle_prior: float
 
 
+# Default bounds and priors by group of parameters.
 WIDTHS: Mapping[str, Width] = {
     "base": Width(1.0, np.deg2rad(20), 0.1, 0.05),
     "geometry": Width(0.03, np.deg2rad(6), 0.003, 0.01),
     "loop": Width(0.02, np.deg2rad(6), 0.002, 0.01),
     "tool": Width(0.3, np.deg2rad(30), 0.05, 0.1),
-    # Compliance: deflection under the joint's greatest torque.
+    # For compliance the numbers are deflections under the peak torque of the joint.
     "compliance": Width(0.02, 0.05, 0.001, 0.001),
 }
 
 
 @dataclass(frozen=True)
 class BodyWidth:
-    """One sigma of what is declared of links: of their masses, as a share, and of coordinates of mass centres [m]."""
+    """Prior standard deviations of declared link masses.
+
+    share : of a mass, as a share of it; centre : of each coordinate of a mass centre [m]
+    """
 
     share: float = 0.2
     centre: float = 0.03
@@ -230,7 +248,10 @@ class BodyWidth:
 
 @dataclass(frozen=True)
 class Sessions:
-    """What is found again in each session of a campaign (own), and what is that of the first one (shared)."""
+    """Which parameters are identified anew in each session of a campaign (own) or once (shared).
+
+    base, tool : frames of robot base and tool; zeros : joint zero offsets
+    """
 
     base: Literal["own", "shared"] = "own"
     tool: Literal["own", "shared"] = "own"
@@ -238,21 +259,23 @@ class Sessions:
 
 
 def parallel(joints: tuple[Joint, ...], i: int) -> bool:
-    """Whether the axes of joints i and i+1 (0-based rows) are nearly parallel or antiparallel."""
-    return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL)
+    """Return whether the axes of joints i and i + 1 (0-based) are nearly parallel or opposite."""
+    return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL_RAD)
 
 
+# [m/s^2], ISO 80000-3.
 STANDARD_GRAVITY = 9.80665
-# Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
-GRAVITY = ("gravity_x", "gravity_y", "gravity_z")
+# Columns of the direction of gravity, in the robot's base frame, where it was logged at every pose.
+GRAVITY_COLUMNS = ("gravity_x", "gravity_y", "gravity_z")
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """A serial robot's structure, with closed four-bar loops where it has them: `Robot` says what each field is.
+    """Structure of a serial robot, with closed four-bar loops if it has any (fields as in `Robot`).
 
-    gravity : where its frame is "logged", in the base frame while nothing was logged, and its size counts
-    payload : poses may carry another mass (column payload_kg); targets : named in the column `tool`
+    gravity : acceleration [m/s^2]; if its frame is "logged", its norm applies to logged directions,
+        and poses without one have this vector, in the base frame
+    payload : poses may have another mass (column payload_kg); targets : named in the column `tool`
     Raises InputError for a structure that cannot be built.
     """
 
@@ -277,7 +300,7 @@ class Arm:
             raise InputError(f"robot {self.name!r} has no joints; at least one row is needed")
         for i, joint in enumerate(self.joints, 1):
             refuse_joint(self.name, i, joint)
-        # Hayati's beta stands in every row whose axis is nearly parallel to the one before.
+        # Rows whose axis is nearly parallel to the one before have Hayati's parameter beta.
         lacking = [i > 0 and j.beta is None and parallel(self.joints, i - 1) for i, j in enumerate(self.joints)]
         rows = (replace(j, beta=0.0) if lacks else j for j, lacks in zip(self.joints, lacking, strict=True))
         object.__setattr__(self, "joints", tuple(rows))
@@ -292,34 +315,40 @@ class Arm:
 
     @property
     def n(self) -> int:
+        """Return the number of joints."""
         return len(self.joints)
 
     @property
     def numbers(self) -> range:
+        """Return the joint numbers, from 1."""
         return range(1, self.n + 1)
 
     @property
     def revolute(self) -> tuple[int, ...]:
+        """Return the numbers of the revolute joints, from 1."""
         return tuple(i for i in self.numbers if self.joints[i - 1].kind == "revolute")
 
     @property
     def units(self) -> tuple[str, ...]:
+        """Return the SI unit of each joint's reading, rad or m."""
         return tuple("rad" if j.kind == "revolute" else "m" for j in self.joints)
 
     @property
     def reading_units(self) -> dict[str, float]:
-        """Key of each joint's reading, as columns of measurements are named (q1_deg, q2_mm), and its factor to SI."""
+        """Return the column name of each joint reading (q1_deg, q2_mm) and its factor to SI."""
         units = {"revolute": ("deg", np.pi / 180), "prismatic": ("mm", 1e-3)}
         return {f"q{i}_{units[j.kind][0]}": units[j.kind][1] for i, j in enumerate(self.joints, 1)}
 
     @property
     def limits(self) -> tuple[Array, Array]:
-        """Lower and upper ends of the joints' ranges, each shape (n,) [rad or m]."""
+        """Return lower and upper joint limits, each shape (n,) [rad or m]."""
         lower, upper = np.array([(j.lower, j.upper) for j in self.joints]).T
         return lower, upper
 
     def coupled(self, q: Array) -> Array:
-        """Readings, shape (n, joints) [rad or m], with those of coupled and locked joints as they follow."""
+        """Return readings, (poses, n) [rad or m], with those of coupled and locked joints
+        computed.
+        """
         made = np.array(q, dtype=float)
         for i, joint in enumerate(self.joints):
             if joint.coupling is not None:
@@ -327,12 +356,12 @@ class Arm:
         return made
 
     def near(self, joint: int) -> tuple[int, ...]:
-        """Numbers of the joints whose motors can move this one: those right before it and behind it."""
+        """Return the numbers of up to two joints before and two behind this one (1-based)."""
         return tuple(i for i in (joint - 2, joint - 1, joint + 1, joint + 2) if i in self.numbers)
 
     @cached_property
     def reach(self) -> float:
-        """Sum of all link lengths and the tool [m]; no point can lie farther from the base."""
+        """Return the sum of all link lengths and the tool [m], an upper bound of the reach."""
         links = sum(
             abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
         )
@@ -340,7 +369,7 @@ class Arm:
 
 
 def _refuse_couplings(arm: Arm) -> None:
-    """A coupled joint follows joints that have readings of their own."""
+    """Check that coupled joints follow joints that are not coupled. Raises InputError."""
     for i, joint in enumerate(arm.joints, 1):
         for other, _ in joint.coupling.follows if joint.coupling else ():
             if other not in arm.numbers or other == i or arm.joints[other - 1].coupling is not None:
@@ -349,7 +378,9 @@ def _refuse_couplings(arm: Arm) -> None:
 
 
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
-    """A four-bar drives one joint from the one before it, both turning about parallel axes a ground bar apart."""
+    """Check that a four-bar drives a revolute joint from its parallel neighbour. Raises
+    InputError.
+    """
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
     if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:
         raise InputError(
@@ -367,33 +398,39 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
         raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
 
 
-# Of the moving links together, by the cube of the reach [kg/m^3]; of each link, as a share of the one before.
-DENSITY = 10.0
-TAPER = 0.5
-# One sigma of each mass as a share, and of coordinates of mass centres as a share of the reach.
-SHARE, CENTRE = 2.0, 0.1
+# Estimated mass of all moving links together, divided by the cube of the reach [kg/m^3].
+LINK_MASS_PER_CUBED_REACH = 10.0
+# Estimated mass of each link divided by that of the one before.
+LINK_MASS_RATIO = 0.5
+# Prior standard deviation of each estimated mass, as a share of it.
+ESTIMATED_MASS_PRIOR_SHARE = 2.0
+# Prior standard deviation of each coordinate of an estimated mass centre, as a share of the reach.
+ESTIMATED_CENTRE_PRIOR_OF_REACH = 0.1
 
 A = TypeVar("A", bound=Arm)
 
 
-def without_masses(arm: Arm) -> bool:
+def lacks_masses(arm: Arm) -> bool:
+    """Return whether no link has a mass."""
     return not any(j.body and j.body.mass > 0 for j in arm.joints)
 
 
 def with_estimated_masses(robot: A) -> A:
-    """The robot with masses of all links estimated from its reach, and marked as estimates."""
-    shares = TAPER ** np.arange(robot.n)
-    masses = DENSITY * robot.reach**3 * shares / shares.sum()
+    """Return the robot with the masses of all links estimated from its reach and marked as such."""
+    shares = LINK_MASS_RATIO ** np.arange(robot.n)
+    masses = LINK_MASS_PER_CUBED_REACH * robot.reach**3 * shares / shares.sum()
     joints = tuple(
         replace(joint, body=Body(float(f"{mass:.3g}"), _middle(robot, i)))
         for i, (joint, mass) in enumerate(zip(robot.joints, masses, strict=True))
     )
-    width = BodyWidth(SHARE, float(f"{CENTRE * robot.reach:.2g}"))
+    width = BodyWidth(ESTIMATED_MASS_PRIOR_SHARE, float(f"{ESTIMATED_CENTRE_PRIOR_OF_REACH * robot.reach:.2g}"))
     return replace(robot, joints=joints, masses="estimated", body_width=width)
 
 
 def _middle(robot: Arm, i: int) -> Array:
-    """Half way from a link's frame to the next one's, or to the measured point, in the link's frame [m]."""
+    """Return the midpoint of a link, in its frame, shape (3,) [m]: half way to the next or the
+    tool.
+    """
     if i + 1 == robot.n:
         return np.asarray(robot.tool.T[:3, 3] / 2)
     after = robot.joints[i + 1]

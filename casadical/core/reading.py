@@ -1,8 +1,8 @@
-"""The one gate for what files hold: opened, decoded and parsed within stated bounds; every fault is an InputError.
+"""Bounded and safe reading of files: opened, decoded and parsed; every fault is an InputError.
 
-Only regular files are opened, and the streams that a shell handed over (/dev/stdin, /dev/fd/N): a FIFO that nobody
-writes to would be waited for without end. Sizes are checked before anything is parsed. Numbers and texts that no
-quantity or name can be are refused by their place.
+Only regular files are opened, and the streams that a shell passes on (/dev/stdin, /dev/fd/N):
+reading a FIFO that nobody writes to would block forever. Sizes are checked before parsing. Numbers
+and texts that cannot be a quantity or a name are refused with their place in the file.
 """
 
 import codecs
@@ -25,25 +25,39 @@ from typing import Any
 from casadical.core.basics import InputError, shown
 from casadical.core.files import own_stream
 
-# Bytes of a table; of a TOML file, an XML file or a program; of a JSON file.
-MOST_BYTES, MOST_TEXT, MOST_JSON = 500_000_000, 10_000_000, 100_000_000
-# Bytes of an archive when it is unpacked, cells of a workbook, and numbers of a table that is in memory as a whole.
-MOST_UNPACKED, MOST_CELLS, MOST_NUMBERS = 100_000_000, 300_000, 30_000_000
-# Numbers of things in files: parameters, harmonics, joints, rows of a grid.
-MOST_COUNT = 1000
-# Sizes that arithmetic of doubles bears, squares and products included; smaller ones are taken for mistakes, too.
-LARGEST, SMALLEST = 1e100, 1e-100
-LONGEST, DEEPEST, MOST_DIGITS = 10_000, 50, 100
+# Size of a table of measurements [bytes].
+MAX_TABLE_BYTES = 500_000_000
+# Size of a TOML file, an XML file or a robot program [bytes].
+MAX_TEXT_BYTES = 10_000_000
+# Size of a JSON file [bytes].
+MAX_JSON_BYTES = 100_000_000
+# Size of an archive after unpacking [bytes].
+MAX_UNPACKED_BYTES = 100_000_000
+MAX_WORKBOOK_CELLS = 300_000
+# Numbers in a table that is in memory as a whole.
+MAX_TABLE_NUMBERS = 30_000_000
+# Number of parameters, harmonics, joints, or rows of a grid in a file.
+MAX_ITEMS = 1000
+# Absolute values between these bounds, and zero, can be squared and multiplied in doubles; others
+# are taken for mistakes.
+LARGEST_NUMBER = 1e100
+SMALLEST_NUMBER = 1e-100
+# Length of a name or title.
+MAX_TEXT_CHARACTERS = 10_000
+# Depth of nested tables and lists.
+MAX_NESTING = 50
+# Digits of an integer in JSON.
+MAX_INTEGER_DIGITS = 100
 
-_DECLARED = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
-_ENCODINGS = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
+_XML_ENCODING = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
+_XML_ENCODINGS_READ = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
 
 
 def missing(path: str | Path, what: str = "file") -> InputError:
-    """The error that there is no such file or folder, with the names there that are like it."""
+    """Return the error for a missing file or folder, which suggests similar names."""
     path = Path(path)
     try:
-        there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MOST_COUNT]
+        there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MAX_ITEMS]
     except (OSError, ValueError):
         return InputError(f"{shown(path)}: no such {what}; there is no folder {shown(path.parent)}")
     of_stem = [name for name in there if path.stem in (name, Path(name).stem)]
@@ -54,7 +68,7 @@ def missing(path: str | Path, what: str = "file") -> InputError:
     return InputError(f"{shown(path)}: no such {what}{meant}")
 
 
-def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
+def read_bytes(path: str | Path, most: int = MAX_TABLE_BYTES) -> bytes:
     """Return the content of a file.
 
     Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to be read.
@@ -75,7 +89,10 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
 
 
 def regular(path: str | Path) -> Path:
-    """A file that a library opens by its name. Raises InputError: no such file, a folder, a device, a FIFO."""
+    """Return the path of a regular file, for a library that opens it by name.
+
+    Raises InputError: no such file, a folder, a device, a FIFO.
+    """
     path = Path(path)
     with _opening(path):
         _refuse_special(path, path.stat(), False)
@@ -84,7 +101,7 @@ def regular(path: str | Path) -> Path:
 
 @contextmanager
 def _opening(path: Path) -> Iterator[None]:
-    """Raises InputError for what the system says of a file."""
+    """Convert system errors of opening a file. Raises InputError."""
     try:
         yield
     except FileNotFoundError:
@@ -96,17 +113,21 @@ def _opening(path: Path) -> Iterator[None]:
 
 
 def unpacked(data: bytes, source: str) -> bytes:
-    """What gzip packed; other data as they are. Raises InputError: damaged, or too many bytes unpacked."""
+    """Return the content of gzip data, and other data unchanged.
+
+    Raises InputError: damaged, or too many bytes after unpacking.
+    """
     if not data.startswith(b"\x1f\x8b"):
         return data
     with foreign(f"{source}: not a readable gzip file"):
-        content = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
-        raise InputError(f"{source}: has more than {MOST_BYTES} bytes when unpacked; split it")
+        content = gzip.GzipFile(fileobj=io.BytesIO(data)).read(MAX_TABLE_BYTES + 1)
+    if len(content) > MAX_TABLE_BYTES:
+        raise InputError(f"{source}: has more than {MAX_TABLE_BYTES} bytes when unpacked; split it")
     return content
 
 
 def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
+    """Refuse devices, folders, pipes and sockets. Raises InputError."""
     if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
         raise InputError(f"{shown(path)}: is a device; name a file")
     if stat.S_ISDIR(about.st_mode):
@@ -115,8 +136,11 @@ def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
         raise InputError(f"{shown(path)}: is a pipe or a socket; name a file, or /dev/stdin")
 
 
-def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
-    """Text of a file in UTF-8. Raises InputError as `read_bytes` does, and for other bytes."""
+def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
+    """Return the text of a UTF-8 file.
+
+    Raises InputError as `read_bytes` does, and for bytes that are not UTF-8.
+    """
     try:
         return read_bytes(path, most).decode()
     except UnicodeDecodeError:
@@ -124,8 +148,8 @@ def read_text(path: str | Path, most: int = MOST_TEXT) -> str:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Tables of a TOML file. Raises InputError."""
-    data = read_bytes(path, MOST_TEXT)
+    """Return the tables of a TOML file. Raises InputError."""
+    data = read_bytes(path, MAX_TEXT_BYTES)
     try:
         if data.startswith((codecs.BOM_UTF8, codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise ValueError("it begins with a mark of the byte order; save it as UTF-8 without one (BOM)")
@@ -139,12 +163,15 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 
 def load_json(path: str | Path) -> Any:
-    """The object that a JSON file holds. Raises InputError."""
-    return json_of(read_bytes(path, MOST_JSON), shown(path))
+    """Return the object in a JSON file. Raises InputError."""
+    return json_of(read_bytes(path, MAX_JSON_BYTES), shown(path))
 
 
 def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
-    """What a JSON text holds; `source` names it. Raises InputError: no JSON, or out of bounds."""
+    """Return the object, or an object of another kind, in a JSON text.
+
+    source : name of the text in messages. Raises InputError: no JSON, or out of bounds.
+    """
     try:
         data = json.loads(text, parse_int=_integer, parse_float=_finite, parse_constant=_finite)
     except (ValueError, RecursionError) as error:
@@ -157,32 +184,39 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
     level, row = 0, [data] if isinstance(data, dict | list) else []
     while row := [v for c in row for v in (c.values() if isinstance(c, dict) else c) if isinstance(v, dict | list)]:
         level += 1
-        if level > DEEPEST:
+        if level > MAX_NESTING:
             raise InputError(f"{source}: not valid JSON: nested too deeply")
     return data
 
 
 def _integer(text: str) -> int:
-    if len(text) > MOST_DIGITS:
-        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {MOST_DIGITS}")
+    """Return an integer of a JSON text. Raises ValueError for one of too many digits."""
+    if len(text) > MAX_INTEGER_DIGITS:
+        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {MAX_INTEGER_DIGITS}")
     return int(text)
 
 
 def _finite(text: str) -> float:
+    """Return a finite number of a JSON text. Raises ValueError for others."""
     if not math.isfinite(value := float(text)):
         raise ValueError(f"{text[:30]} is no finite number")
     return value
 
 
 def read_xml(path: str | Path) -> bytes:
-    """An XML file in UTF-8, whatever it declares. Raises InputError, also for a document type of its own (entities)."""
-    data = read_bytes(path, MOST_TEXT)
-    declared = _DECLARED.match(data)
+    """Return an XML file re-encoded as UTF-8.
+
+    Raises InputError, also where the file defines a document type (entities).
+    """
+    data = read_bytes(path, MAX_TEXT_BYTES)
+    declared = _XML_ENCODING.match(data)
     marks = (name for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
              if data.startswith(mark))  # fmt: skip
     name = next(marks, declared[1].decode("ascii", "replace").lower() if declared else "utf-8")
-    if name not in _ENCODINGS:
-        raise InputError(f"{shown(path)}: malformed XML: encoding {name[:30]!r}; allowed: {', '.join(_ENCODINGS)}")
+    if name not in _XML_ENCODINGS_READ:
+        raise InputError(
+            f"{shown(path)}: malformed XML: encoding {name[:30]!r}; allowed: {', '.join(_XML_ENCODINGS_READ)}"
+        )
     with foreign(f"{shown(path)}: malformed XML"):
         text = data.decode(name)
         if "<!DOCTYPE" in text:
@@ -192,7 +226,10 @@ def read_xml(path: str | Path) -> bytes:
 
 @contextmanager
 def foreign(what: str, remedy: str = "") -> Iterator[None]:
-    """Raises InputError, which begins with `what`, for whatever a library raises for a damaged file."""
+    """Convert whatever a library raises for a damaged file.
+
+    what : begin of the message; remedy : its end. Raises InputError.
+    """
     try:
         yield
     except InputError:
@@ -204,7 +241,7 @@ def foreign(what: str, remedy: str = "") -> Iterator[None]:
 
 
 def _of_python(error: BaseException | None) -> bool:
-    """Whether an error, or what it was raised from, speaks of code (types, indices) rather than of the file."""
+    """Return whether an error, or its cause, is about code (types, indices), not about the file."""
     if error is None:
         return False
     explained = type(error) is ValueError or isinstance(error, OSError | EOFError)
@@ -213,32 +250,34 @@ def _of_python(error: BaseException | None) -> bool:
 
 
 def archive_of(data: bytes, source: str) -> io.BytesIO:
-    """A zip archive that is not too large when unpacked. Raises InputError."""
+    """Return a zip archive that is not too large after unpacking. Raises InputError."""
     with foreign(f"{source}: not a readable workbook"), zipfile.ZipFile(io.BytesIO(data)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
-    if size > MOST_UNPACKED:
-        raise InputError(f"{source}: has {size} bytes when unpacked; at most {MOST_UNPACKED} are read: split it")
+    if size > MAX_UNPACKED_BYTES:
+        raise InputError(f"{source}: has {size} bytes when unpacked; at most {MAX_UNPACKED_BYTES} are read: split it")
     return io.BytesIO(data)
 
 
 def number_fault(value: float) -> str:
-    """What is wrong with a number; nothing for a usable one."""
-    if not -LARGEST <= value <= LARGEST:  # also an integer that is no double, and what is not a number
-        return f"allowed: finite numbers up to {LARGEST:g}"
-    return f"allowed: zero, or at least {SMALLEST:g}" if 0 < abs(value) < SMALLEST else ""
+    """Return what is wrong with a number; empty for a usable one."""
+    if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also an integer that is no double, and what is not a number
+        return f"allowed: finite numbers up to {LARGEST_NUMBER:g}"
+    return f"allowed: zero, or at least {SMALLEST_NUMBER:g}" if 0 < abs(value) < SMALLEST_NUMBER else ""
 
 
 def text_fault(text: str) -> str:
-    """What is wrong with a name or title; nothing for a usable one."""
-    if len(text) > LONGEST:
-        return f"has {len(text)} characters; allowed: up to {LONGEST}"
+    """Return what is wrong with a name or title; empty for a usable one."""
+    if len(text) > MAX_TEXT_CHARACTERS:
+        return f"has {len(text)} characters; allowed: up to {MAX_TEXT_CHARACTERS}"
     bad = next((c for c in text if unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t"), None)
     return "" if bad is None else f"holds the control character {bad!a}; remove it"
 
 
 def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
-    """Places of unusable numbers and texts in nested tables and lists, each with what is wrong."""
-    if depth > DEEPEST:
+    """Yield the places of unusable numbers and texts in nested tables and lists, and their
+    faults.
+    """
+    if depth > MAX_NESTING:
         yield place[:60], "is nested too deeply"
     elif isinstance(value, dict):
         for key, inner in value.items():
@@ -247,7 +286,7 @@ def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str,
                 yield f"{place} key {ascii(key)[:60]}".strip(), fault
             yield from unusable(inner, f"{place}.{key}".lstrip("."), depth + 1)
     elif isinstance(value, list):
-        if all(type(inner) is float and SMALLEST <= abs(inner) <= LARGEST for inner in value):
+        if all(type(inner) is float and SMALLEST_NUMBER <= abs(inner) <= LARGEST_NUMBER for inner in value):
             return  # thousands of numbers, of a covariance
         for k, inner in enumerate(value, 1):
             yield from unusable(inner, f"{place}[{k}]", depth + 1)
@@ -260,6 +299,7 @@ def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str,
 
 
 def _short(value: float) -> str:
-    if isinstance(value, int) and abs(value) > LARGEST:
+    """Return a number as a message shows it."""
+    if isinstance(value, int) and abs(value) > LARGEST_NUMBER:
         return f"an integer of {value.bit_length()} bits"
     return f"{value:g}" if isinstance(value, float) and math.isfinite(value) else str(value)

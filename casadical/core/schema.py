@@ -1,4 +1,6 @@
-"""TOML tables checked key by key: units in the keys, and messages that name file, key, value and what is allowed."""
+"""Validation of TOML tables: units in the keys; messages name file, key, value and what is
+allowed.
+"""
 
 import difflib
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,12 +11,12 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from casadical.core.basics import MOST_FAULTS, InputError
+from casadical.core.basics import MAX_FAULTS_SHOWN, InputError
 from casadical.core.reading import unusable
 
 
 class FaultError(ValueError):
-    """A fault of the value at a place in the table that is checked."""
+    """A fault of the value at a place (key, or path of keys and indices) in a table."""
 
     def __init__(self, place: str | tuple[int | str, ...], text: str) -> None:
         super().__init__(text)
@@ -23,7 +25,10 @@ class FaultError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Quantity:
-    """A physical quantity: the unit suffixes that its key may have, its factor to SI; its largest size [SI]."""
+    """A physical quantity.
+
+    factors : factor to SI by unit suffix of the key; most : largest absolute value [SI]
+    """
 
     factors: Mapping[str, float]
     most: float
@@ -35,13 +40,14 @@ READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revo
 
 
 def _whole(value: Any) -> Any:
+    """Return a value, as text if it is a boolean or a float, which a version must not be."""
     return str(value) if isinstance(value, bool | float) else value  # true and 1.0 are equal to 1, which is allowed
 
 
-# Tags of the forms of a value that may be either of two; messages leave them out.
-FORMS = ("a text", "a table", "a number", "a list")
-# Of versions, which are whole numbers.
-WHOLE = BeforeValidator(_whole)
+# Pydantic tags for values of two possible forms; messages omit them.
+VALUE_FORMS = ("a text", "a table", "a number", "a list")
+# Validator of versions, which are whole numbers.
+WHOLE_NUMBER = BeforeValidator(_whole)
 Length = Annotated[float, LENGTH]
 Angle = Annotated[float, ANGLE]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
@@ -50,13 +56,16 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 
 class TomlTable(BaseModel):
-    """A TOML table. A field that is a `Quantity` is written with its unit in the key and is SI here."""
+    """A TOML table; a field that is a `Quantity` has its unit in the key of the file and is SI
+    here.
+    """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
     @model_validator(mode="before")
     @classmethod
     def _units(cls, data: Any) -> Any:
+        """Convert keys with units to fields in SI. Raises FaultError."""
         if not isinstance(data, dict):
             return data
         fields: dict[str, Any] = {}
@@ -72,7 +81,9 @@ class TomlTable(BaseModel):
 
     @classmethod
     def field_of(cls, key: str) -> tuple[str, float | None]:
-        """The field that a key of the file means, and its factor to SI, None for fields without a unit."""
+        """Return the field of a key of the file, and its factor to SI; None for fields without
+        unit.
+        """
         for name, field in cls.model_fields.items():
             quantity = _quantity(field.metadata)
             if quantity is None:
@@ -86,48 +97,56 @@ class TomlTable(BaseModel):
 
     @classmethod
     def keys(cls) -> list[str]:
-        """Every key as it is written in a file, with its first unit."""
+        """Return every key as it is written in a file, with its first unit."""
         quantities = {name: _quantity(field.metadata) for name, field in cls.model_fields.items()}
         return [name + next(iter(q.factors)) if q else name for name, q in quantities.items()]
 
 
 def _quantity(metadata: list[Any]) -> Quantity | None:
+    """Return the quantity in a field's metadata, or None."""
     return next((m for m in metadata if isinstance(m, Quantity)), None)
 
 
 def _to_si(value: Any, factor: float) -> Any:
+    """Return a number, or the numbers of nested lists, times a factor."""
     if isinstance(value, list):
         return [_to_si(v, factor) for v in value]
     return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def _size(value: Any) -> float:
-    """The largest absolute value of a number or of those in a list; 0 for what is neither, which its type refuses."""
+    """Return the largest absolute value of a number or list; 0 for other types, refused
+    elsewhere.
+    """
     if isinstance(value, list):
         return max(map(_size, value), default=0.0)
     return abs(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
 
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
-    """Check data against a schema; `source` names them. Raises InputError that lists every fault by key."""
+    """Return data validated against a schema.
+
+    source : name of the data in messages. Raises InputError that lists every fault by key.
+    """
     if wrong := list(unusable(data)):
-        raise _faults([f"{place}: {fault}" for place, fault in wrong[:MOST_FAULTS]], len(wrong), source)
+        raise _faults([f"{place}: {fault}" for place, fault in wrong[:MAX_FAULTS_SHOWN]], len(wrong), source)
     try:
         return schema.model_validate(data)
     except ValidationError as error:
-        faults = [_fault(schema, data, e) for e in error.errors()[:MOST_FAULTS]]
+        faults = [_fault(schema, data, e) for e in error.errors()[:MAX_FAULTS_SHOWN]]
         raise _faults(faults, error.error_count(), source) from None
 
 
 def _faults(told: Sequence[str], count: int, source: str) -> InputError:
+    """Return the error that lists faults; count : of all, those not listed included."""
     more = [f"and {count - len(told)} more"] if count > len(told) else []
     return InputError("\n  ".join([f"{source}: {count} fault(s)", *told, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
-    """One fault as the user wrote it: key with its unit, value, what is allowed."""
+    """Return a fault as text: key with its unit, value, what is allowed."""
     cause = error.get("ctx", {}).get("error")
-    loc = tuple(part for part in error["loc"] if part not in FORMS)
+    loc = tuple(part for part in error["loc"] if part not in VALUE_FORMS)
     place = (*loc, *(cause.place if isinstance(cause, FaultError) else ()))
     if loc[-1:] == ("[key]",):
         return f"{_as_written(schema, data, loc[:-2])[0]}: a key {loc[-2]!r}: {_text(error)}"
@@ -146,13 +165,13 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
 
 
 _LIMITS = {"most": "max_length", "least": "min_length"}
-_PLAIN = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
+_MESSAGES = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
 
 
 def _text(error: Any) -> str:
-    """Pydantic's message in the words of our messages."""
-    if error["type"] in _PLAIN:
-        return _PLAIN[error["type"]]
+    """Return pydantic's message in the wording of casadical."""
+    if error["type"] in _MESSAGES:
+        return _MESSAGES[error["type"]]
     if error["type"] in ("too_long", "too_short"):
         wanted = next(f"at {w} {error['ctx'][k]}" for w, k in _LIMITS.items() if k in error["ctx"])
         return f"must have {wanted} entries, not {error['ctx']['actual_length']}"
@@ -160,14 +179,14 @@ def _text(error: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """A value as TOML writes it: true, 2020-01-01."""
+    """Return a value as TOML writes it: true, 2020-01-01."""
     text = str(value) if isinstance(value, date | time) else repr(value)
     text = {"True": "true", "False": "false", "None": "null"}.get(text, text)
     return text if len(text) < 60 else f"{text[:57]}..."
 
 
 def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, ...]) -> tuple[str, Any]:
-    """Key, with its unit, and value in the file of a place in the schema."""
+    """Return key, with its unit, and value in the file for a place in the schema."""
     words: list[str] = []
     for depth, part in enumerate(location):
         if isinstance(part, int):
@@ -185,7 +204,7 @@ def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, .
 
 
 def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """The schema of the table at a location."""
+    """Return the schema of the table at a location."""
     for part in location:
         if isinstance(part, str) and part in schema.model_fields:
             schema = next(_models(schema.model_fields[part].annotation), schema)
@@ -193,7 +212,7 @@ def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[Bas
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """The schemas in a type, its own first."""
+    """Yield the schemas in a type annotation, the outermost first."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in getattr(annotation, "__args__", ()):

@@ -1,4 +1,4 @@
-"""Ranking with ties, and robust figures of samples; distributions are those of scipy.special."""
+"""Ranking with ties, and robust statistics of samples."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -11,52 +11,65 @@ from casadical.core.basics import Array
 Item = TypeVar("Item")
 
 
-# Values that differ by less, as a share of the greatest, are equal to what the arithmetic can tell: the first one is
-# taken, in the order in which they stand, on every processor. Of logarithms it is the difference itself. Information
-# whose least eigenvalue is 1e-9 of a unit diagonal lets rounding move a gain by 2.2e-7 of itself (docs/reference.md).
-TIE = 1e-6
+# Values within this share of the greatest are tied, and the first of them is taken, so that every
+# processor gives the
+# same answer; for logarithms it is the absolute difference. Rounding changes a gain by up to 2.2e-7
+# of itself if the
+# smallest eigenvalue of the information is 1e-9 of a unit diagonal (docs/reference.md).
+TIE_TOLERANCE = 1e-6
 
 
 def first_of_best(values: Sequence[float] | Array, *, logs: bool = False) -> int:
-    """Number of the greatest value, the first of those that are equal to it within TIE; logs : of probabilities"""
+    """Return the index of the greatest value, the first of those tied with it.
+
+    logs : whether the values are log probabilities (see `TIE_TOLERANCE`)
+    """
     given = np.asarray(values, dtype=float)
     best = float(given.max())
-    least = best - TIE * (1.0 if logs else abs(best)) if np.isfinite(best) else best
+    least = best - TIE_TOLERANCE * (1.0 if logs else abs(best)) if np.isfinite(best) else best
     return int(np.argmax(given >= least))
 
 
 def best_of(items: Iterable[Item], value: Callable[[Item], float], *, logs: bool = False) -> Item:
-    """The item of the greatest value, the first of those that are equal within TIE; logs : of probabilities"""
+    """Return the item of the greatest value, the first of those tied with it.
+
+    value : function of an item; logs : whether it is a log probability (see `TIE_TOLERANCE`)
+    """
     listed = list(items)
     return listed[first_of_best([value(item) for item in listed], logs=logs)]
 
 
 def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
-    """Numbers of the values, from the greatest; runs of such as are equal within TIE in their order."""
+    """Return the indices of the values, from the greatest; tied neighbours keep their order."""
     given = np.asarray(values, dtype=float)
     order = np.argsort(-given, kind="stable")
     falling = given[order]
     finite = np.isfinite(falling)
     with np.errstate(invalid="ignore"):
         fall = -np.diff(falling, prepend=np.inf)
-    step = np.cumsum(~finite | (fall > TIE * np.where(finite & (not logs), np.abs(falling), 1.0)))
+    step = np.cumsum(~finite | (fall > TIE_TOLERANCE * np.where(finite & (not logs), np.abs(falling), 1.0)))
     return [int(k) for k in order[np.lexsort((order, step))]]
 
 
 def thirds(values: Array) -> tuple[Array, Array]:
-    """The third in which each value lies, 0 to 2, and the four edges; one at an edge, within rounding, is below."""
+    """Return the third, 0 to 2, in which each value lies, and the four quantiles at their edges.
+
+    A value at an edge, within rounding, belongs to the third below.
+    """
     edges = np.quantile(values, [0, 1 / 3, 2 / 3, 1])
-    return np.searchsorted(edges[1:-1] + TIE * np.ptp(edges), values), edges
+    return np.searchsorted(edges[1:-1] + TIE_TOLERANCE * np.ptp(edges), values), edges
 
 
 def known_digits(value: float, size: float, digits: int) -> float:
-    """A value without the digits that rounding decides: so many are left behind the first one of `size`."""
+    """Return a value rounded to `digits` digits after the leading digit of `size`."""
     if not (size and math.isfinite(size)):
         return float(value)
     return round(float(value), digits - math.floor(math.log10(abs(size)))) + 0.0
 
 
 def robust_std(r: Array) -> float:
-    """Standard deviation of residuals from their median absolute value, robust to outliers; zeros have weight zero."""
+    """Return the standard deviation of residuals by their median absolute value; zeros are
+    ignored.
+    """
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0

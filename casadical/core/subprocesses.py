@@ -1,6 +1,7 @@
-"""Other programs with a time limit: compilers, and the trial of what they made, in a process that may crash.
+"""Programs run with a time limit in separate processes, such as compilers and trials of their
+output.
 
-And one thread for linear algebra: the matrices are small, and threads that wait for each other take most of the time.
+Also limits linear algebra to one thread: the matrices are small, and threads would mostly wait.
 """
 
 import os
@@ -10,11 +11,16 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-COMPILE_SECONDS, TRIAL_SECONDS = 300.0, 60.0
+# Time limits of a compilation and of the trial of its result.
+COMPILE_SECONDS = 300.0
+TRIAL_SECONDS = 60.0
 
 
 def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
-    """A program run to its end without input; None where it cannot be started, or was stopped with all it started."""
+    """Run a program without input and return it completed; None if it fails to start or times out.
+
+    When the time is over, it is killed with all processes that it started.
+    """
     try:
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -36,16 +42,21 @@ def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProc
 
 
 def tried(code: str, *arguments: str) -> str | None:
-    """What a line of Python prints in a process of its own, with the standard library alone; None where it fails."""
+    """Return what Python code prints in a separate process; None where it fails.
+
+    The code can import the standard library only.
+    """
     done = finished([sys.executable, "-I", "-S", "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None
 
 
-# numpy's library reads them once, when it is loaded.
-_NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+# Environment variables that linear algebra libraries read once, when they are loaded.
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def one_thread() -> None:
-    """Let linear algebra use one thread, unless the environment says how many; to be called before numpy is loaded."""
-    if not any(name in os.environ for name in _NAMES):
-        os.environ.update(dict.fromkeys(_NAMES, "1"))
+    """Limit linear algebra to one thread unless the environment sets it; call before loading
+    numpy.
+    """
+    if not any(name in os.environ for name in _THREAD_VARIABLES):
+        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))

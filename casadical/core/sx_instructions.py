@@ -1,8 +1,8 @@
-"""The instructions of a CasADi SX function: the one place where they are read.
+"""The instructions of a CasADi SX function, read in this module only, and their evaluation.
 
-All other ways to evaluate a function stand on this list: on numpy arrays here, as vectorised C in `compile_cache`,
-changes without cancellation in `export.controller.functions`, and the tape of the exported controllers in
-`export.c.tape`.
+All other ways to evaluate a function use this list: on numpy arrays here, as vectorised C in
+`compile_cache`, differences without cancellation in `export.controller.functions`, and the tape of
+the exported controllers in `export.c.tape_program`.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
+_OPERATION_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
 _SPECIAL = frozenset(("input", "const", "output", "call"))
 
 
 class Instruction(NamedTuple):
     """One operation by CasADi's name in lower case: "add", "if_else_zero", "input", "const", "output", "call", ..
 
-    operands, results : places in the list of values; of an input the operands, and of an output the results, are the
-    number of the argument and the position of its nonzero
+    operands, results : indices in the work vector; the operands of an input, and the results of an
+        output, are instead the index of the argument and the position of its nonzero
+    constant : value of a "const", else 0
     """
 
     operation: str
@@ -37,7 +38,8 @@ class Instruction(NamedTuple):
 class SxInstructions:
     """A CasADi function of SX type as a list of instructions.
 
-    places : how many values are kept at a time; nonzeros : of every output
+    name : of the function; instructions : in the order of evaluation
+    places : length of the work vector; nonzeros : number of structural nonzeros of every output
     """
 
     name: str
@@ -47,10 +49,10 @@ class SxInstructions:
 
     @classmethod
     def read(cls, f: ca.Function) -> SxInstructions:
-        """Those of a function."""
+        """Return the instructions of a function."""
         steps = []
         for k in range(f.n_instructions()):
-            name = _NAMES[f.instruction_id(k)]
+            name = _OPERATION_NAMES[f.instruction_id(k)]
             constant = float(f.instruction_constant(k)) if name == "const" else 0.0
             steps.append(Instruction(name, f.instruction_input(k), f.instruction_output(k), constant))
         return cls(f.name(), tuple(steps), max(1, f.sz_w()), tuple(f.nnz_out(k) for k in range(f.n_out())))
@@ -64,11 +66,13 @@ class SxInstructions:
         zero: Any = 0.0,
         call: Callable[[list[Any]], Sequence[Any]] | None = None,
     ) -> list[list[Any]]:
-        """The structural nonzeros of every output, in CasADi's order, with values of any kind.
+        """Return the structural nonzeros of every output, in CasADi's order, for values of any
+        type.
 
         inputs : for each input of the function the values of its nonzeros
         operation : name of an operation -> function of the values of its operands; constant : number -> value
-        zero : value of an output that no instruction writes; call : operands of a function that is called -> its values
+        zero : value of an output that no instruction writes
+        call : values of the operands of a called function -> its results
         """
         work: list[Any] = [zero] * self.places
         outputs = [[zero] * count for count in self.nonzeros]
@@ -87,40 +91,44 @@ class SxInstructions:
         return outputs
 
     def on_arrays(self, *inputs: Sequence[Any]) -> list[list[Array | float]]:
-        """The structural nonzeros of every output: each operation is done once, on whole arrays.
+        """Return the structural nonzeros of every output, each operation done once on whole arrays.
 
         For short functions at many points this is many times faster than CasADi, which goes point by point.
 
         inputs : for each input of the function its nonzeros, numbers or arrays that broadcast together
         """
-        with np.errstate(all="ignore"):  # as CasADi: what is not a number shows in the results
+        with np.errstate(all="ignore"):  # as in CasADi, NaN appears in the results
             return self.evaluate(inputs, self._numpy, float)
 
     def _numpy(self, name: str) -> Callable[..., Any]:
+        """Return the numpy function of an operation. Raises NotImplementedError: there is none."""
         if name not in OPERATIONS:
             raise NotImplementedError(f"{self.name}: CasADi operation {name} has no numpy counterpart here")
         return OPERATIONS[name].numpy
 
 
 class Operation(NamedTuple):
-    """An operation on numpy arrays, and in the C of `compile_cache`, where {0} and {1} are its operands."""
+    """An operation as a numpy function and as C of `compile_cache`; {0} and {1} are its
+    operands.
+    """
 
     numpy: Callable[..., Any]
     c: str
 
 
-def _one(numpy: Callable[[Any], Any], c: str) -> Operation:
-    """A function of one number, which the C computes for each of the two numbers of a vector."""
+def _unary(numpy: Callable[[Any], Any], c: str) -> Operation:
+    """Return a function of one number, which the C applies to both numbers of a vector."""
     return Operation(numpy, f"ONE({c}, {{0}})")
 
 
-def _two(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
+def _binary(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
+    """Return a function of two numbers, which the C applies to both pairs of two vectors."""
     return Operation(numpy, f"TWO({c}, {{0}}, {{1}})")
 
 
-# Functions of one number, and of two, that CasADi, numpy and C call alike.
-_ONE = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
-_TWO = ("fmin", "fmax", "hypot", "fmod", "copysign")
+# Functions of one number, and of two, that have the same name in CasADi, numpy and C.
+_UNARY_FUNCTIONS = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
+_BINARY_FUNCTIONS = ("fmin", "fmax", "hypot", "fmod", "copysign")
 OPERATIONS = {
     "assign": Operation(lambda a: a, "{0}"),
     "add": Operation(np.add, "{0} + {1}"),
@@ -131,20 +139,20 @@ OPERATIONS = {
     "sq": Operation(np.square, "{0} * {0}"),
     "twice": Operation(lambda a: 2.0 * a, "2.0 * {0}"),
     "inv": Operation(lambda a: 1.0 / a, "1.0 / {0}"),
-    **{name: _one(getattr(np, name), name) for name in (*_ONE, "fabs", "sign", "floor", "ceil")},
-    **{name: _two(getattr(np, name), name) for name in _TWO},
-    "asin": _one(np.arcsin, "asin"),
-    "acos": _one(np.arccos, "acos"),
-    "atan": _one(np.arctan, "atan"),
-    "not": _one(lambda a: np.equal(a, 0.0) * 1.0, "not_"),
-    "pow": _two(np.power, "pow"),
-    "constpow": _two(np.power, "pow"),
-    "atan2": _two(np.arctan2, "atan2"),
-    "lt": _two(lambda a, b: np.less(a, b) * 1.0, "lt"),
-    "le": _two(lambda a, b: np.less_equal(a, b) * 1.0, "le"),
-    "eq": _two(lambda a, b: np.equal(a, b) * 1.0, "eq"),
-    "ne": _two(lambda a, b: np.not_equal(a, b) * 1.0, "ne"),
-    "and": _two(lambda a, b: (np.not_equal(a, 0) & np.not_equal(b, 0)) * 1.0, "and_"),
-    "or": _two(lambda a, b: (np.not_equal(a, 0) | np.not_equal(b, 0)) * 1.0, "or_"),
-    "if_else_zero": _two(lambda a, b: np.where(np.not_equal(a, 0), b, 0.0), "if_else_zero"),
+    **{name: _unary(getattr(np, name), name) for name in (*_UNARY_FUNCTIONS, "fabs", "sign", "floor", "ceil")},
+    **{name: _binary(getattr(np, name), name) for name in _BINARY_FUNCTIONS},
+    "asin": _unary(np.arcsin, "asin"),
+    "acos": _unary(np.arccos, "acos"),
+    "atan": _unary(np.arctan, "atan"),
+    "not": _unary(lambda a: np.equal(a, 0.0) * 1.0, "not_"),
+    "pow": _binary(np.power, "pow"),
+    "constpow": _binary(np.power, "pow"),
+    "atan2": _binary(np.arctan2, "atan2"),
+    "lt": _binary(lambda a, b: np.less(a, b) * 1.0, "lt"),
+    "le": _binary(lambda a, b: np.less_equal(a, b) * 1.0, "le"),
+    "eq": _binary(lambda a, b: np.equal(a, b) * 1.0, "eq"),
+    "ne": _binary(lambda a, b: np.not_equal(a, b) * 1.0, "ne"),
+    "and": _binary(lambda a, b: (np.not_equal(a, 0) & np.not_equal(b, 0)) * 1.0, "and_"),
+    "or": _binary(lambda a, b: (np.not_equal(a, 0) | np.not_equal(b, 0)) * 1.0, "or_"),
+    "if_else_zero": _binary(lambda a, b: np.where(np.not_equal(a, 0), b, 0.0), "if_else_zero"),
 }

@@ -1,4 +1,4 @@
-"""Elementary homogeneous transforms; each takes and returns numbers, DM or SX alike (4 x 4, metres and radians)."""
+"""Elementary homogeneous transforms, 4 x 4 [m, rad], of numbers, DM or SX alike."""
 
 import operator
 from collections.abc import Sequence
@@ -14,36 +14,43 @@ Symbolic = Any  # ca.SX, ca.MX, ca.DM or float: casadi's operators accept them a
 
 
 def rot_x(angle: Symbolic) -> Symbolic:
+    """Return the transform of a rotation about x by an angle [rad], shape (4, 4)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.blockcat([[1, 0, 0, 0], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
 
 
 def rot_y(angle: Symbolic) -> Symbolic:
+    """Return the transform of a rotation about y by an angle [rad], shape (4, 4)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.blockcat([[c, 0, s, 0], [0, 1, 0, 0], [-s, 0, c, 0], [0, 0, 0, 1]])
 
 
 def rot_z(angle: Symbolic) -> Symbolic:
+    """Return the transform of a rotation about z by an angle [rad], shape (4, 4)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return ca.blockcat([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 
 
 def translate(x: Symbolic, y: Symbolic, z: Symbolic) -> Symbolic:
+    """Return the transform of a translation [m], shape (4, 4)."""
     return ca.blockcat([[1, 0, 0, x], [0, 1, 0, y], [0, 0, 1, z], [0, 0, 0, 1]])
 
 
 def small_frame(x: Symbolic, y: Symbolic, z: Symbolic, rx: Symbolic, ry: Symbolic, rz: Symbolic) -> Symbolic:
-    """Translation, then rotations about x, y, z in this order (intrinsic)."""
+    """Return a translation [m] times rotations about x, y, z [rad] in this order (intrinsic)."""
     return translate(x, y, z) @ rot_x(rx) @ rot_y(ry) @ rot_z(rz)
 
 
 def product(factors: Sequence[Symbolic]) -> Symbolic:
-    """Product of transforms, the first one outermost."""
+    """Return the product of transforms, the first one outermost."""
     return reduce(operator.matmul, factors)
 
 
 def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
-    """A point, shape (3,), through transforms, the last one first: a tenth of the work of their product."""
+    """Return a point, shape (3,) [m], moved by transforms, the last one first.
+
+    It takes a tenth of the operations of their product.
+    """
     carried = ca.vertcat(point, 1)
     for T in reversed(factors):
         carried = T @ carried
@@ -51,11 +58,12 @@ def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
 
 
 def apply(T: Symbolic, point: Symbolic) -> Symbolic:
-    """A point, shape (3,), moved by the transform T."""
+    """Return a point, shape (3,) [m], moved by the transform T."""
     return T[:3, :3] @ point + T[:3, 3]
 
 
 def inverse(T: Symbolic) -> Symbolic:
+    """Return the inverse of a rigid transform, shape (4, 4)."""
     R = T[:3, :3].T
     return ca.blockcat([[R, -R @ T[:3, 3]], [ca.DM([[0, 0, 0]]), 1]])
 
@@ -88,7 +96,7 @@ def from_xyz(xyz: Array) -> Array:
 
 
 def to_xyz(R: Array) -> Array:
-    """Angles [rad] of rotations about x, y, z in this order (intrinsic), as `small_frame` takes them."""
+    """Return angles [rad] about the moving x, y, z axes of a rotation (3, 3), as `small_frame`."""
     return -to_rpy(R.T)
 
 
@@ -107,7 +115,7 @@ def from_quaternion(q: Array) -> Array:
 
 
 def frame(R: Array, p: Array) -> Array:
-    """Transform, shape (4, 4), from a rotation (3, 3) and a translation (3,) [m]."""
+    """Return the transform, shape (4, 4), of a rotation (3, 3) and a translation (3,) [m]."""
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = p
@@ -115,7 +123,7 @@ def frame(R: Array, p: Array) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """The rotation closest to a 3 x 3 matrix in the Frobenius norm (Kabsch)."""
+    """Return the rotation closest to a 3 x 3 matrix in the Frobenius norm (Kabsch)."""
     U, _, Vt = np.linalg.svd(M)
     if np.linalg.det(U @ Vt) < 0:
         U[:, 2] *= -1

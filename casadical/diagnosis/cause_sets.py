@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from casadical.core.statistics import TIE, first_of_best, ranked
+from casadical.core.statistics import TIE_TOLERANCE, first_of_best, ranked
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
@@ -57,7 +57,7 @@ class _Search:
         """Note a set and all with one more cause."""
         self.expanded.add(frozenset(found.chosen))
         for labels, label, mass in found.more():
-            if mass > self.mass.get(labels, -np.inf) + TIE:
+            if mass > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
                 self.mass[labels], self.reached[labels] = mass, (found, label)
         return found
 

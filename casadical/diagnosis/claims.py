@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import TIE, best_of, first_of_best, ranked
+from casadical.core.statistics import TIE_TOLERANCE, best_of, first_of_best, ranked
 from casadical.diagnosis.cross_validation import partitioned_errors, shrink_interval
 from casadical.diagnosis.result import CauseSet
 from casadical.diagnosis.search import End, State, Step, indistinguishable, next_cause
@@ -42,7 +42,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
     doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= MIN_DOUBTFUL_PROBABILITY]
     strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
-    if strongest and all(_evidence(strongest) > _evidence(s) + TIE for s in certain):
+    if strongest and all(_evidence(strongest) > _evidence(s) + TIE_TOLERANCE for s in certain):
         certain = [strongest, *certain]
     if len(certain) == len(steps):
         return replace(state, steps=tuple(certain)), end

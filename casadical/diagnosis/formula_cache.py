@@ -20,7 +20,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.cache_folder import private_folder
 from casadical.core.files import write_whole
-from casadical.core.reading import MOST_JSON, read_text
+from casadical.core.reading import MAX_JSON_BYTES, read_text
 from casadical.core.sx_instructions import Instruction, SxInstructions
 from casadical.diagnosis.seams import Seams
 from casadical.effects import Effect
@@ -179,7 +179,7 @@ class KeptFormulas:
         self._new = False
         if self.path is not None:
             with suppress(OSError, ValueError):
-                digest, _, text = read_text(self.path, MOST_JSON).partition("\n")
+                digest, _, text = read_text(self.path, MAX_JSON_BYTES).partition("\n")
                 if digest == hashlib.sha256(text.encode()).hexdigest():  # else it was damaged, and is made again
                     self._known = json.loads(text)
 

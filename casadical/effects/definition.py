@@ -20,7 +20,7 @@ from pydantic import Field, Strict, model_validator
 
 from casadical.core.basics import InputError, errors_of
 from casadical.core.parts import Arm, Body
-from casadical.core.reading import MOST_COUNT, load_toml
+from casadical.core.reading import MAX_ITEMS, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
@@ -202,7 +202,7 @@ class DefinitionFile(TomlTable):
     """A file with definitions."""
 
     casadical: Literal[2]
-    definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
+    definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
 
 
 @dataclass(frozen=True)

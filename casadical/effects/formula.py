@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import InputError
-from casadical.core.reading import LARGEST
+from casadical.core.reading import LARGEST_NUMBER
 
 MOST_CHARACTERS, MOST_NODES, MOST_LEVELS, MOST_POWER = 400, 120, 20, 6
 # Of numbers other than zero.
@@ -91,7 +91,7 @@ _POLE = 1e15
 def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
     """Between which its values lie, all components together, by interval arithmetic; ranges : of its names.
 
-    Raises InputError for a value on the way that is beyond `LARGEST`, or cannot be computed.
+    Raises InputError for a value on the way that is beyond `LARGEST_NUMBER`, or cannot be computed.
     """
     return _bounds(formula.text, _tree(formula.text), ranges)
 
@@ -110,8 +110,8 @@ def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Int
         low, high = _bounds_of_operation(text, node, *parts)
     else:
         low, high = min(part[0] for part in parts), max(part[1] for part in parts)
-    if not -LARGEST <= low <= high <= LARGEST:
-        raise _wrong(text, node, f"may become greater than {LARGEST:g}; keep its arguments small")
+    if not -LARGEST_NUMBER <= low <= high <= LARGEST_NUMBER:
+        raise _wrong(text, node, f"may become greater than {LARGEST_NUMBER:g}; keep its arguments small")
     return low, high
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import ConvergenceError, InputError
-from casadical.core.parts import Body, with_estimated_masses, without_masses
+from casadical.core.parts import Body, lacks_masses, with_estimated_masses
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
@@ -188,7 +188,7 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
     """
     if all(j.compliance is None for j in robot.joints):
         return robot, ()
-    if without_masses(robot):
+    if lacks_masses(robot):
         robot = with_estimated_masses(robot)
     if robot.masses != "estimated" or any(isinstance(e, LinkMasses) for e in robot.effects):
         return robot, ()

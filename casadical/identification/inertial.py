@@ -11,7 +11,7 @@ from itertools import combinations
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.parts import without_masses
+from casadical.core.parts import lacks_masses
 from casadical.core.statistics import best_of
 from casadical.identification.identifiability import Identifiability, analyse
 from casadical.measurements.logs.log import JointLog
@@ -108,7 +108,7 @@ def _friction_columns(v: Array) -> Array:
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
     """Return sentences on what the model lacks for a log, and on joints in another order or sign."""
-    states = None if without_masses(robot) else states_of(log)
+    states = None if lacks_masses(robot) else states_of(log)
     ends = () if states is None else (*_torque_scale_faults(robot, log, states), *_column_faults(robot, log, states))
     return (*_missing_data(robot, log), *ends)
 
@@ -116,7 +116,7 @@ def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
 def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
     """Yield a sentence for each datum of arm or drives that the log would need and that is unknown."""
     signed = log.torque is not None or (log.current is not None and not log.current_unsigned)
-    if without_masses(robot) or robot.masses == "estimated":
+    if lacks_masses(robot) or robot.masses == "estimated":
         yield (
             f"{robot.name!r} states no masses: estimates from its reach stand in their place, so friction, delay and "
             "play are told, payload and mass errors are not. Give its URDF with <inertial>, or a body of each [[joint]]"

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.mapped_function import CHUNK, MappedFunction
+from casadical.core.mapped_function import MAX_CHUNK_POINTS, MappedFunction
 from casadical.measurements.kinds.base import MeasurementKind, PoseExpression
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -168,8 +168,8 @@ class Block:
     def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
         """Outputs of one of the kernel's functions, some poses at a time."""
         shared = np.concatenate([x, self.robot])
-        for start in range(0, len(self.group), CHUNK):
-            some = slice(start, min(start + CHUNK, len(self.group)))
+        for start in range(0, len(self.group), MAX_CHUNK_POINTS):
+            some = slice(start, min(start + MAX_CHUNK_POINTS, len(self.group)))
             data = self.data(some)
             yield some, function(np.concatenate([data, u[self.group[some]].T]) if self.kernel.point else data, shared)
 

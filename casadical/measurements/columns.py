@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, Fault, FaultsError, InputError, shown
-from casadical.core.reading import LARGEST
+from casadical.core.reading import LARGEST_NUMBER
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 
@@ -100,7 +100,7 @@ POSSIBLE_RANGES = {
     "temperature_degC": (-273.15, 200.0),  # room temperatures in kelvin are refused
     "time_s": (-1e12, 1e12),
     "pose": (-1e12, 1e12),
-    "weight": (-LARGEST, LARGEST),
+    "weight": (-LARGEST_NUMBER, LARGEST_NUMBER),
 }
 # Readings of revolute joints beyond so many turns from zero are refused.
 MAX_TURNS = 4
@@ -292,7 +292,7 @@ class Columns:
         """Return a column's faults: cells that are no finite numbers, else values out of range."""
         values = self._values(name)
         faults: list[Fault] = []
-        least, most = POSSIBLE_RANGES.get(name, (-LARGEST, LARGEST))
+        least, most = POSSIBLE_RANGES.get(name, (-LARGEST_NUMBER, LARGEST_NUMBER))
         with np.errstate(invalid="ignore"):
             far = (values < least) | (values > most)
             if towards := name.startswith("approach"):

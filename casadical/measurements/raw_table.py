@@ -16,7 +16,15 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import MOST_CELLS, MOST_NUMBERS, archive_of, foreign, read_bytes, text_fault, unpacked
+from casadical.core.reading import (
+    MAX_TABLE_NUMBERS,
+    MAX_WORKBOOK_CELLS,
+    archive_of,
+    foreign,
+    read_bytes,
+    text_fault,
+    unpacked,
+)
 from casadical.measurements import table_form
 
 # A longer heading or more columns show that the file is no table of measurements.
@@ -107,7 +115,7 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     return _table_of(path, records, encoding, separator, sheet)
 
 
-def refuse_many(path: str | Path, numbers: int, most: int = MOST_NUMBERS, remedy: str = "") -> None:
+def refuse_many(path: str | Path, numbers: int, most: int = MAX_TABLE_NUMBERS, remedy: str = "") -> None:
     """Check the size of a table.
 
     Raises InputError: more numbers than `most`, the limit for memory.
@@ -190,8 +198,8 @@ def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
 
 def _refuse_cells(path: Path, cells: int) -> None:
     """Check the number of cells of a workbook. Raises InputError: too many."""
-    if cells > MOST_CELLS:
-        raise InputError(f"{path}: has more than {MOST_CELLS} cells; save what was measured as CSV")
+    if cells > MAX_WORKBOOK_CELLS:
+        raise InputError(f"{path}: has more than {MAX_WORKBOOK_CELLS} cells; save what was measured as CSV")
 
 
 def _cell(value: Any) -> str:

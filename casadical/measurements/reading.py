@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import GRAVITY
+from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.measurements.columns import FULL_TURN_RAD, MAX_TURNS, Columns, Source
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
@@ -181,14 +181,16 @@ def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Ar
     """
     tilts = [f"tilt_{c}_{unit}" for unit in ("deg", "rad") for c in "xy"]
     given = [name for name in tilts if name in conditions]
-    if len(given) == 2 and not {*GRAVITY} & conditions.keys():
+    if len(given) == 2 and not {*GRAVITY_COLUMNS} & conditions.keys():
         x, y = (conditions[n] * (np.pi / 180 if n.endswith("deg") else 1.0) for n in sorted(given))
         down = (np.cos(x) * np.sin(y), -np.sin(x), -np.cos(x) * np.cos(y))
-        return conditions | dict(zip(GRAVITY, down, strict=True))
-    if {*GRAVITY} <= conditions.keys():
-        still = np.linalg.norm([conditions[name] for name in GRAVITY], axis=0) == 0
+        return conditions | dict(zip(GRAVITY_COLUMNS, down, strict=True))
+    if {*GRAVITY_COLUMNS} <= conditions.keys():
+        still = np.linalg.norm([conditions[name] for name in GRAVITY_COLUMNS], axis=0) == 0
         if still.any():
-            raise InputError(f"{columns.at(int(np.argmax(still)))}: {', '.join(GRAVITY)} are all zero; gravity is not")
+            raise InputError(
+                f"{columns.at(int(np.argmax(still)))}: {', '.join(GRAVITY_COLUMNS)} are all zero; gravity is not"
+            )
     return conditions
 
 

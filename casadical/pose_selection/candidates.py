@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.parts import GRAVITY
+from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -155,7 +155,7 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             columns[name] = rng.choice([-1.0, 1.0], (N, 1)) * np.where(side, -1.0, 1.0)
         elif name.startswith(SESSION):  # the last is the one that goes on
             columns[name] = np.full((N, g), float(name == [c for c in robot.conditions if c.startswith(SESSION)][-1]))
-        elif name in GRAVITY:  # the robot stands as it is declared
+        elif name in GRAVITY_COLUMNS:  # the robot stands as it is declared
             columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
         elif not _TIMED.fullmatch(name):
             raise InputError(f"column {name!r} is needed by an effect and cannot be planned; leave that effect out")
@@ -253,7 +253,7 @@ def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.
         return rng.choice(states, len(warm))
     if logged is None:
         return np.zeros(len(warm))
-    if name in GRAVITY:
+    if name in GRAVITY_COLUMNS:
         return np.full(len(warm), logged.mean())
     if name.startswith("warmth_"):
         # After a campaign, a warm arm is at least so much [K] warmer where a column follows the temperature.

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array
-from casadical.core.parts import GRAVITY
-from casadical.core.statistics import TIE, first_of_best
+from casadical.core.parts import GRAVITY_COLUMNS
+from casadical.core.statistics import TIE_TOLERANCE, first_of_best
 from casadical.core.telling.result import Shown
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
@@ -31,7 +31,7 @@ from casadical.robot.robot import Robot
 # Parts of a campaign within which poses planned for a certain time may be reordered.
 TIME_PARTS = 4
 # Columns that are chosen with a pose and go with it.
-KEPT = ("payload_kg", SOCKET, *GRAVITY)
+KEPT = ("payload_kg", SOCKET, *GRAVITY_COLUMNS)
 
 
 def distances(robot: Robot, q: Array) -> Array:
@@ -61,7 +61,7 @@ def short_path(D: Array, before: Array | None = None) -> Array:
             path.append(first_of_best(-away[path[-1]]))
             away[:, path[-1]] = np.inf
         length = float(first[path[0]] + D[path[:-1], path[1:]].sum())
-        if best is None or length < (1 - TIE) * best[0]:
+        if best is None or length < (1 - TIE_TOLERANCE) * best[0]:
             best = (length, path)
     assert best is not None
     return np.array(best[1])

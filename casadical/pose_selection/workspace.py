@@ -13,7 +13,18 @@ from pydantic import Field, model_validator
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
-from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, FaultError, Pair, Quantity, TomlTable, Triple, check
+from casadical.core.schema import (
+    ANGLE,
+    LENGTH,
+    READING,
+    WHOLE_NUMBER,
+    FaultError,
+    Pair,
+    Quantity,
+    TomlTable,
+    Triple,
+    check,
+)
 from casadical.robot.kinematics import LEAST_MARGIN, link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
@@ -232,7 +243,7 @@ class _Tracker(TomlTable):
 
 
 class _Workspace(TomlTable):
-    casadical: Annotated[Literal[1], WHOLE]
+    casadical: Annotated[Literal[1], WHOLE_NUMBER]
     floor: Annotated[float | None, LENGTH] = None
     clearance: Annotated[float, LENGTH, Field(ge=0)] = 0.0
     four_bar_margin: float = Field(default=0.1, gt=0, lt=1)

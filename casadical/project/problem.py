@@ -12,7 +12,7 @@ import pandas as pd
 
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
-from casadical.core.parts import GRAVITY
+from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.telling.result import Shown
 from casadical.identification.plausibility import refuse_undefined
 from casadical.identification.prior import Prior, carry_over
@@ -418,10 +418,10 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
     Raises InputError where a column that they are derived from is missing, and at a row where the
         effects give no finite position.
     """
-    if robot.gravity_frame == "logged" and not {*GRAVITY} <= m.conditions.keys():
+    if robot.gravity_frame == "logged" and not {*GRAVITY_COLUMNS} <= m.conditions.keys():
         raise InputError(
             f'{m.source}: robot {robot.name!r} stands on what tilts ([gravity] frame = "logged"), and no columns say '
-            f"how: log tilt_x_deg and tilt_y_deg of its base, or {', '.join(GRAVITY)}"
+            f"how: log tilt_x_deg and tilt_y_deg of its base, or {', '.join(GRAVITY_COLUMNS)}"
         )
     if not robot.effects:
         return m

@@ -23,8 +23,8 @@ from pydantic import (
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
-from casadical.core.reading import MOST_COUNT, load_json, load_toml, missing, read_bytes
-from casadical.core.schema import FORMS, WHOLE, FaultError, Triple, check
+from casadical.core.reading import MAX_ITEMS, load_json, load_toml, missing, read_bytes
+from casadical.core.schema import VALUE_FORMS, WHOLE_NUMBER, FaultError, Triple, check
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import kinds
@@ -72,11 +72,11 @@ class _Source(_Strict):
 
 
 def _form(value: Any) -> str:
-    """Return the entry of `FORMS` by which a column's source is validated: text or table."""
-    return FORMS[isinstance(value, dict | _Source)]
+    """Return the entry of `VALUE_FORMS` by which a column's source is validated: text or table."""
+    return VALUE_FORMS[isinstance(value, dict | _Source)]
 
 
-_Made = Annotated[Annotated[str, Tag(FORMS[0])] | Annotated[_Source, Tag(FORMS[1])], Discriminator(_form)]
+_Made = Annotated[Annotated[str, Tag(VALUE_FORMS[0])] | Annotated[_Source, Tag(VALUE_FORMS[1])], Discriminator(_form)]
 
 
 class DataTable(_Strict):
@@ -293,7 +293,7 @@ class LogsTable(_Strict):
 class ProblemFile(_Strict):
     """The contents of problem.toml (docs/measurements.md lists the keys)."""
 
-    casadical: Annotated[Literal[1], WHOLE]
+    casadical: Annotated[Literal[1], WHOLE_NUMBER]
     title: str
     data: Literal["real", "synthetic"] | None = None
     robot: str = "robot.toml"
@@ -302,7 +302,7 @@ class ProblemFile(_Strict):
     methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: AnyLoss = "auto"
     paper: Paper | None = None
-    measurements: list[DataTable] = Field(default=[], max_length=MOST_COUNT)
+    measurements: list[DataTable] = Field(default=[], max_length=MAX_ITEMS)
     logs: LogsTable | None = None
     sets: SetsTable = SetsTable()
     sessions: SessionsTable = SessionsTable()

@@ -13,7 +13,7 @@ from itertools import accumulate
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.parts import NEAR_PARALLEL, Joint
+from casadical.core.parts import NEAR_PARALLEL_RAD, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 
 NOISE = 1e-14  # of products of sines
@@ -101,7 +101,7 @@ def _towards(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint]:
     """
     p = to_entry[:3, :3] @ axis.point + to_entry[:3, 3]
     z = to_entry[:3, :3] @ axis.direction
-    if np.hypot(z[0], z[1]) < np.sin(NEAR_PARALLEL):
+    if np.hypot(z[0], z[1]) < np.sin(NEAR_PARALLEL_RAD):
         return _hayati(row, p, z)
     return _craig(row, p, z)
 

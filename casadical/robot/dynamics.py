@@ -13,7 +13,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.mapped_function import MappedFunction
-from casadical.core.parts import Body, Coupling, with_estimated_masses, without_masses
+from casadical.core.parts import Body, Coupling, lacks_masses, with_estimated_masses
 from casadical.core.transforms import Symbolic, product
 from casadical.robot.kinematics import own_variables, row_factors
 from casadical.robot.model import Structure, base_frame, gravity_in_base
@@ -39,7 +39,7 @@ class Dynamics:
     def robot(self) -> Robot:
         """The robot without effects, with masses."""
         bare = self.given.with_only(())
-        return with_estimated_masses(bare) if without_masses(bare) else bare
+        return with_estimated_masses(bare) if lacks_masses(bare) else bare
 
     @cached_property
     def names(self) -> tuple[str, ...]:

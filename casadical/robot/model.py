@@ -15,7 +15,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.mapped_function import MappedFunction
 from casadical.core.parameters import Parameters
-from casadical.core.parts import GRAVITY, Arm
+from casadical.core.parts import GRAVITY_COLUMNS, Arm
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot import kinematics
@@ -220,7 +220,7 @@ def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]
     """Gravity in the robot's base frame, shape (3,) [m/s^2]; of logged columns the direction counts."""
     gravity = ca.DM(arm.gravity)
     if arm.gravity_frame == "logged":
-        down = ca.vertcat(*(conditions[name] for name in GRAVITY))
+        down = ca.vertcat(*(conditions[name] for name in GRAVITY_COLUMNS))
         return ca.norm_2(gravity) * down / ca.norm_2(down)
     return T_M0[:3, :3].T @ gravity if arm.gravity_frame == "measuring" else gravity
 

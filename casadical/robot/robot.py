@@ -20,7 +20,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameters
-from casadical.core.parts import GRAVITY, Arm, Joint
+from casadical.core.parts import GRAVITY_COLUMNS, Arm, Joint
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
@@ -240,7 +240,7 @@ class Robot(Shown, Arm):
     @cached_property
     def conditions(self) -> tuple[str, ...]:
         """Logged columns that the model uses, besides the joint readings."""
-        tilting = GRAVITY if self.gravity_frame == "logged" else ()
+        tilting = GRAVITY_COLUMNS if self.gravity_frame == "logged" else ()
         own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets), *tilting)
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
 
@@ -253,7 +253,7 @@ class Robot(Shown, Arm):
         """
         known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
         size = max(float(np.linalg.norm(self.gravity)), 1e-9)
-        known |= dict(zip(GRAVITY, self.gravity / size, strict=True))
+        known |= dict(zip(GRAVITY_COLUMNS, self.gravity / size, strict=True))
         return np.array([known.get(c, 0.0) for c in self.conditions])
 
     @cached_property

@@ -19,8 +19,19 @@ from casadical.core import parts
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 from casadical.core.parts import STANDARD_GRAVITY
-from casadical.core.reading import MOST_COUNT
-from casadical.core.schema import ANGLE, LENGTH, READING, WHOLE, Angle, FaultError, Length, Pair, TomlTable, Triple
+from casadical.core.reading import MAX_ITEMS
+from casadical.core.schema import (
+    ANGLE,
+    LENGTH,
+    READING,
+    WHOLE_NUMBER,
+    Angle,
+    FaultError,
+    Length,
+    Pair,
+    TomlTable,
+    Triple,
+)
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import Effect
 from casadical.effects.definition import Definition
@@ -214,7 +225,7 @@ class _Widths(TomlTable):
 
 
 class RobotFile(TomlTable):
-    casadical: Annotated[Literal[1, 2], WHOLE]
+    casadical: Annotated[Literal[1, 2], WHOLE_NUMBER]
     written_by: str = ""
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"
@@ -223,15 +234,15 @@ class RobotFile(TomlTable):
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     tool_name: Spelt = ""
-    further_tool: list[ToolTable] = Field(default=[], max_length=MOST_COUNT)
+    further_tool: list[ToolTable] = Field(default=[], max_length=MAX_ITEMS)
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1, max_length=MOST_JOINTS)
     four_bar: list[_FourBar] = Field(default=[], max_length=MOST_JOINTS)
     drive: Drive | None = None
     width: _Widths = _Widths()
-    definition: list[Definition] = Field(default=[], max_length=MOST_COUNT)
-    effect: list[effect_tables.EffectTable] = Field(default=[], max_length=MOST_COUNT)
+    definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
+    effect: list[effect_tables.EffectTable] = Field(default=[], max_length=MAX_ITEMS)
     learnt: effect_tables.LearntTable = effect_tables.LearntTable()
     covariance: list[effect_tables.CovarianceTable] = Field(default=[])
     remaining: effect_tables.RemainingTable | None = None

@@ -7,7 +7,7 @@ from command_line import ROOT, own_planar, run
 
 from casadical import InputError, read_problem
 from casadical.cli.terminal import refusal
-from casadical.core.basics import MOST_FAULTS, Fault, FaultsError
+from casadical.core.basics import MAX_FAULTS_SHOWN, Fault, FaultsError
 
 GOOD = (ROOT / "data" / "planar" / "planar.csv").read_text().splitlines()
 
@@ -64,12 +64,12 @@ def test_robot_table_and_poses_of_a_new_problem_are_told_at_once(tmp_path: Path)
     assert not (tmp_path / "arm").exists()
 
 
-@pytest.mark.parametrize("tables", [3, MOST_FAULTS + 5])
+@pytest.mark.parametrize("tables", [3, MAX_FAULTS_SHOWN + 5])
 def test_what_is_not_told_is_counted(tables: int, capfd: pytest.CaptureFixture[str]) -> None:
     faults = [Fault("poses.csv", (k,), "x_mm", "nan", "no number", "", "") for k in range(tables)]
     refusal(FaultsError(faults, ["one.toml: wrong", "two.toml: wrong"]))
     told = capfd.readouterr().err
-    assert told.count("poses.csv") == min(tables, MOST_FAULTS)
+    assert told.count("poses.csv") == min(tables, MAX_FAULTS_SHOWN)
     assert told.count("toml: wrong") == (2 if tables == 3 else 0)
     assert ("and 7 more" in told, "more" in told) == (tables > 3, tables > 3)
 

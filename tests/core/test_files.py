@@ -10,7 +10,7 @@ import pytest
 
 from casadical.core.basics import InputError
 from casadical.core.files import appending, claimed, write_together, write_whole
-from casadical.core.reading import MOST_BYTES, read_bytes
+from casadical.core.reading import MAX_TABLE_BYTES, read_bytes
 
 ROOT = Path(__file__).parents[2]
 
@@ -146,7 +146,7 @@ def test_a_device_and_a_file_that_is_too_large_are_not_read(tmp_path: Path) -> N
     with pytest.raises(InputError, match="is a device"):
         read_bytes(Path("/dev/zero"))
     with (tmp_path / "large").open("wb") as file:
-        file.truncate(MOST_BYTES + 1)
+        file.truncate(MAX_TABLE_BYTES + 1)
     with pytest.raises(InputError, match="at most"):
         read_bytes(tmp_path / "large")
 

@@ -15,11 +15,11 @@ import pytest
 from casadical import read_robot, read_urdf
 from casadical.core.basics import InputError
 from casadical.core.reading import (
-    DEEPEST,
-    MOST_CELLS,
-    MOST_JSON,
-    MOST_TEXT,
-    MOST_UNPACKED,
+    MAX_JSON_BYTES,
+    MAX_NESTING,
+    MAX_TEXT_BYTES,
+    MAX_UNPACKED_BYTES,
+    MAX_WORKBOOK_CELLS,
     json_of,
     load_json,
     load_toml,
@@ -69,7 +69,9 @@ def test_what_a_shell_hands_over_is_read(stream: str) -> None:
     assert done.stdout == "told\n", done.stderr
 
 
-@pytest.mark.parametrize(("read", "most"), [(load_toml, MOST_TEXT), (read_xml, MOST_TEXT), (load_json, MOST_JSON)])
+@pytest.mark.parametrize(
+    ("read", "most"), [(load_toml, MAX_TEXT_BYTES), (read_xml, MAX_TEXT_BYTES), (load_json, MAX_JSON_BYTES)]
+)
 def test_sizes_are_looked_at_before_the_content(tmp_path: Path, read: Callable[[Path], object], most: int) -> None:
     with (tmp_path / "large").open("wb") as file:
         file.truncate(most + 1)
@@ -99,7 +101,7 @@ def test_json_beyond_the_bounds(text: str | bytes, why: str) -> None:
 
 
 def test_json_within_the_bounds_is_read() -> None:
-    data = {"a": [1, 2.5, None], "deep": json.loads("[" * (DEEPEST - 1) + "]" * (DEEPEST - 1))}
+    data = {"a": [1, 2.5, None], "deep": json.loads("[" * (MAX_NESTING - 1) + "]" * (MAX_NESTING - 1))}
     assert json_of(json.dumps(data), "it.json") == data
 
 
@@ -161,22 +163,22 @@ def refuse_workbook(path: Path, why: str) -> None:
 
 def test_workbooks_with_more_than_can_be_read(tmp_path: Path) -> None:
     path = tmp_path / "book.xlsx"
-    rows = "<row/>" * (MOST_CELLS + 1)
-    refuse_workbook(workbook(path, rows), f"has more than {MOST_CELLS} cells")
+    rows = "<row/>" * (MAX_WORKBOOK_CELLS + 1)
+    refuse_workbook(workbook(path, rows), f"has more than {MAX_WORKBOOK_CELLS} cells")
     assert path.stat().st_size < 100_000
     last = '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>'
-    refuse_workbook(workbook(path, last), f"has more than {MOST_CELLS} cells")
+    refuse_workbook(workbook(path, last), f"has more than {MAX_WORKBOOK_CELLS} cells")
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("xl/sheet.xml", "w") as cell:
-        for _ in range(MOST_UNPACKED // 1_000_000 + 1):
+        for _ in range(MAX_UNPACKED_BYTES // 1_000_000 + 1):
             cell.write(bytes(1_000_000))
     refuse_workbook(path, "when unpacked; at most")
 
 
 @pytest.mark.parametrize("rows", ["<row/>", "<x:row><x:c/></x:row>", '<row r="1"><c r="A1"><v>1</v></c></row>'])
 def test_cells_of_a_workbook_are_counted_before_it_is_opened(tmp_path, monkeypatch, rows) -> None:
-    path = workbook(tmp_path / "book.xlsx", rows * (MOST_CELLS + 1))
+    path = workbook(tmp_path / "book.xlsx", rows * (MAX_WORKBOOK_CELLS + 1))
     monkeypatch.setattr("openpyxl.load_workbook", None)
-    refuse_workbook(path, f"has more than {MOST_CELLS} cells; save what was measured as CSV")
+    refuse_workbook(path, f"has more than {MAX_WORKBOOK_CELLS} cells; save what was measured as CSV")
 
 
 def test_workbooks_that_are_damaged(tmp_path: Path) -> None:

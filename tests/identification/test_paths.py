@@ -10,7 +10,7 @@ import pytest
 
 from casadical import identify
 from casadical.core import compile_cache as compiled
-from casadical.core.mapped_function import CHUNK, COMPILE_FROM, LOOK_FROM, MappedFunction
+from casadical.core.mapped_function import COMPILATION_POINTS, LIBRARY_LOOKUP_POINTS, MAX_CHUNK_POINTS, MappedFunction
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.residuals import KNEE
 
@@ -28,7 +28,10 @@ def sums(least_squares, v):
     return [least_squares.cost(v), *least_squares.gradient(v)]
 
 
-@pytest.mark.parametrize("n", [1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK, 2 * CHUNK + 1])
+@pytest.mark.parametrize(
+    "n",
+    [1, MAX_CHUNK_POINTS - 1, MAX_CHUNK_POINTS, MAX_CHUNK_POINTS + 1, 2 * MAX_CHUNK_POINTS, 2 * MAX_CHUNK_POINTS + 1],
+)
 def test_chunks_sum_to_the_whole(n):
     """Against the sum of residuals computed pose by pose, which knows no chunks."""
     least_squares = problem(n)
@@ -82,15 +85,15 @@ def test_machine_code_takes_over_where_it_pays(with_compiler):
     x, a = ca.SX.sym("x", 2), ca.SX.sym("a", 2)
     made = partial(MappedFunction, "wave", x, a, [ca.sin(a[0]) * ca.cos(x) + a[1]])
     f, states, shared = made(), [], np.array([0.3, 1.2])
-    points = np.random.default_rng(0).normal(size=(2, COMPILE_FROM // 2))
-    for n in (LOOK_FROM, COMPILE_FROM // 2, COMPILE_FROM // 2, 9):
+    points = np.random.default_rng(0).normal(size=(2, COMPILATION_POINTS // 2))
+    for n in (LIBRARY_LOOKUP_POINTS, COMPILATION_POINTS // 2, COMPILATION_POINTS // 2, 9):
         (found,) = f(points[:, :n], shared)
         states.append((f.is_compiled, len(list(with_compiler.iterdir()))))
         assert np.array_equal(found[:, :9], f(points[:, :9], shared)[0])
     assert states == [(False, 0), (False, 0), (True, 1), (True, 1)]
     assert np.allclose(found, np.sin(0.3) * np.cos(points[:, :9]) + 1.2, rtol=1e-14)
     another = made()
-    another(points[:, :LOOK_FROM], shared)
+    another(points[:, :LIBRARY_LOOKUP_POINTS], shared)
     assert another.is_compiled  # it is there already
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array, Fault, FaultsError, InputError
-from casadical.core.reading import LARGEST
+from casadical.core.reading import LARGEST_NUMBER
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.measurements.columns import POSSIBLE_RANGES
@@ -181,7 +181,7 @@ def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
     for k, column in enumerate(values.T if values.ndim == 2 else [values]):
         label = f"{name} {log.joints[k]}" if values.ndim == 2 else name
         limited = {"payload": "payload_kg", "temperature": "temperature_degC"}.get(name, "")
-        least, most = POSSIBLE_RANGES.get(limited, (-LARGEST, LARGEST))
+        least, most = POSSIBLE_RANGES.get(limited, (-LARGEST_NUMBER, LARGEST_NUMBER))
         wrong, allowed = (column < least) | (column > most), f"{least:g} to {most:g}" if limited else "finite numbers"
         if name == "time":
             wrong |= np.isnan(column)

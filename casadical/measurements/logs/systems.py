@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import Array, InputError, optional
-from casadical.core.reading import MOST_BYTES, foreign, load_json, read_text, regular
+from casadical.core.reading import MAX_TABLE_BYTES, foreign, load_json, read_text, regular
 from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
@@ -79,9 +79,9 @@ def bag(path: Path) -> Logged:
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
     for file in (f for f in path.iterdir() if f.exists() and not f.is_dir()) if path.is_dir() else (path,):
-        if (size := regular(file).stat().st_size) > MOST_BYTES:
+        if (size := regular(file).stat().st_size) > MAX_TABLE_BYTES:
             raise InputError(
-                f"{file}: has {size} bytes; at most {MOST_BYTES} are read: record the joints' topics alone"
+                f"{file}: has {size} bytes; at most {MAX_TABLE_BYTES} are read: record the joints' topics alone"
             )
     streams: dict[tuple[str, ...], _Stream] = {}
     size = 0

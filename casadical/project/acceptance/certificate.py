@@ -16,7 +16,7 @@ from pydantic import Field
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_json, load_toml
-from casadical.core.schema import LENGTH, WHOLE, TomlTable, check
+from casadical.core.schema import LENGTH, WHOLE_NUMBER, TomlTable, check
 from casadical.core.telling.blocks import Page, Section, Table, Words, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.page import provenance_of
@@ -72,7 +72,7 @@ class DecisionTable(TomlTable):
 class Details(TomlTable):
     """The contents of certificate.toml."""
 
-    casadical: Annotated[Literal[1], WHOLE]
+    casadical: Annotated[Literal[1], WHOLE_NUMBER]
     language: Literal["en", "de"] = "en"
     number: Text = ""
     issued: Text = ""

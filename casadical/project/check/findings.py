@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import FaultsError, InputError, shown
-from casadical.core.parts import GRAVITY
+from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.identifiability import CONFOUNDED_CONDITION_NUMBER
 from casadical.identification.identification import undeclared
 from casadical.identification.plausibility import check_against
@@ -143,7 +143,7 @@ def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
 def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
     """Columns that are almost a name that something asks for, and those that this robot has no use for."""
     findings = []
-    if robot.gravity_frame != "logged" and {*GRAVITY} <= {*conditions}:
+    if robot.gravity_frame != "logged" and {*GRAVITY_COLUMNS} <= {*conditions}:
         text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
         findings.append(
             Finding("warning", "columns", f'{text}: write frame = "logged" in [gravity], or leave them out')

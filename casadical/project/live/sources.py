@@ -19,7 +19,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import appending
-from casadical.core.reading import MOST_TEXT, json_of, read_bytes
+from casadical.core.reading import MAX_TEXT_BYTES, json_of, read_bytes
 from casadical.measurements.raw_table import read_table
 from casadical.pose_selection.candidates import expected
 from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built, reading_cells
@@ -204,8 +204,8 @@ class StreamSource:
             while some := os.read(self._stream.fileno(), 65536):
                 with self._lock:
                     self._data += some
-                    if len(self._data) > MOST_TEXT:
-                        raise InputError(f"more than {MOST_TEXT} bytes came; give a file, or start again")
+                    if len(self._data) > MAX_TEXT_BYTES:
+                        raise InputError(f"more than {MAX_TEXT_BYTES} bytes came; give a file, or start again")
         except (OSError, InputError) as error:
             self._said.append(f"{self.words}: is read no further: {error}")
         finally:

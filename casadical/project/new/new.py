@@ -14,7 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import claimed, csv_text, write_together
-from casadical.core.parts import with_estimated_masses, without_masses
+from casadical.core.parts import lacks_masses, with_estimated_masses
 from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
@@ -270,7 +270,7 @@ def _robot_files(
         return {"robot.urdf": read_text(urdf)}, read_urdf(urdf, base_link, tip_link)
     text = robot_text(dh, name, convention) if dh else EXAMPLE_ROBOT
     robot = robot_from(tomllib.loads(text), dh.name if dh else "robot.toml")
-    if without_masses(robot):
+    if lacks_masses(robot):
         robot = with_estimated_masses(robot)
         text = with_masses(text, robot, convention == "standard")
     return {"robot.toml": text}, robot

@@ -9,7 +9,7 @@ from xml.dom import minidom
 import numpy as np
 
 from casadical.core.basics import Array, InputError, optional, shown
-from casadical.core.reading import MOST_COUNT, foreign, read_xml
+from casadical.core.reading import MAX_ITEMS, foreign, read_xml
 from casadical.core.schema import LENGTH
 
 # Levels of elements: of links of links in a MuJoCo model, say.
@@ -87,8 +87,8 @@ class Tree:
         self.source = source
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
-        if len(self.names) > MOST_COUNT:
-            raise InputError(f"{source}: has {len(self.names)} links; allowed: up to {MOST_COUNT}; take the others out")
+        if len(self.names) > MAX_ITEMS:
+            raise InputError(f"{source}: has {len(self.names)} links; allowed: up to {MAX_ITEMS}; take the others out")
         self.below: dict[str, list[Any]] = {name: [] for name in self.names}
         for kind, items in (("link", urdf.links), ("joint", urdf.joints)):
             names = [item.name for item in items]

@@ -16,7 +16,7 @@ def contend(data, clock, compile_from):
     from casadical.core import mapped_function
     from casadical.identification.accuracy import predicted
 
-    mapped_function.LOOK_FROM = mapped_function.COMPILE_FROM = compile_from
+    mapped_function.LIBRARY_LOOKUP_POINTS = mapped_function.COMPILATION_POINTS = compile_from
     with clock("build"):
         joints = tuple(casadical.Joint(*row, lower=-7.0, upper=7.0) for row in data.dh)
         unknown = casadical.Placement(np.eye(4), "pose"), casadical.Placement(np.eye(4), "position")
