@@ -25,7 +25,7 @@ from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import MAX_FITTED_HARMONIC, REPEATABILITY_RATIOS, WideFit, wide_fit
-from casadical.identification.remaining_errors import doubts_of, evaluated
+from casadical.identification.remaining_errors import residuals_and_jacobian, uncertain_parameters_of
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
@@ -183,10 +183,10 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
     wide = doubted(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
-    doubts = doubts_of(wide, [n for n in solved if n in wide.parameters.names])
+    doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
     turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
-    J = evaluated(wide, [unmeasured(readings_of(robot, DRAWN), measured)], doubts.names)[1]
+    J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])

@@ -24,7 +24,7 @@ from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.fleet.comparison import CAMPAIGNS, YEAR, weighed
 from casadical.fleet.estimates import readings_of
 from casadical.fleet.evidence import FREQUENCY, KAPPAS, Candidate, candidates_of, daily, log_evidence
-from casadical.identification.remaining_errors import evaluated
+from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.project.acceptance.budget import covariance_root
 from casadical.robot.remaining_errors import doubted
@@ -160,7 +160,7 @@ class TouchModel:
     @cached_property
     def _evaluated(self) -> tuple[Array, Array]:
         """Measured less predicted, shape (rows,) [mm], and the Jacobian, shape (rows, p) [mm a unit of scale]."""
-        r, J = evaluated(self.robot, self.days, self.names)
+        r, J = residuals_and_jacobian(self.robot, self.days, self.names)
         return -r.reshape(-1), J.reshape(-1, J.shape[2])
 
     @property
@@ -317,7 +317,7 @@ class TouchModel:
     @cached_property
     def task(self) -> Array:
         """Jacobian at poses over the readings on which the robot was learnt, shape (n, 3, p) [mm a unit of scale]."""
-        J = evaluated(self.robot, [unmeasured(readings_of(self.robot, TASK))], self.names)[1]
+        J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, TASK))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
     @cached_property

@@ -22,7 +22,8 @@ FIGURE_OF_UNIT = {
     "deg": ("angles", "Angles"),
     "urad/(N m)": ("compliance", "Joint compliance"),
 }
-# At most this number of residuals (their quantiles) or of readings is drawn, to keep the page small.
+# At most this number of residuals (their quantiles) or of readings is drawn, to keep the page
+# small.
 MAX_POINTS_DRAWN = 600
 # At most this number of correlated_words pairs is named in a sentence.
 MAX_PAIRS_NAMED = 8

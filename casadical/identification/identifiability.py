@@ -116,7 +116,8 @@ def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
     """
     residual = column - (basis @ column) @ basis
     norm = math.sqrt(residual @ residual)
-    # A residual below this has lost digits: it is orthogonalised a second time (Daniel et al. 1976).
+    # A residual below this has lost digits: it is orthogonalised a second time (Daniel et al.
+    # 1976).
     if norm < 0.7:
         residual -= (basis @ residual) @ basis
         norm = math.sqrt(residual @ residual)

@@ -25,7 +25,7 @@ from casadical.identification.least_squares import LeastSquares, first_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
-from casadical.identification.reduction import SCREENINGS, solve_by_auto, solve_without_outliers
+from casadical.identification.reduction import MAX_OUTLIER_ROUNDS, solve_by_auto, solve_without_outliers
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss, Loss
 from casadical.identification.result import Identification, Tried, learnt_from, without_poses
 from casadical.identification.sessions import place_sessions, with_sessions
@@ -371,7 +371,7 @@ def calibrated(
     plain: Loss = "linear" if loss == "auto" else loss
     problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
-    (reduced, solution, judged), outliers = solve(problem, SCREENINGS if screen else 0, progress)
+    (reduced, solution, judged), outliers = solve(problem, MAX_OUTLIER_ROUNDS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
     result = Identification(
         given=replace(robot, effect_values=start.effect_values) if placed else robot,

@@ -20,8 +20,25 @@ from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.residuals import HELD, POINT_SCALE, Block, Loss, loss_slope, loss_value, make_block
-from casadical.identification.solver import ACCEPTABLE, OPTIMUM, Kept, Progress, Solution, Sums, bounded_step, minimise
+from casadical.identification.residuals import (
+    MAX_CACHED_DATA_POSES,
+    POINT_SCALE,
+    Block,
+    Loss,
+    loss_slope,
+    loss_value,
+    make_block,
+)
+from casadical.identification.solver import (
+    ACCEPTABLE_STATUS,
+    OPTIMUM_MESSAGE,
+    ProblemCache,
+    Progress,
+    Solution,
+    Sums,
+    bounded_step,
+    minimise,
+)
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -31,8 +48,8 @@ INITIAL_SIGMA_M = 1e-4
 # The same of an angle [rad].
 INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # Gain of one more step [cost, half of chi-squared] below which a slow search has converged: a tenth
-# of a standard error. A search is slow along what only priors determine, such as the common scale of
-# estimated masses and compliances, or parameters with a prior from another campaign.
+# of a standard error. A search is slow along what only priors determine, such as the common scale
+# of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
 # Above this number of parameters with priors, those of effects are not tested for independence, and
 # a solve starts with Gauss-Newton steps.
@@ -76,7 +93,7 @@ class LeastSquares:
     weighed: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
     most_kept: int = 2_000_000
-    kept: Kept = field(default_factory=Kept, init=False, repr=False)
+    kept: ProblemCache = field(default_factory=ProblemCache, init=False, repr=False)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -118,7 +135,9 @@ class LeastSquares:
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
             group = np.array([index[name] for name in self.pose_labels(k)] or [0] * len(m), dtype=np.int64)
             of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
-            made.append(make_block(*of_set, fixed_loads=self.fixed_loads, held=min(HELD, self.most_kept)))
+            made.append(
+                make_block(*of_set, fixed_loads=self.fixed_loads, held=min(MAX_CACHED_DATA_POSES, self.most_kept))
+            )
         return tuple(made)
 
     @property
@@ -257,8 +276,8 @@ class LeastSquares:
         )
         # An optimum is where one more step gains less than 1e-8 in cost: a ten-thousandth of a
         # standard error.
-        sharp = solution.status == ACCEPTABLE and self.decrement(solution.v) < 1e-8
-        return replace(solution, message=OPTIMUM) if sharp else solution
+        sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < 1e-8
+        return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
     def _approached(self) -> Array:
         """Return the point that bounded Gauss-Newton steps reach while each reduces the cost

@@ -17,7 +17,12 @@ from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_sums
 from casadical.core.statistics import first_of_best
 from casadical.identification.identifiability import scaled_inverse
-from casadical.identification.remaining_errors import ROUNDS, Doubts, doubts_of, posterior_of
+from casadical.identification.remaining_errors import (
+    EM_ITERATIONS,
+    UncertainParameters,
+    posterior_of,
+    uncertain_parameters_of,
+)
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.registry import find_kind
@@ -109,7 +114,7 @@ class WideFit:
     """
 
     robot: Robot
-    doubts: Doubts
+    doubts: UncertainParameters
     poses: _Poses
     best: NoiseFit
     misfit: float
@@ -146,7 +151,7 @@ def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
     Raises InputError for known distances between touched points.
     """
     robot = doubted(found.robot, MAX_FITTED_HARMONIC)
-    doubts = doubts_of(robot, found.names)
+    doubts = uncertain_parameters_of(robot, found.names)
     low = [joint[: 2 * MAX_COMPARED_HARMONIC] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * MAX_COMPARED_HARMONIC :] for joint in doubts.joints)))
     poses = _Poses(found, robot, doubts.names, kept)
@@ -220,7 +225,7 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
 _Fit = tuple[tuple[float, ...], NoiseFit, Array]
 
 
-def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
+def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
     """Return the ratio from which no step along REPEATABILITY_RATIOS is more probable, and its fit.
 
     All joints have the same ratio. Returns ratios, fit and posterior mean.
@@ -236,7 +241,9 @@ def _most_probable(poses: _Poses, doubts: Doubts) -> _Fit:
     return tried[best]
 
 
-def _at(rhos: tuple[float, ...], poses: _Poses, doubts: Doubts, rounds: int = ROUNDS) -> tuple[NoiseFit, Array]:
+def _at(
+    rhos: tuple[float, ...], poses: _Poses, doubts: UncertainParameters, rounds: int = EM_ITERATIONS
+) -> tuple[NoiseFit, Array]:
     """Return the fit with noise s2 (I + Jq Jq') and the posterior mean; Jq as in `_sums`."""
     (sums,), spread = _sums(rhos, poses)
     sums = replace(sums, count=poses.count)

@@ -179,8 +179,8 @@ class PlacementProblem:
 # Initial frames are computed from at most this number of poses, to save time. They are drawn at
 # random, because on a measured grid every k-th pose may be similar.
 MAX_START_POSES = 200
-# Fewer measured values than this leave the frames as the robot file has them, and fewer poses do not
-# determine them without a prior.
+# Fewer measured values than this leave the frames as the robot file has them, and fewer poses do
+# not determine them without a prior.
 MIN_START_READINGS = 6
 # Names of the tool's position parameters.
 TOOL_POSITION_NAMES = ("tool_x", "tool_y", "tool_z")
@@ -367,7 +367,8 @@ def solve_placement(
     n = len(p)
     centre = y.mean(axis=0)
     c = y - centre
-    # All that follows uses these sums, so that the rounds below do not depend on the number of poses.
+    # All that follows uses these sums, so that the rounds below do not depend on the number of
+    # poses.
     cp, S, Rp = c.T @ p, R.sum(axis=0), p.ravel() @ R.reshape(-1, 3)
     cR = (c.T @ R.reshape(n, 9)).reshape(3, 3, 3)
     R_B = T_M0[:3, :3]

@@ -9,7 +9,7 @@ from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
 from casadical.identification.accuracy import positions_at, predicted
 from casadical.identification.placement import place_frames
-from casadical.identification.residuals import HELD
+from casadical.identification.residuals import MAX_CACHED_DATA_POSES
 from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -64,8 +64,8 @@ def refuse_undefined(robot: Robot, m: Measurements) -> None:
 
     An example is a divisor of zero.
     """
-    for k in range(0, len(m) if robot.effects else 0, HELD):
-        some = m[k : k + HELD]
+    for k in range(0, len(m) if robot.effects else 0, MAX_CACHED_DATA_POSES):
+        some = m[k : k + MAX_CACHED_DATA_POSES]
         for q in (some.q,) if some.other is None else (some.q, some.other):
             bad = np.asarray(~np.isfinite(predicted(robot, replace(some, q=q))[0]).all(axis=1))
             if bad.any():
@@ -213,8 +213,8 @@ def orientation_error(robot: Robot, m: Measurements) -> float:
     assert seen is not None
     base, tool = np.eye(3), np.eye(3)
     if robot.base.unknown == "pose" and robot.tool.unknown == "pose":
-        # seen tool' = base model is linear in tool and base: the last right singular vector has both,
-        # up to a factor.
+        # seen tool' = base model is linear in tool and base: the last right singular vector has
+        # both, up to a factor.
         A = np.concatenate([np.kron(R, np.eye(3)) for R in seen])
         B = np.concatenate([np.kron(np.eye(3), R.T) for R in model])
         both = np.linalg.svd(np.hstack([A, -B]), full_matrices=False)[2][-1].reshape(2, 3, 3)
@@ -300,5 +300,6 @@ def least_margins(robot: Robot, m: Measurements) -> Array:
     """
     w = m.condition_matrix(robot.conditions, robot.declared)
     (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)
-    # The margin is NaN where the crank's end is on the driven joint: the rocker's direction is undefined.
+    # The margin is NaN where the crank's end is on the driven joint: the rocker's direction is
+    # undefined.
     return np.asarray(np.nan_to_num(margin.min(axis=0), nan=0.0))

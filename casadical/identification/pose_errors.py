@@ -1,4 +1,4 @@
-"""What models leave at every pose, and its figures: pose by pose, as a distribution, and in the workspace."""
+"""Errors of several models at every pose, with figures by pose, distribution and workspace."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
 
-LONGEST_NAME = 26
-SETS = {
+# Longer file names [characters] are shortened in an axis title, so that a phone shows them.
+MAX_FILE_NAME_LENGTH = 26
+# Set of poses -> its title.
+SET_TITLES = {
     "report": "Held-out poses",
     "identify": "Poses that identified",
     "train": "Poses networks learnt",
     "choose": "Poses that judged networks",
 }
-# Model: colour, symbol, dash. No two of them differ by colour alone.
+# Colour, symbol and dash of a model.
 Style = tuple[str, str, str]
-STYLES: dict[str, Style] = {
+# Style of each model; models in one figure do not differ by colour alone.
+MODEL_STYLES: dict[str, Style] = {
     "before": ("grey", "x-thin-open", "dot"),
     "KM": ("orange", "square", "dash"),
     "SKCM": ("blue", "circle", "solid"),
@@ -38,11 +41,15 @@ STYLES: dict[str, Style] = {
 
 @dataclass(frozen=True, eq=False)
 class ModelErrors:
-    """What one model leaves.
+    """Position errors of one model at the poses of a set.
 
-    length : of each pose [m], shape (n,); vector : measured less computed [m], shape (n, 3), where positions are known
-    note : what a reader must know of this model ("refused"); shown : whether it is drawn before it is asked for
-    network : its colour, symbol and dash, of a network
+    model : its name
+    length : size of the error at each pose [m], shape (n,)
+    vector : measured minus computed position in the measuring frame [m], shape (n, 3); None without
+        positions
+    note : what a reader must know of this model ("refused")
+    shown : whether it is drawn initially, or only on request
+    network : style of a network; None for other models
     """
 
     model: str
@@ -54,22 +61,25 @@ class ModelErrors:
 
     @property
     def words(self) -> str:
-        """How a legend names it."""
+        """Its entry in a legend."""
         return f"{self.model}, {self.note}" if self.note else self.model
 
     @property
     def style(self) -> Style:
-        """Colour, symbol and dash; of a model that is not listed, those of SKCM."""
-        return self.network or STYLES.get(self.model, STYLES["SKCM"])
+        """Colour, symbol and dash; a model without a style of its own has that of SKCM."""
+        return self.network or MODEL_STYLES.get(self.model, MODEL_STYLES["SKCM"])
 
 
 @dataclass(frozen=True, eq=False)
 class PoseErrors:
-    """What every model leaves at the poses of one set, outliers left out.
+    """Errors of every model at the poses of one set, without outliers.
 
-    name : of the set; held_out : whether no model saw it; row : line of the source file, shape (n,)
-    q : shape (n, joints) [rad or m]; position : measured, shape (n, 3) [m], or None; models : in order of reading
-    source : the file; left_out : its poses that are in no figure of the set
+    name : of the set; held_out : whether no model was fitted to it
+    row : row of each pose in the source file, shape (n,)
+    q : readings, shape (n, joints) [rad or m]
+    position : measured in the measuring frame, shape (n, 3) [m], or None
+    models : in order of reading
+    source : the file; left_out : poses of it that are outliers and in no figure of the set
     """
 
     name: str
@@ -86,12 +96,12 @@ class PoseErrors:
 
     @property
     def words(self) -> str:
-        """How a title names the set."""
+        """Title of the set."""
         name, *more = self.name.split("/")
-        return SETS.get(name, name) + (f" ({', '.join(more)})" if more else "")
+        return SET_TITLES.get(name, name) + (f" ({', '.join(more)})" if more else "")
 
     def thinned(self, most: int) -> PoseErrors:
-        """At most so many of the poses, evenly spaced in their order."""
+        """Return the set with at most so many poses, evenly spaced in their order."""
         if len(self) <= most:
             return self
         k = np.linspace(0, len(self) - 1, most).round().astype(int)
@@ -103,13 +113,14 @@ class PoseErrors:
 
 
 def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", floor: float | None = None) -> Figure:
-    """Position error [mm] of every pose for each model (paper, Figs. 6 and 7), over the row of its file.
+    """Return the figure of the position error [mm] of every pose for each model, by row.
 
-    Points, not lines: neighbouring rows need not be neighbouring poses. Poses that were left out are crosses.
-    floor : mean error that noise alone leaves [m], drawn as a line
+    Points, not lines: neighbouring rows need not be neighbouring poses. Outliers are crosses.
+    Source: paper, Figs. 6 and 7.
+
+    floor : mean error due to noise alone [m], drawn as a line
     """
-    # More poses than this are drawn evenly thinned (and said to be), or the file grows and the eye
-    # gains nothing.
+    # More than 400 poses are thinned, which the title says: they would only enlarge the file.
     some = poses.thinned(400)
     drawn = [left for left in some.models if left.shown]
     low, top, log = _limits([left.length for left in drawn])
@@ -150,7 +161,7 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
 
 
 def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: float) -> Series:
-    """One model at every pose; what lies beyond the axis stands at its edge, as a triangle."""
+    """Return one model's errors by row; errors beyond the axis are triangles at its edge."""
     colour, symbol, _ = left.style
     far = left.length > top
     return Series(
@@ -168,22 +179,25 @@ def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: f
 
 
 def _few(rows: Sequence[int], most: int = 4) -> str:
+    """Return the first rows as text, with the number of the others."""
     return ", ".join(map(str, rows[:most])) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
 def _short(source: str) -> str:
-    """A file's name, of a length that a phone shows."""
+    """Return a file's name, shortened to fit on a phone."""
     name = Path(source).name or "the file"
-    return name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 9]}...{name[-6:]}"
+    return name if len(name) <= MAX_FILE_NAME_LENGTH else f"{name[: MAX_FILE_NAME_LENGTH - 9]}...{name[-6:]}"
 
 
 def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
-    """Ends of the axis of errors [m] that a few far poses do not move, and whether it is logarithmic."""
+    """Return lower and upper end of the error axis [m], and whether it is logarithmic.
+
+    A few large errors do not extend the axis.
+    """
     medians = [float(np.median(length)) for length in lengths]
-    # Where the medians of two models differ by more, the axis is logarithmic.
+    # The axis is logarithmic if the medians of two models differ by more than this factor.
     log = min(medians) > 0 and max(medians) > 4.0 * min(medians)
-    # An axis ends at so many times the 95th percentile; what lies beyond is drawn at its edge, with
-    # its value.
+    # The axis ends at 2.5 times the 95th percentile; errors beyond it are drawn at its edge.
     top = max(min(float(x.max()), 2.5 * float(np.quantile(x, 0.95))) for x in lengths)
     # A logarithmic axis begins at this percentile of the smallest errors.
     low = min(float(np.quantile(x, 0.02)) for x in lengths) if log else 0.0
@@ -191,7 +205,7 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
-    """Share of the poses [%] with an error below x [mm], of all poses of the set."""
+    """Return the figure of the share of poses [%] with an error below x [mm]."""
     share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(
@@ -222,21 +236,22 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
 
 
 def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") -> Figure:
-    """Measured points with what each model leaves there, to be turned and hovered over.
+    """Return the 3D figure of the measured points with each model's error vectors.
 
-    Each model's vectors are drawn longer by its own factor, which its name in the legend states. robot : drawn as a
-    skeleton at one of the poses. Needs measured positions.
+    Each model's vectors are enlarged by its own factor, which the legend states. Measured positions
+    are required.
+
+    robot : drawn as a skeleton at one of the poses; None: not drawn
     """
     some = poses.thinned(500)
     assert some.position is not None
-    # At first the last model is drawn that is no network.
+    # Initially the last model that is no network is drawn.
     first = next((x for x in reversed(some.models) if x.network is None), some.models[-1])
     extent = float(np.linalg.norm(np.ptp(some.position, axis=0)))
     series: list[Series] = []
     for left in some.models:
         if left.vector is not None and not left.note:
-            # In the workspace, an error of the 95th percentile is drawn as long as this share of
-            # it.
+            # The 95th percentile of the errors is drawn as 16 % of the workspace's extent.
             factor = round_factor(0.16 * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
             series += _vectors(some, left, factor, left is first)
     if robot is not None:
@@ -250,13 +265,13 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
 
 
 def round_factor(factor: float) -> float:
-    """The next lower number of 1, 2, 5 times a power of ten."""
+    """Return the next lower number of the series 1, 2, 5 times a power of ten, at least 1."""
     power = 10.0 ** np.floor(np.log10(max(factor, 1.0)))
     return float(max(step * power for step in (1, 2, 5) if step * power <= max(factor, 1.0)))
 
 
 def _vectors(poses: PoseErrors, left: ModelErrors, factor: float, shown: bool) -> list[Series]:
-    """A line for each pose from the measured point, and its tip coloured by the error."""
+    """Return a line for each pose from the measured point along its error, and the line's end."""
     assert poses.position is not None
     assert left.vector is not None
     tip = poses.position + factor * left.vector
@@ -280,7 +295,12 @@ def _vectors(poses: PoseErrors, left: ModelErrors, factor: float, shown: bool) -
 
 
 def skeleton(robot: Robot, q: Array) -> Array:
-    """Origins of base, links and tool in the measuring frame at one reading, shape (joints + 2, 3) [m]; rigid."""
+    """Return the origins of base, links and tool in the measuring frame at a reading.
+
+    The shape is (joints + 2, 3) [m]. Links are rigid; the tool is the model's.
+
+    q : shape (joints,) [rad or m]
+    """
     values = {p.name: ca.DM(p.value) for p in robot.parameters}
     T = np.array(ca.DM(base_frame(robot, values, ca.DM(robot.base.T))))
     frames = [np.eye(4), *(np.array(ca.DM(ca.evalf(f))) for f in link_frames(robot, list(ca.DM(q).nz), values))]
@@ -290,4 +310,5 @@ def skeleton(robot: Robot, q: Array) -> Array:
 
 
 def _xyz(points: Array) -> dict[str, Any]:
+    """Return points, shape (n, 3), as the coordinates of a series."""
     return dict(zip("xyz", np.round(points, 6).T, strict=True))

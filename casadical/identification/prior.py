@@ -1,8 +1,9 @@
-"""What one campaign found of a robot, as the prior of the next one.
+"""Results of one campaign as the prior of the next one.
 
-Base and tool frames are fitted again: they belong to the campaign. What was learnt keeps its values as means, and its
-covariance, a little wider, as what the new readings may change. Frozen, it keeps its values alone. What is known of
-the robots of one type is a prior as it is: its covariance already holds how they differ.
+Base and tool frames are fitted again: they belong to the campaign. Values learnt earlier become
+prior means; their covariance is widened, as the robot may have changed. Frozen, the values are
+fixed. A covariance of the robots of one type is taken unchanged: it already contains how they
+differ.
 """
 
 from __future__ import annotations
@@ -22,27 +23,37 @@ from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Covariance, Knowledge, Robot
 
-# Of the variances: they come from the scatter of one campaign, which does not hold what differs between campaigns.
-WIDENED = 1.5
-# What each parameter may have changed besides, one sigma as a share of its usual size (of geometry: 1 mm or 1 mrad).
-CHANGED = 0.1
-# Probability, before any data, that something has changed between two campaigns.
-USUAL_CHANGE = 0.1
+# Factor on the variances: they come from the scatter within one campaign, which does not contain
+# the differences between campaigns.
+PRIOR_VARIANCE_FACTOR = 1.5
+# Standard deviation of a parameter's change between campaigns, as a share of its scale (of
+# geometry: 1 mm or 1 mrad).
+CHANGE_SIGMA_OF_SCALE = 0.1
+# Prior probability that something has changed between two campaigns.
+PRIOR_PROBABILITY_OF_CHANGE = 0.1
 
 
 def probability_of_change(log_odds: float) -> float:
-    """That something changed between two campaigns, for which the data are so probable against no change."""
-    return float(1 / (1 + (1 - USUAL_CHANGE) / USUAL_CHANGE * np.exp(-np.clip(log_odds, -500, 500))))
+    """Return the posterior probability that something changed between two campaigns.
+
+    log_odds : logarithm of the likelihood ratio of a change against none
+    """
+    return float(
+        1
+        / (1 + (1 - PRIOR_PROBABILITY_OF_CHANGE) / PRIOR_PROBABILITY_OF_CHANGE * np.exp(-np.clip(log_odds, -500, 500)))
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Prior(Shown):
-    """Of parameters that are known from elsewhere.
+    """The prior of parameters that are known from elsewhere.
 
-    free : names of all parameters that it is about, which an identification frees
-    means : name -> (mean, one sigma) [SI]; known : names and covariances [SI] of those that are correlated
-    labels : of the effects that were carried over; knowledge : of the campaign that they come from
-    frozen : whether they are held at their values (then there is nothing in free, means and known)
+    free : names of all its parameters, which an identification frees
+    means : name -> (mean, one sigma) [SI]
+    known : names and covariances [SI] of the correlated ones
+    labels : of the effects that were carried over
+    knowledge : of the campaign that they come from
+    frozen : whether they are fixed at their values (then free, means and known are empty)
     """
 
     line: ClassVar[str] = (
@@ -65,7 +76,10 @@ class Prior(Shown):
     frozen: bool = False
 
     def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
-        """The same, nothing known of some parameters: mean zero; wide : name -> one sigma [SI]."""
+        """Return the prior with mean zero and no correlation for some of its parameters.
+
+        wide : name -> one sigma [SI]
+        """
         rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.known)
         known = (
             (tuple(names[k] for k in at), matrix[np.ix_(at, at)])
@@ -75,7 +89,10 @@ class Prior(Shown):
         return replace(self, means=means, known=tuple(block for block in known if block[0]))
 
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
-        """Share of poses outside of the range on which the values were learnt, by joint (q1) or logged column."""
+        """Return the share of poses outside of the range on which the values were learnt.
+
+        The keys are joints (q1) and logged columns.
+        """
         of = {f"q{j}": (ends, [m.q[:, j - 1] for m in sets]) for j, ends in enumerate(self.knowledge.readings, 1)}
         for name, ends in self.knowledge.conditions.items():
             of[name] = ends, [m.conditions[name] for m in sets if name in m.conditions]
@@ -83,7 +100,7 @@ class Prior(Shown):
         return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
-        """Raises InputError where frozen values would be used outside of what they were learnt on."""
+        """Raise InputError where frozen values would be used outside of the range they cover."""
         if not len(self.knowledge.readings):
             raise InputError(
                 "frozen: the prior's file does not say on which readings it was learnt ([learnt.readings]); use it as "
@@ -96,16 +113,19 @@ class Prior(Shown):
             )
 
     def learnt_from(self, sets: Sequence[Measurements]) -> bool:
-        """Whether it seems to have been learnt from these measurements: the same source, and its outermost readings."""
+        """Return whether the prior seems to have been learnt from these measurements.
+
+        They have the same source and contain its extreme readings.
+        """
         theirs = self.knowledge.readings
         if not len(theirs) or not {m.source for m in sets} & set(self.knowledge.campaign.split(", ")):
             return False
         q = np.concatenate([m.q for m in sets])
-        # Readings that differ by less are the same [rad or m].
+        # Readings that differ by less [rad or m] are equal.
         return all(np.abs(q[:, j] - end).min() < 1e-9 for j, ends in enumerate(theirs) for end in ends)
 
     def in_words(self, sets: Sequence[Measurements]) -> str:
-        """What was carried over, how it is used, and whether its ranges cover these measurements."""
+        """Return sentences on what was carried over, how it is used, and whether its ranges apply."""
         what = ", ".join(self.labels) or "geometry and compliance"
         source = f"Prior from {self.knowledge.campaign or 'another campaign'}: {what}"
         if self.learnt_from(sets):
@@ -119,7 +139,8 @@ class Prior(Shown):
         text += (
             f"as far as {self.knowledge.robots} robots of the type differ."
             if self.knowledge.robots
-            else f"variances widened {WIDENED:g} times and by {100 * CHANGED:g} % of the usual size of each."
+            else f"variances widened {PRIOR_VARIANCE_FACTOR:g} times and by {100 * CHANGE_SIGMA_OF_SCALE:g} % of the "
+            "usual size of each."
         )
         if beyond := _shares(self.uncovered(sets)):
             return f"{text} Poses outside of the ranges that it covers: {beyond}."
@@ -127,26 +148,27 @@ class Prior(Shown):
         return text + (covered if len(self.knowledge.readings) else "")
 
     def to_json(self, sets: Sequence[Measurements]) -> dict[str, Any]:
-        """Return it as plain data, with the shares of these measurements that its ranges do not cover."""
+        """Return the prior as plain data, with the shares of poses outside of its ranges."""
         uncovered = {name: round(share, 4) for name, share in self.uncovered(sets).items()}
         return {**plain(self), "same_data": self.learnt_from(sets), "uncovered": uncovered}
 
 
 def _shares(uncovered: Mapping[str, float]) -> str:
+    """Return the shares of uncovered poses as text."""
     return ", ".join(f"{name} {100 * share:.3g} %" for name, share in uncovered.items() if share > 0)
 
 
 def carry_over(
     robot: Robot, other: Robot, parts: Collection[str] = ("effects",), *, frozen: bool = False
 ) -> tuple[Robot, Prior]:
-    """The robot with what another campaign found in its model, and that as a prior.
+    """Return the robot with another campaign's results in its model, and these as a prior.
 
     other : the same robot as it was identified then, with effects or covariances
-    parts : "effects" (those that do not follow the time of their campaign), names or labels of single effects, and
-        "all" for geometry and compliance too
-    frozen : whether the values are held as they are
-
-    Raises InputError for another robot, names that are not there, and what has no covariance.
+    parts : "effects" (those that do not depend on time or warm-up), names or labels of single
+        effects, and "all" for geometry and compliance too
+    frozen : whether the values are fixed
+    Raises InputError for another robot, names that are not there, and a result without a
+    covariance.
     """
     refuse_another(robot, other, "prior")
     effects = _chosen(other, parts)
@@ -172,7 +194,7 @@ def carry_over(
         )
     sizes = {p.name: p.scale for p in taken}
     blocks = (block.only(sizes) for block in knowledge.covariance)
-    wider = (1.0, 0.0) if knowledge.robots else (WIDENED, CHANGED)
+    wider = (1.0, 0.0) if knowledge.robots else (PRIOR_VARIANCE_FACTOR, CHANGE_SIGMA_OF_SCALE)
     known = tuple((block.names, _widened(block, sizes, *wider)) for block in blocks if block.names)
     errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
@@ -180,7 +202,11 @@ def carry_over(
 
 
 def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
-    """Covariance of the values as the next campaign may find them."""
+    """Return the covariance with which the next campaign starts.
+
+    block : of the last one; sizes : scale of each parameter [SI]; times : factor on the variances;
+        share : of the scale, the standard deviation of a change
+    """
     variances = np.diag(block.matrix)
     if not (variances > 0).all():
         name = block.names[int(np.argmin(variances))]
@@ -190,7 +216,7 @@ def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share:
 
 
 def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
-    """Effects that were asked for. Raises InputError."""
+    """Return the effects that were asked for. Raises InputError."""
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
     effects = lasting if {"effects", "all"} & set(parts) else []
     for word in parts:
@@ -210,7 +236,7 @@ def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
 
 
 def refuse_another(robot: Robot, other: Robot, what: str) -> None:
-    """Raises InputError where the other one cannot be the same robot in the same convention and units.
+    """Raise InputError unless the other robot can be the same one in the same convention and units.
 
     what : word for the other one in messages
     """
@@ -239,6 +265,6 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
 
 
 def _apart(p: Parameter, value: float) -> float:
-    """How far another value lies from a parameter's; of angles, without whole turns."""
+    """Return another value minus a parameter's; for angles without whole turns."""
     apart = value - p.value
     return float((apart + np.pi) % (2 * np.pi) - np.pi) if p.unit == "rad" else apart

@@ -1,5 +1,6 @@
-"""How a problem is solved: the parameters that the measurements determine chosen, with the noise that the data show,
-and without outliers; parameters are left out where their prior knows better.
+"""Solving an identification problem: choice of parameters, estimation of noise, and outliers.
+
+Parameters that the measurements do not determine better than their prior are left out.
 """
 
 from collections.abc import Collection, Sequence
@@ -25,47 +26,52 @@ from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
 
+# The reduced problem, its solution, and which parameters are identifiable.
 Solved = tuple[LeastSquares, Solution, Identifiability]
-# Optima of earlier problems, by the names of their variables: parameters and points.
+# (names of parameters, names of points) -> optimum of an earlier problem with these variables.
 Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
 
-# Noise exceeds the bound of an outlier's normalised residual with this probability.
-OUTLIER_CHANCE = 1e-5
-LEAST_REDUNDANCY = 0.1
-# With a prior that explains nearly all, fewer degrees of freedom do not tell the noise.
-TELLING = 10.0
-SCREENINGS = 8
-SIGMA_ROUNDS = 6
-# Sigmas that change by less, as a logarithm, are the last ones.
-SAME_SIGMA = 0.03
-# Where the data are free of noise, so that nothing is divided by zero.
-LEAST_SIGMA = 1e-9
+# Probability that noise alone makes a pose an outlier.
+OUTLIER_PROBABILITY = 1e-5
+# Lower limit of a redundancy number by which residuals are normalised.
+MIN_REDUNDANCY = 0.1
+# With a correlated prior that explains nearly all, fewer degrees of freedom do not determine the
+# noise.
+MIN_NOISE_FREEDOM = 10.0
+# Maximum number of rounds in which outliers are left out.
+MAX_OUTLIER_ROUNDS = 8
+# Maximum number of rounds in which sigmas are estimated.
+MAX_SIGMA_ROUNDS = 6
+# Sigmas have converged if their logarithms change by less.
+SIGMA_LOG_TOLERANCE = 0.03
+# Lower limit of a sigma [m or rad], for data without noise.
+MIN_SIGMA = 1e-9
 
 
 def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima: Optima) -> Solved:
-    """Solve; where a sigma matters and was not given, estimate it from the residuals and solve again."""
+    """Solve; where undeclared sigmas matter, estimate them from residuals and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several or problem.guesses.any()
-    for _ in range(SIGMA_ROUNDS):
+    for _ in range(MAX_SIGMA_ROUNDS):
         solved = reduce_and_solve(problem, progress, optima)
         if not matters:
             break
         sigmas = _estimated_sigmas(*solved[:2])
-        change = _change(problem.sigmas, sigmas)
+        change = _largest_log_change(problem.sigmas, sigmas)
         problem = replace(problem, sigmas=sigmas)
-        if change < SAME_SIGMA:
+        if change < SIGMA_LOG_TOLERANCE:
             break
     return solved
 
 
-def _change(before: Sequence[tuple[float, float]], now: Sequence[tuple[float, float]]) -> float:
-    """The greatest of all sigmas' changes, as a logarithm."""
+def _largest_log_change(before: Sequence[tuple[float, float]], now: Sequence[tuple[float, float]]) -> float:
+    """Return the largest change of a logarithm of a sigma."""
     return float(np.abs(np.log(np.array(now) / np.array(before))).max())
 
 
-def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
-    """Residuals of each set and the degrees of freedom of each, both of shape (n, m)."""
+def _residuals_with_redundancies(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
+    """Return residuals and redundancy numbers of each set, both of shape (n, m)."""
     residuals = problem.residuals(solution.v)
     edges = np.cumsum([r.size for r in residuals])
     shares = np.split(redundancies(problem, solution.v), edges)
@@ -73,26 +79,34 @@ def _with_freedom(problem: LeastSquares, solution: Solution) -> list[tuple[Array
 
 
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
-    """Of each set, from its residuals and their share in the degrees of freedom (Foerstner 1979)."""
+    """Return the sigmas of each set, declared or from residuals and their redundancies.
+
+    Source: variance component estimation, Foerstner 1979.
+    """
     if all(m.sigma and (m.sigma_angle or not find_kind(m.kind).angles) for m in problem.sets):
-        return tuple((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)) for sigma, angle in problem.sigmas)
+        return tuple((max(sigma, MIN_SIGMA), max(angle, MIN_SIGMA)) for sigma, angle in problem.sigmas)
     sigmas = []
-    for m, (sigma, angle), both in zip(problem.sets, problem.sigmas, _with_freedom(problem, solution), strict=True):
+    for m, (sigma, angle), both in zip(
+        problem.sets, problem.sigmas, _residuals_with_redundancies(problem, solution), strict=True
+    ):
         r, freedom = (values[m.weight > 0] for values in both)
         n = find_kind(m.kind).lengths
-        if problem.known and freedom.sum() < TELLING:
+        if problem.known and freedom.sum() < MIN_NOISE_FREEDOM:
             sigmas.append((m.sigma or sigma, m.sigma_angle or angle))
             continue
         if n:
             sigma = m.sigma or sigma * _deviation(problem, r[:, :n], freedom[:, :n])
         if n < r.shape[1]:
             angle = m.sigma_angle or angle * _deviation(problem, r[:, n:], freedom[:, n:])
-        sigmas.append((max(sigma, LEAST_SIGMA), max(angle, LEAST_SIGMA)))
+        sigmas.append((max(sigma, MIN_SIGMA), max(angle, MIN_SIGMA)))
     return tuple(sigmas)
 
 
 def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
-    """Standard deviation of residuals that have this many degrees of freedom each."""
+    """Return the standard deviation of residuals with these redundancy numbers.
+
+    It is robust with a robust loss.
+    """
     square = robust_std(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
     return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
 
@@ -100,10 +114,13 @@ def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
 def solve_without_outliers(
     problem: LeastSquares, rounds: int, progress: Progress | None
 ) -> tuple[Solved, tuple[tuple[int, int], ...]]:
-    """Solve; with a robust loss, leave outliers out and solve again until there are no more of them.
+    """Solve; with a robust loss, leave outliers out and solve again until there are none.
 
-    In rounds, because outliers widen the spread by which they are judged. A pose that the last solution explains after
-    all, because others drew an earlier one away from it, is taken back.
+    Several rounds are needed because outliers enlarge the scatter by which they are judged. A pose
+    that the last solution explains after all, because others distorted an earlier one, is taken
+    back. Returns the solution and the outliers as (set, pose) indices.
+
+    rounds : maximum number of rounds
     """
     optima: Optima = {}
     solved = _solve_with_sigmas(problem, progress, optima)
@@ -132,7 +149,10 @@ def solve_without_outliers(
 def solve_by_auto(
     problem: LeastSquares, rounds: int, progress: Progress | None
 ) -> tuple[Solved, tuple[tuple[int, int], ...]]:
-    """Solve with the loss huber where that finds outliers, else with the linear one of the problem."""
+    """Solve with the huber loss where that finds outliers, else with the problem's linear loss.
+
+    Returns the solution and the outliers as (set, pose) indices.
+    """
     try:
         plain = _solve_with_sigmas(problem, progress, {})
     except (ConvergenceError, InputError):  # outliers may be the cause
@@ -141,7 +161,7 @@ def solve_by_auto(
         return plain, ()
     try:
         robust = solve_without_outliers(problem.with_loss("huber"), rounds, progress)
-    except ConvergenceError:  # it creeps on few rows, where all that it is for are outliers
+    except ConvergenceError:  # its convergence is slow with few poses; it serves outliers only
         robust = None
     if robust is not None and robust[1]:
         return robust
@@ -149,44 +169,58 @@ def solve_by_auto(
 
 
 def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
-    """Whether the huber loss would find no outliers, by residuals that are linear in v about the fit without it.
+    """Return whether the huber loss would surely find no outliers.
 
-    Not where that fit has few numbers, stands at a bound or leaves more than a model may: the other loss may have
+    Residuals are linearised about the fit with the linear loss. False where that fit has few data,
+    is at a bound, or has larger residuals than a model may have: the huber loss may then have
     another optimum.
     """
     v, (lower, upper) = solution.v, problem.bounds
-    # Share of the bound of outliers up to which poses are surely none; of fewer numbers a variable
-    # a fit hides some.
+    # With fewer residuals per variable a fit hides outliers.
     few = problem.residual_count < 3 * problem.size
-    # Square of a residual, in units of their spread, with which a pose is an outlier at a glance.
+    # A residual beyond ten standard deviations is an outlier without further computation.
     far = any(((r**2).sum(axis=1) > 100.0 * robust_std(r) ** 2).any() for r in problem.residuals(v))
-    if far or few or problem.at_bounds(v).any() or not _misfit(problem, v) < POOR_FIT * problem.robot.reach:
+    if (
+        far
+        or few
+        or problem.at_bounds(v).any()
+        or not _largest_residual_sigma(problem, v) < MAX_RESIDUAL_OF_REACH * problem.robot.reach
+    ):
         return False
     robust = Linearised.about(problem, v, "huber")
-    for k in range(SIGMA_ROUNDS):
+    for k in range(MAX_SIGMA_ROUNDS):
         sigmas = _estimated_sigmas(robust, replace(solution, v=v))
-        if k and _change(robust.sigmas, sigmas) < SAME_SIGMA:
+        if k and _largest_log_change(robust.sigmas, sigmas) < SIGMA_LOG_TOLERANCE:
             break
         robust = robust.with_sigmas(sigmas)
         v = robust.settled(v)
+    # The bound is tightened by 10 %, for the linearisation is not exact.
     inside = bool((lower < v).all() and (v < upper).all())
     return inside and not any(far.any() for far in outlier_masks(robust, replace(solution, v=v), 0.9))
 
 
 def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0) -> list[Array]:
-    """Masks of the poses whose residuals noise of their spread would exceed once in 100 000; share : of that bound."""
+    """Return for each set the mask of the poses that are outliers.
+
+    Noise alone exceeds the bound of their normalised residuals with OUTLIER_PROBABILITY.
+
+    share : factor on that bound
+    """
     masks = []
-    for r, freedom in _with_freedom(problem, solution):
-        # A pose that draws the fit towards itself shows little of its error.
-        z = r / np.sqrt(np.maximum(freedom, LEAST_REDUNDANCY))
-        masks.append((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_CHANCE) * robust_std(z) ** 2)
+    for r, freedom in _residuals_with_redundancies(problem, solution):
+        # A pose with high leverage shows little of its error.
+        z = r / np.sqrt(np.maximum(freedom, MIN_REDUNDANCY))
+        masks.append((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_PROBABILITY) * robust_std(z) ** 2)
     return masks
 
 
 def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
-    """Of every set the poses, also those left out, at which a solution leaves no more than noise of its spread.
+    """Return for each set the indices of the poses that a solution explains.
 
-    problem : with all poses. What was left out has no part in the solution, and its full error shows.
+    Their residuals are no larger than noise. Poses that were left out are tested too: as they have
+    no part in the solution, their residuals are their full errors.
+
+    problem : with all poses
     """
     fitted, solution, _ = solved
     whole = replace(fitted, sets=problem.sets)
@@ -194,30 +228,37 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     known = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
     places = [known.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]
     v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / POINT_SCALE).ravel()])
-    spread = [robust_std(r / np.sqrt(np.maximum(f, LEAST_REDUNDANCY))) for r, f in _with_freedom(fitted, solution)]
+    spread = [
+        robust_std(r / np.sqrt(np.maximum(f, MIN_REDUNDANCY)))
+        for r, f in _residuals_with_redundancies(fitted, solution)
+    ]
     return [
-        np.flatnonzero((r**2).sum(axis=1) <= chdtri(r.shape[1], OUTLIER_CHANCE) * own**2)
+        np.flatnonzero((r**2).sum(axis=1) <= chdtri(r.shape[1], OUTLIER_PROBABILITY) * own**2)
         for r, own in zip(whole.residuals(v), spread, strict=False)
     ]
 
 
-# Residuals of this share of the reach are no measuring error.
-POOR_FIT = 0.005
-# Parameters that a message names.
-TOLD = 6
+# Maximum residual as a share of the reach; larger ones are no measuring error.
+MAX_RESIDUAL_OF_REACH = 0.005
+# Maximum number of parameters that a message names.
+MAX_NAMES_IN_MESSAGE = 6
 
 
 def reduce_and_solve(
     problem: LeastSquares, progress: Progress | None, optima: Optima
 ) -> tuple[LeastSquares, Solution, Identifiability]:
-    """Choose the independent parameters, solve, and leave out those that the data determine worse than their prior.
+    """Choose the independent parameters, solve, and leave out those that the data determine badly.
 
-    optima : of the same robot with other sigmas or fewer poses, where a solve starts; those found here are added
+    These are the ones with an uncertainty larger than their prior. Independence is decided at the
+    start, where exact dependences are exact. A parameter without effect there is added if it has
+    one at the optimum: the compliance of a vertical first axis, once the base is found to be
+    tilted; and, if `weighed`, the tilt of a robot without measurements at rest, which the weight of
+    its links shows.
+    Raises InputError where the data determine no parameter at all, or there are no more data than
+    unknowns.
 
-    Independence is decided at the start, where exact dependences are exact; what has no effect there, but one where the
-    solve ends, is added: the compliance of an upright first axis, once the base is found to be tilted; and where that
-    is sought the tilt of a robot with nothing at rest about it, which the weight of its links shows.
-    Raises InputError where the data determine no parameter at all, or are no more numbers than there are unknowns.
+    optima : start points, from the same robot with other sigmas or fewer poses; those found here
+        are added
     """
     analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
@@ -236,15 +277,16 @@ def reduce_and_solve(
         except ConvergenceError:
             if problem.priors:
                 raise
-            # By which the solve wanders off: by the sigmas or, if these excuse none, by the misfit of the start.
+            # Poorly determined parameters make a solve diverge. They are judged by the sigmas or,
+            # if these show none, by the residuals at the start.
             at = np.zeros(reduced.size)
-            worse = _poor(reduced, at, 1.0) or _poor(reduced, at, variance(reduced, at))
+            worse = _poorly_determined(reduced, at, 1.0) or _poorly_determined(reduced, at, variance(reduced, at))
             if not worse:
                 raise
         else:
             optima[variables] = solution.v
-            left = left or _misfit(reduced, solution.v)
-            worse = [] if problem.priors else _poor(reduced, solution.v, variance(reduced, solution.v))
+            left = left or _largest_residual_sigma(reduced, solution.v)
+            worse = [] if problem.priors else _poorly_determined(reduced, solution.v, variance(reduced, solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
@@ -255,7 +297,7 @@ def reduce_and_solve(
         poor += worse
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
-    if left > POOR_FIT * problem.robot.reach:
+    if left > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
         frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
         known = " and ".join(name for name, frame in frames if frame.unknown == "none")
         frames_known = f'; known here: {known}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
@@ -265,8 +307,8 @@ def reduce_and_solve(
             f"{known and frames_known}"
         )
     held = (*poor, *analysis.held)
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in held[:TOLD]) + (
-        f"; and {len(held) - TOLD} more" if len(held) > TOLD else ""
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in held[:MAX_NAMES_IN_MESSAGE]) + (
+        f"; and {len(held) - MAX_NAMES_IN_MESSAGE} more" if len(held) > MAX_NAMES_IN_MESSAGE else ""
     )
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
@@ -276,17 +318,20 @@ def reduce_and_solve(
 def _with_visible(
     problem: LeastSquares, v: Array, found: Identifiability, order: Sequence[str]
 ) -> tuple[LeastSquares, Array] | None:
-    """The problem with those parameters that had no effect at the start and that its optimum v lets the data determine.
+    """Return the problem with the parameters that the data determine only at its optimum v.
 
-    order : of all parameters. Returns the point in the wider problem, too; None where there is no such parameter.
+    They had no effect at the start. The point in the larger problem is returned too; None if there
+    is no such parameter.
+
+    found : of the start; order : names of all parameters
     """
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
-        tilts = {u.name for u in found.held if u.reason == GAUGE and u.name in _TURNS}
+        tilts = {u.name for u in found.held if u.reason == GAUGE_REASON and u.name in _TILTS}
     hidden = {u.name for u in found.held if u.reason == NO_EFFECT_REASON} | tilts
     if not hidden:
         return None
-    wider, at = _widened(problem, v, hidden, order)
+    wider, at = _with_added_parameters(problem, v, hidden, order)
     seen = np.sqrt(np.diag(wider.information(at))[: len(wider.names)])
     visible = {
         n for n, length in zip(wider.names, seen, strict=True) if length > MAX_INVISIBLE_SHARE * seen.max()
@@ -294,32 +339,37 @@ def _with_visible(
     if not visible:
         return None
     if visible != hidden:
-        wider, at = _widened(problem, v, visible, order)
-    # The noise as one step would leave it: what these parameters explain is none.
+        wider, at = _with_added_parameters(problem, v, visible, order)
+    # The variance is that after one step: what the added parameters explain is not noise.
     left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poor(wider, at, left * variance(problem, v), tilts)}
+    worse = {u.name for u in _poorly_determined(wider, at, left * variance(problem, v), tilts)}
     if not visible & worse:
         return wider, at
-    return None if visible <= worse else _widened(problem, v, visible - worse, order)
+    return None if visible <= worse else _with_added_parameters(problem, v, visible - worse, order)
 
 
-def _widened(problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]) -> tuple[LeastSquares, Array]:
-    """The problem with more parameters, at their nominal values, and where it stands then."""
+def _with_added_parameters(
+    problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]
+) -> tuple[LeastSquares, Array]:
+    """Return the problem with more parameters at nominal values, and the point v in it."""
     names = [n for n in order if n in more or n in problem.names]
     own = np.zeros(len(names))
     own[[names.index(n) for n in problem.names]] = v[: len(problem.names)]
     return problem.with_names(names), np.concatenate([own, v[len(problem.names) :]])
 
 
-def _misfit(problem: LeastSquares, v: Array) -> float:
-    """Standard deviation of a coordinate that a fit leaves, the greatest of all sets [m]."""
+def _largest_residual_sigma(problem: LeastSquares, v: Array) -> float:
+    """Return the largest standard deviation of a coordinate's residual of all sets [m]."""
     return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
-def _poor(problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()) -> list[Unidentifiable]:
-    """Parameters that the data determine worse than their prior; variance : of a residual in units of sigma.
+def _poorly_determined(
+    problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()
+) -> list[Unidentifiable]:
+    """Return the parameters that the data determine worse than their prior.
 
-    of_data : names whose own priors do not count as data
+    variance : of a residual in units of sigma
+    of_data : names of parameters whose own priors are not to count as data
     """
     H = problem.gradient(v)[1].copy()
     at = [k for k, name in enumerate(problem.names) if name in of_data]
@@ -327,9 +377,11 @@ def _poor(problem: LeastSquares, v: Array, variance: float, of_data: Collection[
     return drop_poor([problem.robot.parameters[n] for n in problem.names], H, variance)[1]
 
 
-# They move the robot as a whole; turns of the foot change what the weight of its links does, too.
-GAUGE = "nothing at rest was measured: moving the whole robot changes nothing"
-_TURNS = ("base_rx", "base_ry", "base_rz")
+# The reason given for parameters that move the robot as a whole.
+GAUGE_REASON = "nothing at rest was measured: moving the whole robot changes nothing"
+# Those of them that tilt the pedestal, which also changes the effect of gravity.
+_TILTS = ("base_rx", "base_ry", "base_rz")
+# Names of the parameters that move the robot as a whole.
 _WHOLE_ROBOT = (
     "alpha0",
     "a0",
@@ -342,9 +394,10 @@ _WHOLE_ROBOT = (
 
 
 def independent_parameters(problem: LeastSquares) -> Identifiability:
-    """Which of its names the data determine, by the Jacobian at v = 0, with fixed loads if joints are compliant.
+    """Return which parameters the data determine, by the Jacobian at v = 0.
 
-    Raises InputError, with the row, where that is no finite number.
+    Gravity torques are those of the nominal geometry if joints are compliant.
+    Raises InputError, with the row, where the Jacobian is not finite.
     """
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
@@ -352,11 +405,9 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     own = [robot.parameters[n] for n in names]
     held = {parameter.name: parameter.held for parameter in own if parameter.held}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
-        held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE)
+        held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE_REASON)
     of_effects = {e.label for e in robot.effects}
-    wide = (
-        bool(problem.priors) and p > MANY_PARAMETERS
-    )  # what a prior of an effect holds back needs no test of independence
+    wide = bool(problem.priors) and p > MANY_PARAMETERS  # effects with priors need no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]
     columns = [*range(p, problem.size), *asked]
     zero = np.zeros(problem.size)
@@ -364,7 +415,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     if not np.isfinite(R).all() and (found := with_loads.undefined(zero)):
         raise undefined(robot, *found)
     if problem.priors and problem.residual_count <= problem.size:
-        # Too few numbers to say what is confounded.
+        # There are too few data to find confounded parameters without the priors.
         R = np.concatenate([R, np.diag(np.sqrt(np.diag(problem.prior_matrix)))[:, columns]])
     points = 3 * len(problem.labels)
     analysis = analyse(R, [names[k] for k in asked], points, held)
@@ -382,16 +433,17 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
 
 
 def _length(problem: LeastSquares, name: str) -> float:
-    """Nominal value of a parameter that is a length [m]; zero for others."""
+    """Return the nominal value of a parameter that is a length [m]; zero for others."""
     parameter = problem.robot.parameters[name]
     return parameter.value if parameter.unit == "m" else 0.0
 
 
 def _scale_is_free(problem: LeastSquares) -> bool:
-    """Whether all lengths grow together unseen.
+    """Return whether scaling all lengths by a common factor leaves the residuals unchanged.
 
-    Contact residuals p - u are then homogeneous in lengths and points, and Euler's theorem says J (lengths, points)
-    = residuals. Compliance breaks this by its share in the position, which is no measure: hence one per cent.
+    Contact residuals p - u are then homogeneous in lengths and points, and by Euler's theorem J
+    (lengths, points) = residuals. Compliance violates this by its share of the position, which
+    provides no scale: hence the tolerance of 1 %.
     """
     residuals, J = problem.evaluate(np.zeros(problem.size))
     lengths = np.array([_length(problem, n) for n in problem.names]) / problem.scale

@@ -1,8 +1,8 @@
-"""Residuals of every kind of measurement and their Jacobian, pose by pose, as mapped CasADi functions.
+"""Residuals of every kind of measurement with their Jacobian, as mapped CasADi functions.
 
-A kernel sees one pose. Its variables z = (x, u) are the departures x of the chosen parameters from the robot's nominal
-values in units of their scale (mm, mrad) and, where the kind has an unknown point, that point's departure u [mm]. Its
-residual is in units of sigma.
+A kernel evaluates one pose. Its variables z = (x, u) are the departures x of the free parameters
+from the robot's nominal values in units of their scale (mm, mrad) and, where the kind has an
+unknown point, that point's departure u [mm]. Its residual is in units of sigma.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -22,32 +22,39 @@ from casadical.robot.model import Expressions, expressions
 from casadical.robot.robot import Robot
 
 Loss = Literal["linear", "huber", "soft_l1"]
-# auto : huber where it finds outliers, else linear
+# A loss, or auto: huber where that finds outliers, else linear.
 AnyLoss = Literal["auto", Loss]
 
+# Names of all losses.
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
+# Names of all losses, and auto.
 ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
+# Unit of an unknown point's variable [m].
 POINT_SCALE = 1e-3
-# Of so many poses the data of the kernel are kept; of more they are put together again where they are evaluated.
-HELD = 100_000
+# Up to this number of poses the kernel's data are cached; with more they are assembled again at
+# each evaluation.
+MAX_CACHED_DATA_POSES = 100_000
 
-# Square of the normalised residual at which a robust loss leaves the parabola: the 95 % quantile of a chi-squared
-# distribution with as many degrees of freedom as the kind observes.
-KNEE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
+# Number of residuals of a pose -> squared norm at which a robust loss departs from the parabola:
+# the 95 % quantile of a chi-squared distribution with as many degrees of freedom.
+LOSS_KNEE_SQUARE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
 def _huber(s: Array, knee: float) -> tuple[Array, Array]:
+    """Return Huber's loss of squared residuals s and its slope."""
     root = np.sqrt(np.maximum(s, knee) * knee)
     return np.where(s <= knee, s, 2 * root - knee), knee / root
 
 
 def _soft_l1(s: Array, knee: float) -> tuple[Array, Array]:
+    """Return the soft L1 loss of squared residuals s and its slope."""
     root = np.sqrt(1 + s / knee)
     return 2 * knee * (root - 1), 1 / root
 
 
-# Cost rho(s) of a squared residual s, and its slope (Triggs et al. 2000; the second-order term is left out).
-_LOSS: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
+# Loss -> rho(s) of a squared residual s and its slope (Triggs et al. 2000, without the second-order
+# term).
+_LOSS_AND_SLOPE: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
     "linear": lambda s, _: (s, np.ones_like(s)),
     "huber": _huber,
     "soft_l1": _soft_l1,
@@ -55,19 +62,27 @@ _LOSS: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
 
 
 class PoseFunctions:
-    """The residual of one pose and its Jacobian; shared by all robots of one structure.
+    """The residual of one pose and its Jacobian as CasADi functions, shared by robots of one
+    structure.
 
-    A pose's numbers are its data (see `data_columns`) and u; those shared by all are x and the robot's (see
-    `robot_numbers`).
+    The inputs of a pose are its data (see `data_columns`) and u; those shared by all poses are x
+    and the robot's numbers (see `robot_numbers`).
 
-    residual : the residual r, shape (m,), in units of sigma, without the loss, and the transpose of its Jacobian by z,
-        shape (z, m); value : r alone, a fifth of it
-    point : whether z ends with an unknown point; observed : names of the observed arrays in data, in their order
+    kind : of the measurement; point : whether z ends with an unknown point
+    fixed_loads : whether gravity torques are those of the nominal geometry
+    residual : the residual r, shape (m,), in units of sigma, without the loss, and the transpose of
+        its Jacobian by z, shape (z, m)
+    value : r alone, in a fifth of the time
+    observed : names of the observed arrays in the data, in their order
     """
 
     def __init__(
         self, model: Expressions, kind: MeasurementKind, point: bool, chosen: tuple[int, ...], fixed_loads: bool
     ) -> None:
+        """Build the functions for the model of a robot.
+
+        chosen : indices of the free parameters among all
+        """
         self.kind, self.point, self.fixed_loads = kind, point, fixed_loads
         x = ca.SX.sym("x", len(chosen))
         u = ca.SX.sym("u", 3 if point else 0)
@@ -99,8 +114,9 @@ _kernel = lru_cache(maxsize=64)(PoseFunctions)
 def kernel(
     robot: Robot, kind: MeasurementKind, point: bool, names: tuple[str, ...], fixed_loads: bool = False
 ) -> PoseFunctions:
-    """The kernel of one kind of measurement for the chosen parameters of a robot.
+    """Return the kernel of a kind of measurement for some free parameters of a robot.
 
+    point : whether the kind has unknown points here
     fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
     """
     chosen = tuple(robot.parameters.index_of(name) for name in names)
@@ -108,7 +124,10 @@ def kernel(
 
 
 def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
-    """The input `robot` of a kernel: nominal parameters [SI], the model's constants, scales of the chosen ones."""
+    """Return a kernel's shared inputs after x: nominal parameters [SI], constants and scales.
+
+    The constants are the model's, the scales those of the free parameters.
+    """
     scale = [robot.parameters[n].scale for n in names]
     return np.concatenate([robot.parameters.values, robot.constants, scale])
 
@@ -116,9 +135,12 @@ def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
 def data_columns(
     robot: Robot, m: Measurements, observed: Sequence[str], points: Array, sigma: float, sigma_angle: float
 ) -> Array:
-    """A kernel's data, shape (numbers, n): readings, conditions, observed arrays, 1/sigma, root of the weight.
+    """Return a kernel's data, shape (numbers, n), a column per pose.
 
-    observed : as of the kernel; points : start of each pose's unknown point, shape (n, 3) [m]
+    These are readings, conditions, observed arrays, 1/sigma and the root of the weight.
+
+    observed : as of the kernel; points : initial position of each pose's unknown point, shape (n,
+        3) [m]
     """
     arrays = {**m.arrays, "point": points}
     sigmas = [sigma, sigma_angle] if find_kind(m.kind).angles else [sigma]
@@ -130,10 +152,12 @@ def data_columns(
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """One set of measurements, ready to be evaluated for the chosen parameters.
+    """One set of measurements, ready to be evaluated for some free parameters.
 
-    data : of some poses, shape (numbers, k); group : index of each pose's point among all unknown points, shape (n,)
-    robot : see `robot_numbers`
+    kernel : its functions
+    data : slice of poses -> their data, shape (numbers, k)
+    group : index of each pose's point among all unknown points, shape (n,)
+    robot : numbers of the robot, see `robot_numbers`
     """
 
     kernel: PoseFunctions
@@ -142,31 +166,38 @@ class Block:
     robot: Array
 
     def with_names(self, robot: Robot, names: tuple[str, ...]) -> "Block":
-        """The same measurements for other parameters of the robot."""
+        """Return the same measurements for other free parameters of the robot."""
         k = self.kernel
         return replace(
             self, kernel=kernel(robot, k.kind, k.point, names, k.fixed_loads), robot=robot_numbers(robot, names)
         )
 
     def evaluate(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Residuals, shape (n, m), and Jacobians, shape (n, m, z); x : (p,), u : (K, 3) in solver units."""
+        """Return residuals, shape (n, m), and Jacobians, shape (n, m, z), in units of sigma.
+
+        x : shape (p,); u : of all points, shape (K, 3) [mm]
+        """
         parts = [part for _, *part in self.parts(x, u)]
         r, J = (np.concatenate(both) if len(parts) > 1 else both[0] for both in zip(*parts, strict=True))
         return r, J
 
     def parts(self, x: Array, u: Array) -> Iterator[tuple[slice, Array, Array]]:
-        """As `evaluate`, some poses at a time: which, their residuals and their Jacobians."""
+        """Yield slice, residuals and Jacobians of some poses at a time; see `evaluate`."""
         for some, (r, J) in self._called(self.kernel.residual, x, u):
             yield some, r.T, J.T.reshape(*r.T.shape, -1)
 
     def residuals(self, x: Array, u: Array) -> Iterator[Array]:
-        """As `parts`, the residuals alone; machine code of both is faster than CasADi is with the residual."""
+        """Yield the residuals of some poses at a time, shape (n, m).
+
+        Compiled code of residual and Jacobian is faster than CasADi's interpreter for the residual
+        alone.
+        """
         both, value = self.kernel.residual, self.kernel.value
         for _, (r, *_) in self._called(both if both.is_compiled else value, x, u):
             yield r.T
 
     def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
-        """Outputs of one of the kernel's functions, some poses at a time."""
+        """Yield the outputs of one of the kernel's functions for some poses at a time."""
         shared = np.concatenate([x, self.robot])
         for start in range(0, len(self.group), MAX_CHUNK_POINTS):
             some = slice(start, min(start + MAX_CHUNK_POINTS, len(self.group)))
@@ -184,16 +215,21 @@ def make_block(
     group: Array,
     *,
     fixed_loads: bool = False,
-    held: int = HELD,
+    held: int = MAX_CACHED_DATA_POSES,
 ) -> Block:
-    """Measurements as a block; points : shape (K, 3) [m], all points' starts; group, fixed_loads : see above.
+    """Return measurements as a block.
 
-    held : most poses whose data are kept
+    names : free parameters; sigma, sigma_angle : standard deviations of a coordinate [m] and an
+        angle [rad]
+    points : initial positions of all unknown points, shape (K, 3) [m]; group : see `Block`;
+        fixed_loads : see `kernel`
+    held : maximum number of poses whose data are cached
     """
     kind = find_kind(m.kind)
     compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
 
     def data(m: Measurements, at: slice) -> Array:
+        """Return the data of some poses."""
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
         return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 
@@ -203,10 +239,16 @@ def make_block(
 
 
 def loss_value(loss: Loss, r: Array) -> Array:
-    """Square of each pose's residual through the loss, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    return _LOSS[loss](np.einsum("ij,ij->i", r, r), KNEE[r.shape[1]])[0]
+    """Return the loss of each pose's squared residual, shape (n,).
+
+    r : residuals, shape (n, m), in units of sigma
+    """
+    return _LOSS_AND_SLOPE[loss](np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]])[0]
 
 
 def loss_slope(loss: Loss, r: Array) -> Array:
-    """Weight that the loss gives each pose, shape (n,), for residuals r, shape (n, m), in units of sigma."""
-    return _LOSS[loss](np.einsum("ij,ij->i", r, r), KNEE[r.shape[1]])[1]
+    """Return the weight that the loss gives each pose, shape (n,).
+
+    r : residuals, shape (n, m), in units of sigma
+    """
+    return _LOSS_AND_SLOPE[loss](np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]])[1]

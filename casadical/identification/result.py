@@ -1,4 +1,4 @@
-"""What an identification found: parameters with their standard errors, accuracy, predictions."""
+"""Result of an identification: parameters, standard errors, accuracy, predictions."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,12 @@ from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, first_sigmas
 from casadical.identification.prediction import covariance_of_all
-from casadical.identification.reduction import POOR_FIT, SCREENINGS, TELLING, solve_without_outliers
+from casadical.identification.reduction import (
+    MAX_OUTLIER_ROUNDS,
+    MAX_RESIDUAL_OF_REACH,
+    MIN_NOISE_FREEDOM,
+    solve_without_outliers,
+)
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
 from casadical.identification.solver import Solution
 from casadical.measurements.kinds.registry import find_kind
@@ -26,12 +31,17 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.robot import Knowledge, Robot, blocks, modified_dh
 from casadical.robot.robot_file import to_toml
 
-AS_BEFORE = "as the prior has it; these poses tell no more of it"
+# The remark on an identified parameter whose standard error is that of its prior.
+PRIOR_ONLY_REASON = "as the prior has it; these poses tell no more of it"
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A pose that was not used: its source and row there, and what the calibrated model leaves at it [m]."""
+    """A pose that was left out as an outlier.
+
+    source : its table; row : its row there; error : position error of the calibrated model at it
+        [m]
+    """
 
     source: str = field(metadata=WRITTEN)
     row: int = field(metadata=WRITTEN)
@@ -39,7 +49,10 @@ class LeftOut:
 
 
 def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
-    """Rows with their errors, the files named where there are several; of : all files that they could be of."""
+    """Return rows with their errors as text, and their files' names where there are several files.
+
+    of : all files that they could be from
+    """
     several = len({*(out.source for out in rows), *of}) > 1
     words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
     return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
@@ -47,10 +60,12 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
 
 @dataclass(frozen=True)
 class Tried:
-    """Compliance that no robot file declares, tried on measurements.
+    """Result of the test for compliance that the robot file does not declare.
 
-    rigid, compliant : what each model leaves of the same poses [m a coordinate]; kept : whether the data carry it
-    outliers : (set, pose) indices of the poses that the compliant model calls outliers; None where it saw not all poses
+    rigid, compliant : residual standard deviation of each model at the same poses [m a coordinate]
+    kept : whether the data support compliance
+    outliers : (set, pose) indices of the outliers of the compliant model; None where it did not use
+        all poses
     """
 
     rigid: float = field(metadata=IN_MM)
@@ -59,7 +74,10 @@ class Tried:
     outliers: tuple[tuple[int, int], ...] | None = ()
 
     def in_words(self, method: str) -> str:
-        """Both figures, and what they say of a result; method : by which it was identified."""
+        """Return a sentence with both residuals and the conclusion.
+
+        method : by which the result was identified
+        """
         end = "too little for compliance in the model"
         if self.kept:
             end = "compliance is in the model"
@@ -70,7 +88,7 @@ class Tried:
 
 @dataclass(frozen=True, eq=False)
 class Identification(Result):
-    """What was identified, from what, and how sure it is.
+    """Result of an identification: what was identified, from what, and how certain it is.
 
     given : the robot as handed in
     start : with its frames placed
@@ -79,12 +97,12 @@ class Identification(Result):
     method : KM, SKCM, or the parameters that were free
     loss : of the residuals
     identifiability : which parameters are independent, which are not and why
-    problem : the least squares that was solved
-    solution : where the solver ended
+    problem : the least squares problem that was solved
+    solution : point at which the solver stopped
     variance : of a residual, in units of the sigmas used
-    degrees_of_freedom : residuals and priors less variables
+    degrees_of_freedom : number of residuals and priors minus the number of variables
     outliers : (set, pose) indices of poses that a robust loss left out
-    tried : whether the data carry a compliance that the robot file does not declare
+    tried : whether the data support a compliance that the robot file does not declare
 
     Examples
     --------
@@ -138,7 +156,7 @@ class Identification(Result):
     tried: Tried | None = None
 
     def blocks(self) -> list[Words | Table]:
-        """The verdict, and every parameter."""
+        """Return the verdict and a table of all parameters."""
         rows = [
             (
                 str(r["name"]),
@@ -155,7 +173,7 @@ class Identification(Result):
 
     @property
     def unknown_places(self) -> list[dict[str, Any]]:
-        """Places that were identified too, such as far ends of wires, in the frame of the measurements."""
+        """Identified places, such as anchors of wires, in the measuring frame [mm]."""
         places = []
         for label, xyz in self.unknown_points.items():
             k, name = label.split("/", 1)
@@ -165,66 +183,67 @@ class Identification(Result):
         return places
 
     def bars(self) -> list[tuple[str, float]]:
-        """Errors of what was used."""
+        """Return mean and 95th percentile of the errors of each set that was used [m]."""
         each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
         return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Identified parameters."""
+        """Names of the identified parameters."""
         return self.problem.names
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """Those of `names` that nobody takes for guesses: without what estimated masses may be off by."""
+        """The identified parameters without the errors of estimated masses."""
         given = self.start.parameters
         return tuple(n for n in self.names if not given[n].guess or given[n].group == "compliance")
 
     @cached_property
     def estimate(self) -> Array:
-        """Of `names`, shape (p,) [SI]."""
+        """Estimates of the parameters `names`, shape (p,) [SI]."""
         return np.array(list(self.problem.values(self.solution.v).values()))
 
     @cached_property
     def covariance(self) -> Array:
-        """Of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
+        """Covariance of `estimate`, shape (p, p) [SI]; NaN for parameters at a bound."""
         return covariance(self.problem, self.solution.v, self.variance)
 
     @cached_property
     def standard_errors(self) -> Array:
-        """Of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
+        """Standard errors of `estimate`, shape (p,) [SI]; NaN for parameters at a bound."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @cached_property
     def knowledge(self) -> Knowledge:
-        """Covariance of the calibrated robot, and where it was learnt, as a robot file keeps it."""
+        """Covariance and range of validity of the calibrated robot, as a robot file stores it."""
         return learnt_from(self, self.given.knowledge or Knowledge())
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Identified parameters that stopped at a bound of their width; zero of a compliance is a rigid joint."""
+        """Identified parameters at a bound; zero compliance is a rigid joint, and does not count."""
         return tuple(n for n in self._stopped if n not in self._rigid)
 
     @property
     def _stopped(self) -> tuple[str, ...]:
+        """Identified parameters at a bound, rigid joints included."""
         mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
         return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
 
     @property
     def _rigid(self) -> tuple[str, ...]:
-        """Compliances that stopped at zero."""
+        """Compliances at their lower bound of zero."""
         own = self.start.parameters
         nearer = {n: 2 * v < own[n].upper for n, v in zip(self.names, self.estimate, strict=True)}
         return tuple(n for n in self._stopped if own[n].group == "compliance" and nearer[n])
 
     @property
     def used(self) -> tuple[Measurements, ...]:
-        """The measurements without the poses that were left out."""
+        """The measurements without outliers."""
         return without_poses(self.measurements, self.outliers)
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """The poses that were left out, the farthest first."""
+        """The outliers, the one with the largest error first."""
         out = []
         for k, m in enumerate(self.measurements):
             poses = [i for place, i in self.outliers if place == k]
@@ -235,26 +254,30 @@ class Identification(Result):
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """The tables, by name."""
+        """Names of the tables."""
         return tuple(m.source for m in self.measurements)
 
     @property
     def unknown_points(self) -> dict[str, Array]:
-        """Where the points are that were identified too, by number of the set and name ("0/A"), shape (3,) [m] each."""
+        """Identified points in the measuring frame, shape (3,) [m] each.
+
+        The keys are "set number/point name", such as "0/A".
+        """
         _, u = self.problem.separate(self.solution.v)
         return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:
-        """Standard deviation of one coordinate [m] and of one angle [rad] that the residuals show, for each set."""
+        """Standard deviations of a coordinate [m] and an angle [rad] by the residuals, for each set."""
         scale = float(np.sqrt(self.variance))
         return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status, reason.
+        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status,
+        reason.
 
-        Where a prior tells all of an identified one, the reason says so.
+        Where an identified one has the standard error of its prior, the reason says so.
         """
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.held}
@@ -271,10 +294,9 @@ class Identification(Result):
                 status, reason = ("at bound", "its bound stops it") if p.name in self._stopped else ("identified", "")
                 if p.name in self._rigid:
                     reason = "zero, the least: no compliance shows"
-                # With this share of the standard error that it had before, a parameter was told by
-                # the prior alone.
+                # At this share of the prior's standard error, the data added no information.
                 if self.standard_errors[k] >= 0.98 * before.get(p.name, np.inf):
-                    reason = AS_BEFORE
+                    reason = PRIOR_ONLY_REASON
             elif p.name in reasons:
                 status, reason = "not identifiable", reasons[p.name]
             low, high = value - quantile * error, value + quantile * error
@@ -284,11 +306,11 @@ class Identification(Result):
 
     @property
     def shown(self) -> pd.DataFrame:
-        """`parameters` without those of effects that have too many to be shown, as joint_error_curve has."""
+        """`parameters` without those of effects with too many parameters, such as joint_error_curve."""
         return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
 
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
-        """Pairs of identified parameters whose estimates are correlated by more than `above`, the strongest first.
+        """Return the pairs of strongly correlated estimates, the strongest first.
 
         above : least absolute correlation that is listed
         Returns one row a pair: two names, and their correlation.
@@ -302,18 +324,22 @@ class Identification(Result):
 
     @cached_property
     def noise_is_assumed(self) -> bool:
-        """Whether a prior leaves too few degrees of freedom to tell a noise that nobody declared."""
+        """Whether the noise is neither declared nor determined.
+
+        With a correlated prior, few poses leave too few degrees of freedom to estimate it.
+        """
         problem = self.problem
         if not problem.known or all(m.sigma for m in problem.sets):
             return False
-        return float(redundancies(problem, self.solution.v).sum()) < TELLING
+        return float(redundancies(problem, self.solution.v).sum()) < MIN_NOISE_FREEDOM
 
     def predict(self, q: Array, conditions: Mapping[str, Array] | None = None) -> tuple[Array, Array]:
-        """Positions of the calibrated robot, shape (n, 3) [m], and their covariances, shape (n, 3, 3) [m^2].
+        """Return positions of the calibrated robot and their covariances, in the measuring frame.
 
-        The covariance is that of the model's position; a new measurement adds its own noise. It holds the parameters
-        that were not identified too, by their covariance in the robot's file or else by their priors, times a size that
-        follows from the departures that the poses do determine (see `prediction`).
+        Shapes (n, 3) [m] and (n, 3, 3) [m^2]. The covariance is that of the model's position; a new
+        measurement adds its own noise. It includes the parameters that were not identified, by
+        their covariance in the robot's file or else by their priors, times a factor that follows
+        from the departures that the poses do determine (see `prediction`).
 
         q : shape (n, joints) [rad or m]: joint readings
         conditions : logged columns by name, each of shape (n,)
@@ -328,13 +354,16 @@ class Identification(Result):
 
     @cached_property
     def _everything(self) -> tuple[LeastSquares, Array, Array]:
-        """Of all parameters that are not known exactly: their problem, departures from nominal, and covariance [SI]."""
+        """Problem, departures from nominal and covariance [SI] of all uncertain parameters."""
         return covariance_of_all(self.problem, self.solution.v, self.variance, self.given)
 
     def accuracy(self, *m: Measurements | Sequence[Measurements]) -> dict[str, Accuracy]:
-        """Errors on any measurements [m]: "nominal", "placed" (base and tool fitted) and "calibrated".
+        """Return error statistics on any measurements: "nominal", "placed" and "calibrated".
 
-        *m : those of the identification or others; of several sets, as a problem has them, the figures are over all
+        Placed is the nominal robot with base and tool fitted.
+
+        *m : those of the identification or others; of several sets, as a problem has them, the
+            figures are over all
         """
         sets = [part for given in m for part in ((given,) if isinstance(given, Measurements) else given)]
         robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
@@ -342,22 +371,26 @@ class Identification(Result):
 
     @cached_property
     def placed(self) -> Robot:
-        """The given robot with only base and tool frames fitted: the comparison that "before calibration" means."""
+        """The given robot with only base and tool frames fitted.
+
+        It is the robot "before calibration" with which the calibrated one is compared.
+        """
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
         if not groups:
             return self.start
         names = self.start.parameters.select(groups)
         free = LeastSquares(self.start, self.used, names, self.loss, False, first_sigmas(self.used))
         try:
-            (problem, solution, _), _ = solve_without_outliers(free, SCREENINGS, None)
+            (problem, solution, _), _ = solve_without_outliers(free, MAX_OUTLIER_ROUNDS, None)
             return self.start.with_values(problem.values(solution.v))
         except InputError:  # relative measurements do not determine the frames
             return self.start
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
-        """Whether no step inside the bounds lowers the cost; recomputed from the data, not by the solver.
+        """Return whether no step within the bounds lowers the cost, recomputed from the data.
 
-        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a standard error
+        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a
+            standard error
         """
         if self.problem.guesses.any():
             tolerance = max(tolerance, 2 * SETTLED_COST_GAIN)
@@ -365,7 +398,7 @@ class Identification(Result):
         return self.problem.decrement(self.solution.v) < tolerance * self.variance + round_off
 
     def to_toml(self) -> str:
-        """The calibrated robot as the text of a robot file that `read_robot` reads again."""
+        """Return the calibrated robot as the text of a robot file that `read_robot` reads."""
         return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}", known_alone=True)
 
     @property
@@ -391,15 +424,16 @@ class Identification(Result):
         if self.outliers:
             text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.sources)}"
         left = max(sigma for sigma, _ in self.sigmas)
-        if left > POOR_FIT * self.robot.reach:
+        if left > MAX_RESIDUAL_OF_REACH * self.robot.reach:
             text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
         return f"{text}. {self.solution.message}"
 
 
 def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
-    """What is known of a robot with effects: of values that were held, what was known before.
+    """Return the knowledge of a robot after an identification.
 
-    The ranges are those on which the effects were learnt: of these measurements, where one of their parameters is free.
+    For fixed values it is what was known before. The ranges are those on which the effects were
+    learnt: those of these measurements if a parameter of an effect is free.
     """
     labels = {e.label for e in found.robot.effects}
     groups = [found.robot.parameters[name].group for name in found.names]
@@ -418,6 +452,9 @@ def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
 
 
 def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
-    """Measurements without some poses; out : (set, pose) indices."""
+    """Return measurements without some poses.
+
+    out : (set, pose) indices
+    """
     left = set(out)
     return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))

@@ -1,7 +1,7 @@
-"""Several sessions of one robot: base and tool of its own for each, the robot shared, joint zeros shared or not.
+"""Several sessions of one robot: base, tool or joint zeros may differ between them.
 
-The first session has the robot's own base and tool; each further one is an effect (`instrument.Session`): its
-departures.
+The first session has the robot's own base and tool; each further one is an effect
+(`instrument.Session`) with the differences from it. All other parameters are shared.
 """
 
 from collections.abc import Sequence
@@ -16,37 +16,40 @@ from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-PREFIX = "session_"
-# Poses that a session with base and tool of its own needs at least.
-FEWEST = 6
+# Prefix of the columns that tell to which session a pose belongs.
+SESSION_PREFIX = "session_"
+# Minimum number of poses of a session with its own base and tool.
+MIN_SESSION_POSES = 6
 
 
 def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
-    """Names of the sessions in the order in which they come."""
-    names = (c.removeprefix(PREFIX) for m in sets for c in m.conditions if c.startswith(PREFIX))
+    """Return the names of the sessions in the order of their appearance."""
+    names = (c.removeprefix(SESSION_PREFIX) for m in sets for c in m.conditions if c.startswith(SESSION_PREFIX))
     return tuple(dict.fromkeys(names))
 
 
 def apart(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """The sets with the poses of each session for themselves: what was measured in one frame, of one tool."""
+    """Return the sets with the poses of each session separated: one frame and one tool each."""
     alone = []
     for m in sets:
-        flags = [flag for name in sessions_in([m]) if (flag := m.conditions[PREFIX + name] > 0).any()]
+        flags = [flag for name in sessions_in([m]) if (flag := m.conditions[SESSION_PREFIX + name] > 0).any()]
         alone += [m[np.flatnonzero(flag)] for flag in flags] if len(flags) > 1 else [m]
     return tuple(alone)
 
 
 def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """The robot with an effect for each further session, and the labels of these, to be free.
+    """Return the robot with an effect for each further session, and these effects' labels.
 
-    Raises InputError where a table does not say its session and others do, and for a session with too few poses.
+    They are to be freed.
+    Raises InputError where a table does not state its session and others do, and for a session with
+    too few poses.
     """
     known = tuple(e.label for e in robot.effects if isinstance(e, Session))
     names = sessions_in(sets)
     if known or not names:
         return robot, known
     for m in sets:
-        if not any(c.startswith(PREFIX) for c in m.conditions):
+        if not any(c.startswith(SESSION_PREFIX) for c in m.conditions):
             raise InputError(
                 f"{m.source}: says no session, and others do ({', '.join(names)}): give it a column 'session', or "
                 'session = "..." in its [[measurements]]'
@@ -55,11 +58,12 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
         return robot, ()
     rule = robot.sessions
     for name in names:
-        count = sum(int(m.conditions.get(PREFIX + name, np.zeros(1)).sum()) for m in sets)
-        if rule.base == "own" and count < FEWEST:
+        count = sum(int(m.conditions.get(SESSION_PREFIX + name, np.zeros(1)).sum()) for m in sets)
+        if rule.base == "own" and count < MIN_SESSION_POSES:
             raise InputError(
                 f"session {name!r} has {count} poses; where its base and tool are cannot be determined from fewer than "
-                f'{FEWEST}: measure {FEWEST - count} more in it, or write base = "shared" in [sessions] of '
+                f"{MIN_SESSION_POSES}: measure {MIN_SESSION_POSES - count} more in it, or write "
+                'base = "shared" in [sessions] of '
                 "problem.toml where nothing was moved"
             )
     zeros = robot.n if rule.zeros == "own" else 0
@@ -70,34 +74,42 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
 
 
 def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """The robot with base and tool of every session where the measurements say, as `place_frames` does of one."""
+    """Return the robot with base and tool frames of every session set from the measurements.
+
+    Each is placed as `place_frames` does for one session.
+    """
     sessions = [e for e in robot.effects if isinstance(e, Session)]
     if not sessions:
         return place_frames(robot, sets)
     bare = robot.with_only(e for e in robot.effects if e not in sessions)
-    placed = place_frames(bare, _first(sets, sessions, inside=False) or sets)
+    placed = place_frames(bare, _first_positions(sets, sessions, inside=False) or sets)
     values = dict(robot.effect_values)
     for effect in sessions:
-        own = _first(sets, [effect], inside=True)
+        own = _first_positions(sets, [effect], inside=True)
         if own is None or not effect.base_too:
             continue
         there = place_frames(placed, own)
         moved = np.linalg.solve(placed.base.T, there.base.T)
-        values |= _named(effect, ("x", "y", "z"), moved[:3, 3])
-        values |= _named(effect, ("rx", "ry", "rz"), to_xyz(moved[:3, :3]))
+        values |= _values_of_session(effect, ("x", "y", "z"), moved[:3, 3])
+        values |= _values_of_session(effect, ("rx", "ry", "rz"), to_xyz(moved[:3, :3]))
         if effect.tool_too:
-            values |= _named(effect, ("tool_x", "tool_y", "tool_z"), there.tool.T[:3, 3] - placed.tool.T[:3, 3])
+            values |= _values_of_session(
+                effect, ("tool_x", "tool_y", "tool_z"), there.tool.T[:3, 3] - placed.tool.T[:3, 3]
+            )
     return replace(robot, base=placed.base, tool=placed.tool, targets=placed.targets, effect_values=values)
 
 
 def not_shared(sets: Sequence[Measurements]) -> str:
-    """What sessions without a common pose cannot tell, and what would: the end of "they cannot ...", or nothing."""
+    """Return what sessions without a common pose cannot distinguish, and a remedy.
+
+    It is the end of a sentence "they cannot ..."; empty where they have common poses.
+    """
     names = sessions_in(sets)
     if len(names) < 2:
         return ""
-    flags = [[m.conditions.get(PREFIX + name, np.zeros(len(m))) > 0 for m in sets] for name in names]
+    flags = [[m.conditions.get(SESSION_PREFIX + name, np.zeros(len(m))) > 0 for m in sets] for name in names]
     poses = [np.concatenate([m.q[own] for m, own in zip(sets, each, strict=True)]) for each in flags]
-    apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _common(poses[0], q)]
+    apart = [name for name, q in zip(names[1:], poses[1:], strict=True) if not _share_a_pose(poses[0], q)]
     if not apart:
         return ""
     return (
@@ -106,13 +118,13 @@ def not_shared(sets: Sequence[Measurements]) -> str:
     )
 
 
-def _common(a: Array, b: Array, within: float = 5e-4) -> bool:
-    """Whether any reading of b is one of a, to 0.03 deg or half a millimetre."""
+def _share_a_pose(a: Array, b: Array, within: float = 5e-4) -> bool:
+    """Return whether a and b have a common reading, within 0.03 deg or half a millimetre."""
     return any((np.abs(a - q).max(axis=1) < within).any() for q in b) if len(a) else False
 
 
-def _first(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
-    """The first measured positions in these sessions, or in none of them."""
+def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
+    """Return the first measured positions in these sessions, or (inside=False) in none of them."""
     for m in (m for m in sets if m.position is not None):
         flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))
         if len(rows := np.flatnonzero((flags > 0) == inside)):
@@ -120,5 +132,6 @@ def _first(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bo
     return None
 
 
-def _named(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
+def _values_of_session(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
+    """Return effect parameter names with their values."""
     return {f"{effect.label}.{name}": float(v) for name, v in zip(names, values, strict=True)}

@@ -1,4 +1,4 @@
-"""Bounded nonlinear least squares by Ipopt with the Gauss-Newton Hessian."""
+"""Bounded nonlinear least squares by Ipopt with the Gauss-Newton Hessian, and its caches."""
 
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -12,18 +12,27 @@ import numpy as np
 from casadical.core.basics import Array, ConvergenceError
 from casadical.identification.identifiability import scaled_inverse
 
+# Called with the number of the iteration and its cost.
 Progress = Callable[[int, float], None]
 
-# Where the last iterations gained less than this [cost: half of chi-squared], it is asked whether it stands at its
-# optimum: it creeps there along what only priors hold, as the common scale of estimated masses and compliances.
-FLAT, LAST = 1e-3, 10
+# If the last iterations reduced the cost (half of chi-squared) by less than this, the solver tests
+# whether it is at the optimum. Convergence is slow along what only priors determine, such as the
+# common scale of estimated masses and compliances.
+MIN_COST_REDUCTION = 1e-3
+# Number of these last iterations.
+SLOW_ITERATIONS = 10
 
-OPTIMUM, ACCEPTABLE = "Ipopt found an optimum.", "Solved_To_Acceptable_Level"
-STOPPED = "User_Requested_Stop"
-_SENTENCES = {
-    "Solve_Succeeded": OPTIMUM,
-    ACCEPTABLE: "Ipopt stopped at an acceptable, not a sharp optimum; look at the condition number.",
-    STOPPED: "Ipopt found an optimum, to a tenth of a standard error of what estimated masses leave open.",
+# The message of a sharp optimum.
+OPTIMUM_MESSAGE = "Ipopt found an optimum."
+# Ipopt's status where it stops at less than the required accuracy.
+ACCEPTABLE_STATUS = "Solved_To_Acceptable_Level"
+# Ipopt's status where the test for the optimum stopped it.
+STOPPED_STATUS = "User_Requested_Stop"
+# Ipopt's status -> the message about it.
+_MESSAGE_OF_STATUS = {
+    "Solve_Succeeded": OPTIMUM_MESSAGE,
+    ACCEPTABLE_STATUS: "Ipopt stopped at an acceptable, not a sharp optimum; look at the condition number.",
+    STOPPED_STATUS: "Ipopt found an optimum, to a tenth of a standard error of what estimated masses leave open.",
     "Maximum_Iterations_Exceeded": (
         "Ipopt ran out of iterations; the start may be far off (check units, joint signs and zero offsets), "
         "or parameters nearly confounded: free fewer of them, or use priors."
@@ -42,9 +51,10 @@ _SENTENCES = {
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the solver stopped.
+    """The point at which the solver stopped.
 
-    v : shape (size,), scaled variables; status : that of Ipopt; message : the same in a sentence, with a remedy
+    v : scaled variables, shape (size,)
+    status : Ipopt's; message : the same as a sentence, with a remedy
     history : cost at each iteration
     """
 
@@ -55,9 +65,10 @@ class Solution:
 
 
 class _Evaluation(ca.Callback):
-    """One of the functions that Ipopt asks for, computed by numpy in the memory that Ipopt gives.
+    """One of the functions that Ipopt calls, computed by numpy in the memory that Ipopt gives.
 
-    inputs, outputs : names and sparsities; compute : arguments -> outputs, of which only those asked for are written
+    inputs, outputs : name -> sparsity
+    compute : arguments -> outputs, of which only the requested ones are written
     """
 
     def __init__(
@@ -67,32 +78,41 @@ class _Evaluation(ca.Callback):
         outputs: Mapping[str, ca.Sparsity],
         compute: Callable[..., Sequence[Array | float]],
     ) -> None:
+        """Construct the CasADi callback."""
         ca.Callback.__init__(self)
         self.inputs, self.outputs, self.compute = tuple(inputs.items()), tuple(outputs.items()), compute
         self.construct(name, {})
 
     def get_n_in(self) -> int:
+        """Return the number of inputs."""
         return len(self.inputs)
 
     def get_n_out(self) -> int:
+        """Return the number of outputs."""
         return len(self.outputs)
 
     def get_name_in(self, i: int) -> str:
+        """Return the name of input i."""
         return self.inputs[i][0]
 
     def get_name_out(self, i: int) -> str:
+        """Return the name of output i."""
         return self.outputs[i][0]
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return the sparsity of input i."""
         return self.inputs[i][1]
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """Return the sparsity of output i."""
         return self.outputs[i][1]
 
     def has_eval_buffer(self) -> bool:
+        """Return that `eval_buffer` exists, so that CasADi makes no copies."""
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview | None], res: Sequence[memoryview | None]) -> int:
+        """Compute the outputs in place; return 0 for success."""
         given = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arg]
         for place, value in zip(res, self.compute(*given), strict=False):
             if place is not None:
@@ -101,9 +121,11 @@ class _Evaluation(ca.Callback):
 
 
 class _Solver:
-    """Ipopt for problems of one size; made once, because that takes longer than a solve.
+    """Ipopt for problems of one size; it is cached, because building it takes longer than a solve.
 
-    The problem of the moment: cost : v -> f; gradient : v -> (g, H); scale : by which all are divided
+    The current problem is set as attributes:
+    cost : v -> f; gradient : v -> (g, H); scale : typical cost by which all of these are divided
+    progress : called at each iteration; settled : whether a slow search has reached the optimum
     """
 
     cost: Callable[[Array], float]
@@ -113,6 +135,10 @@ class _Solver:
     settled: Callable[[Array], bool] | None
 
     def __init__(self, size: int, most: int, watched: bool) -> None:
+        """Build Ipopt for `size` variables and `most` iterations.
+
+        watched : whether it may be stopped by `settled`
+        """
         vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
         number = ca.Sparsity.dense(1, 1)
         self._lower = np.tril_indices(size)
@@ -126,8 +152,8 @@ class _Solver:
         sizes = {"x": vector, "f": number, "lam_x": vector}
         point = {name: sizes.get(name, ca.Sparsity(0, 1)) for name in ca.nlpsol_out()}
         watch = _Evaluation("watch", point, {"stop": number}, self._stop)
-        # At 1e-8 Ipopt reaches the optimum and then spends iterations at round-off level in its
-        # line search.
+        # With a tolerance of 1e-8 instead of 1e-6, Ipopt spends iterations at round-off level in
+        # its line search after it has reached the optimum.
         options: dict[str, Any] = {
             "iteration_callback": watch,
             "grad_f": g,
@@ -144,11 +170,12 @@ class _Solver:
                 "nlp_scaling_method": "none",
                 "mu_init": 1e-7,
                 "bound_relax_factor": 0.0,
-                # No search along a step that is a millionth of each scale: the cost is round-off there.
+                # Steps of a millionth of each scale are not searched: the cost is at round-off
+                # there.
                 "tiny_step_tol": 1e-6,
-                # A step is refined where its residual is great, not always: the next one corrects it.
+                # A step is refined only if its residual is large: the next one corrects it.
                 "min_refinement_steps": 0,
-                # Robust losses converge linearly: stop where the cost no longer changes.
+                # Robust losses converge linearly, so Ipopt stops where the cost no longer changes.
                 "acceptable_tol": 1e-3,
                 "acceptable_iter": 3,
                 "acceptable_obj_change_tol": 1e-9,
@@ -158,7 +185,7 @@ class _Solver:
             del options["iteration_callback"]
         self._keep = f, g, h, watch
         self._solve = ca.nlpsol("identify", "ipopt", {"x": v, "f": f(v)}, options)
-        # Numbers go in and out through memory of its own, without CasADi's conversions.
+        # Fixed buffers for arguments and result avoid CasADi's conversions.
         self._given = {name: np.zeros(size) for name in ("x0", "lbx", "ubx")}
         self._optimum = np.zeros(size)
         self._buffer: Any
@@ -168,26 +195,30 @@ class _Solver:
         self._buffer.set_res(self._solve.index_out("x"), self._optimum.data)
 
     def solve(self, start: Array, lower: Array, upper: Array) -> tuple[Array, str]:
-        """The optimum, shape (size,), and Ipopt's status."""
+        """Return the optimum, shape (size,), and Ipopt's status."""
         for values, of in zip(self._given.values(), (start, lower, upper), strict=True):
             values[:] = of
         self._run()
         return self._optimum.copy(), str(self._solve.stats(1)["return_status"])
 
     def let_go(self) -> None:
-        """Break its circle of references, for it holds much memory: it is of no use afterwards."""
+        """Break the circular references, to free much memory; the solver cannot be used afterwards."""
         del self._run, self._buffer, self._solve, self._keep
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
-        """Whether to stop after an iteration: where the last ones gained nothing that counts, and little is left."""
-        flat = len(self.history) > LAST and self.history[-1 - LAST] - self.history[-1] < FLAT
+        """Return 1 to stop: the last iterations gained little, and the point is the optimum."""
+        flat = (
+            len(self.history) > SLOW_ITERATIONS
+            and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < MIN_COST_REDUCTION
+        )
         return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
+        """Return the scaled cost at v."""
         return (self.cost(v) / self.scale,)
 
     def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
-        """Ipopt asks for it once where it steps to."""
+        """Return scaled cost and gradient at v; Ipopt calls this once per iterate."""
         cost, gradient = self.cost(v), self.gradient(v)[0]
         self.history.append(cost)
         if self.progress:
@@ -195,11 +226,12 @@ class _Solver:
         return cost / self.scale, gradient / self.scale
 
     def _hessian(self, v: Array, _: Array, factor: Array, __: Array) -> Sequence[Array | float]:
+        """Return the lower triangle of the scaled Hessian at v."""
         return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
 
 
 class _Solvers(threading.local):
-    """Those of one thread, by size, most iterations, and whether they are watched."""
+    """The cached solvers of one thread, by size, maximum iterations, and whether they are watched."""
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=16)(_Solver)
@@ -219,16 +251,20 @@ def minimise(
     progress: Progress | None = None,
     settled: Callable[[Array], bool] | None = None,
 ) -> Solution:
-    """Minimise a sum of squares within bounds from a start, by default v = 0.
+    """Minimise a sum of squares within bounds.
 
-    cost : of v, shape (size,); gradient : at v, and the Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
+    cost : of v, shape (size,)
+    gradient : v -> gradient and Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
+    lower, upper : bounds of v, shape (size,)
     scale : typical size of the cost, by which it is divided
-    settled : whether a point at which the search only creeps is the optimum
+    start : first point, shape (size,); None: zero
+    progress : called with iteration number and cost
+    settled : whether a point at which convergence is slow is the optimum
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    # Solvers of up to so many variables are kept for the next problem: one of a thousand holds 100
-    # MB and is soon made.
+    # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and building it is
+    # fast relative to its solve.
     kept = len(lower) <= 100
     ipopt = (_solvers.of if kept else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
@@ -238,25 +274,26 @@ def minimise(
     finally:
         if not kept:
             ipopt.let_go()
-    message = _SENTENCES.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
-    if status not in ("Solve_Succeeded", ACCEPTABLE, STOPPED, "Search_Direction_Becomes_Too_Small"):
+    message = _MESSAGE_OF_STATUS.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
+    if status not in ("Solve_Succeeded", ACCEPTABLE_STATUS, STOPPED_STATUS, "Search_Direction_Becomes_Too_Small"):
         raise ConvergenceError(f"{message} ({status} after {len(ipopt.history)} iterations)")
     return Solution(v, status, message, tuple(ipopt.history))
 
 
 def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Array, moves: Array | None = None) -> Array:
-    """Return the step to the least of a quadratic cost inside bounds, shape (size,).
+    """Return the step that minimises a quadratic cost within bounds, shape (size,).
 
-    Variables are held at bounds that they would leave and let go where the cost draws them back (Portugal, Judice and
-    Vicente 1994).
+    The active set method fixes variables at bounds that they would violate and releases those that
+    the cost draws back (Portugal, Judice and Vicente 1994).
 
     g, H : gradient and Hessian of the cost; lower, upper : bounds of the step
-    at_bounds : mask of the variables that stand at a bound; moves : of those that may move, all by default
+    at_bounds : mask of the variables at a bound; moves : mask of those that may move, all by
+        default
     """
     step, free = np.zeros(len(g)), np.ones(len(g), dtype=bool) if moves is None else moves
     held = np.where(-lower < upper, g >= 0, g <= 0) & at_bounds & free
     best, least, own = step, 0.0, free
-    # Variables are held at bounds again so many times at most, in the first 8 rounds all at once.
+    # The active set is updated at most 60 times, at first by all violations at once.
     for turn in range(60):
         free = own & ~held
         step = np.where(free, 0.0, step)
@@ -269,7 +306,7 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
         wrong = beyond | drawn
         if not wrong.any():
             break
-        if turn > 8:  # one at a time never returns to where it was (Murty 1974)
+        if turn > 8:  # with one change at a time the method cannot cycle (Murty 1974)
             wrong &= np.arange(len(g)) == wrong.argmax()
         step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
     return best
@@ -280,10 +317,13 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Of all poses at one point, without priors: cost, gradient, J'WJ, and the residuals of every set.
+    """Sums over all residuals at one point, without priors.
 
-    square : sum of the squared residuals, without the loss; residuals : None of so many poses that they are not kept
-    triangle : triangular factor of J, without the loss, where it was asked for
+    cost : half the sum of squares through the loss; gradient : of the cost, shape (size,)
+    information : J'WJ with the loss weights W, shape (size, size)
+    square : sum of the squared residuals, without the loss
+    residuals : of every set; None if they are too many to be cached
+    triangle : triangular factor of J, without the loss, where it was requested
     """
 
     cost: float
@@ -294,46 +334,52 @@ class Sums:
     triangle: Array | None = None
 
     def for_variables(self, columns: Sequence[int]) -> "Sums":
-        """The same poses for some of the variables alone."""
+        """Return the sums for some of the variables, by their indices."""
         at = np.array(columns, dtype=int)
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)
 
 
-class Last:
-    """The last answer of a function of a point, shape (size,), and that point."""
+class LastValueCache:
+    """Cache of a function's value at the last point, shape (size,), and that point."""
 
     point: Array | None = None
     answer: Any = None
 
     def holds(self, v: Array) -> bool:
-        """Whether v is that point, to the bit."""
+        """Return whether the cached point is v, to the bit."""
         return self.point is not None and self.point.tobytes() == v.tobytes()
 
     @property
     def at_zero(self) -> Any:
-        """The answer, if it is that at zero; else None."""
+        """The cached value if its point is zero; else None."""
         return None if self.point is None or self.point.any() else self.answer
 
     def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
-        """Its answer at v, computed where v is another point."""
+        """Return the function's value at v, computed unless it is cached."""
         return self.answer if self.holds(v) else self.keep(v, compute(v))
 
     def keep(self, v: Array, answer: Any) -> Any:
-        """An answer at v that was computed elsewhere."""
+        """Store a value at v that was computed elsewhere, and return it."""
         self.point, self.answer = v.copy(), answer
         return answer
 
 
-class Kept:
-    """What a problem has computed: once and for all, by name, and last at one point."""
+class ProblemCache:
+    """Cache of what a problem has computed: constants by name, and values at the last point."""
 
     def __init__(self) -> None:
+        """Start with an empty cache."""
         self.made: dict[str, Any] = {}
-        self.sums, self.parts, self.gradient, self.cost = Last(), Last(), Last(), Last()
-        self.redundancies = Last()
+        self.sums, self.parts, self.gradient, self.cost = (
+            LastValueCache(),
+            LastValueCache(),
+            LastValueCache(),
+            LastValueCache(),
+        )
+        self.redundancies = LastValueCache()
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
-        """What was computed under this name, or now."""
+        """Return the constant of this name, computed the first time."""
         if name not in self.made:
             self.made[name] = compute()
         answer: T = self.made[name]

@@ -1,4 +1,4 @@
-"""What readings of some kinds do not determine at all, however many, each with the one thing that would."""
+"""What some kinds of measurement cannot determine in any number, each with a remedy."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -14,9 +14,12 @@ from casadical.robot.robot import Robot
 
 
 def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
-    """What these sets cannot tell, each as the end of a sentence: "these data cannot ...".
+    """Yield what these sets cannot determine, each as the end of a sentence.
 
-    where : unknown points by number of the set and name, as of `Identification.unknown_points`, shape (3,) [m] each
+    The sentence begins "these data cannot ...".
+
+    where : "set number/point name" -> unknown point, as of `Identification.unknown_points`, shape
+        (3,) [m]
     """
     if apart := not_shared(sets):
         yield apart
@@ -46,7 +49,7 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
         )
         return
     spread = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-    # Places whose second spread is less than this share of the first are in a line.
+    # Places are collinear if their second singular value is below this share of the first.
     if spread[1] < 0.05 * spread[0]:
         yield (
             f"see a turn of the whole robot about the line in which the {len(places)} places lie that distances are "
@@ -55,6 +58,9 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
 
 
 def undetermined_at_start(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
-    """The same before an identification, unknown points where a robot with its base and tool placed has them."""
+    """Yield the same before an identification.
+
+    Unknown points are where the robot, with base and tool placed, has them.
+    """
     problem = LeastSquares(robot, tuple(sets), (), "linear", False, ((1.0, 1.0),) * len(sets))
     yield from undetermined(sets, dict(zip(problem.labels, problem.points, strict=True)))

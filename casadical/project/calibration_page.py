@@ -21,7 +21,7 @@ from casadical.identification.figures import (
     unidentifiable_table,
 )
 from casadical.identification.pose_errors import (
-    SETS,
+    SET_TITLES,
     ModelErrors,
     PoseErrors,
     Style,
@@ -96,7 +96,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
     The errors of the poses on which all methods are judged; outliers are listed apart. Refused
     networks are included as they were trained, marked as refused.
     """
-    order, robot = list(SETS), list(results.values())[-1].robot
+    order, robot = list(SET_TITLES), list(results.values())[-1].robot
     by_name = {}
     whole, used = dict(problem.parts()), used_poses(problem, results)
     for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
@@ -178,7 +178,7 @@ def calibration_figures(
     if where:
         yield from where_figures(where)
     yield from parameter_figures(last)
-    yield from fit_figures(last, {SETS.get(name, name): parts for name, parts in problem.sets.items()})
+    yield from fit_figures(last, {SET_TITLES.get(name, name): parts for name, parts in problem.sets.items()})
     if networks and any(r.compensator for r in trained):
         yield training_history(networks)
 

@@ -12,7 +12,7 @@ from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.template import template_blocks
 from casadical.identification.accuracy import Accuracy, errors, summarise
 from casadical.identification.gravity import in_words
-from casadical.identification.result import AS_BEFORE, Identification, LeftOut, rows_in_words
+from casadical.identification.result import PRIOR_ONLY_REASON, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
 from casadical.measurements.columns import Source
 from casadical.measurements.kinds.registry import find_kind
@@ -313,6 +313,6 @@ _TEMPLATE_FUNCTIONS: dict[str, Any] = {
         c.joint for c in coverage(problem.robot, problem.sets["identify"][0]) if c.share < 0.5
     ],
     "as_before": lambda last: int(
-        (last.parameters["reason"] == AS_BEFORE)[last.parameters["name"].isin(last.identified)].sum()
+        (last.parameters["reason"] == PRIOR_ONLY_REASON)[last.parameters["name"].isin(last.identified)].sum()
     ),
 }

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from casadical import identify
 from casadical.identification.least_squares import LeastSquares
-from casadical.identification.residuals import KNEE
+from casadical.identification.residuals import LOSS_KNEE_SQUARE
 
 ARM = arms.six_axis()
 
@@ -103,7 +103,14 @@ def test_robust_losses_minimise_what_scipy_says(small, loss):
         return (np.linalg.norm(position(m.q.T, phi).full(), axis=0) - wrong) / arms.NOISE
 
     oracle = least_squares(
-        residuals, np.zeros(4), jac="3-point", loss=loss, f_scale=np.sqrt(KNEE[1]), xtol=1e-14, ftol=1e-14, gtol=1e-12
+        residuals,
+        np.zeros(4),
+        jac="3-point",
+        loss=loss,
+        f_scale=np.sqrt(LOSS_KNEE_SQUARE[1]),
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-12,
     )
     assert np.allclose(solution.v, oracle.x, rtol=0, atol=1e-4)
     assert solution.history[-1] == pytest.approx(oracle.cost, rel=1e-6)

@@ -12,7 +12,7 @@ from casadical import identify
 from casadical.core import compile_cache as compiled
 from casadical.core.mapped_function import COMPILATION_POINTS, LIBRARY_LOOKUP_POINTS, MAX_CHUNK_POINTS, MappedFunction
 from casadical.identification.least_squares import LeastSquares
-from casadical.identification.residuals import KNEE
+from casadical.identification.residuals import LOSS_KNEE_SQUARE
 
 ARM = arms.six_axis()
 NAMES = ("base_x", "a1", "alpha2", "theta3", "d4", "tool_x")
@@ -39,7 +39,7 @@ def test_chunks_sum_to_the_whole(n):
     cost, gradient, hessian = sums(least_squares, v)
     found = [one_pose(least_squares, k, v) for k in range(n)]
     r, J = (np.array(both) for both in zip(*found, strict=True))
-    knee = KNEE[3]
+    knee = LOSS_KNEE_SQUARE[3]
     root = np.sqrt(1 + np.sum(r**2, axis=1) / knee)
     assert cost == pytest.approx(np.sum(knee * (root - 1)), rel=1e-12)
     assert np.allclose(

@@ -9,7 +9,7 @@ import pytest
 from casadical import InputError, identify, read_robot, write_robot
 from casadical.effects import GearEccentricity
 from casadical.identification.accuracy import predicted
-from casadical.identification.remaining_errors import evaluated, learn_remaining
+from casadical.identification.remaining_errors import learn_remaining, residuals_and_jacobian
 from casadical.measurements.measurements import unmeasured
 from casadical.robot.remaining_errors import doubted
 
@@ -37,7 +37,7 @@ def expected_at(robot, q):
     remaining = robot.remaining
     model = doubted(robot)
     scale = np.array([model.parameters[name].scale for name in remaining.names])
-    J = 1e-3 * evaluated(model, [unmeasured(q)], remaining.names)[1] / scale
+    J = 1e-3 * residuals_and_jacobian(model, [unmeasured(q)], remaining.names)[1] / scale
     return np.sqrt(remaining.rest**2 + ((J @ remaining.factor) ** 2).sum(axis=(1, 2)))
 
 

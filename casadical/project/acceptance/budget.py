@@ -31,7 +31,7 @@ from casadical.core.telling.blocks import mm
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.identification import calibrated, prepare
-from casadical.identification.remaining_errors import evaluated
+from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
@@ -296,7 +296,7 @@ def _interpolation_uncertainty(robot: Robot, sets: Sequence[Measurements]) -> fl
 
     def mean_square(some: Measurements) -> float:
         """Return the mean variance of position over these poses [m^2]."""
-        J = 1e-3 * evaluated(robot, [some], names)[1]
+        J = 1e-3 * residuals_and_jacobian(robot, [some], names)[1]
         J = J[np.isfinite(J).all(axis=(1, 2))]
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))
 

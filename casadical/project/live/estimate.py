@@ -20,7 +20,7 @@ from casadical.core.parameters import Parameter
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
-from casadical.identification.sessions import PREFIX, place_sessions
+from casadical.identification.sessions import SESSION_PREFIX, place_sessions
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.information import MM, scaled_jacobian
@@ -148,14 +148,14 @@ def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
     The base is one of them where the readings refer to something at rest.
     """
     held = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
-    sessions = (n for n in robot.parameters.names if n.startswith(PREFIX))
+    sessions = (n for n in robot.parameters.names if n.startswith(SESSION_PREFIX))
     names = (*robot.parameters.select(("kinematic", "compliance")), *sessions)
     return tuple(name for name in names if robot.parameters[name].group not in held)
 
 
 def _is_frame(p: Parameter) -> bool:
     """Return whether a parameter is of the base or tool frame, also of a session."""
-    return p.group in FRAME_GROUPS or (p.name.startswith(PREFIX) and ".zero" not in p.name)
+    return p.group in FRAME_GROUPS or (p.name.startswith(SESSION_PREFIX) and ".zero" not in p.name)
 
 
 def labels_of(m: Measurements) -> list[str]:
@@ -283,7 +283,7 @@ def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Est
         return None, np.zeros(len(m), dtype=bool), np.zeros((len(m), lengths))
     if (~out).sum() < MIN_READINGS_OF_FIT:  # the first readings are judged by each other, the others by them
         out[:MAX_REFITTED_READINGS] = False
-    named = [flag > 0 for name, flag in m.conditions.items() if name.startswith((PREFIX, "tool_"))]
+    named = [flag > 0 for name, flag in m.conditions.items() if name.startswith((SESSION_PREFIX, "tool_"))]
     for own in (*(labels == name for name in set(labels)), *named):
         # Likewise the readings of a point of which half are doubted.
         out[own] &= 2 * out[own].sum() < own.sum()

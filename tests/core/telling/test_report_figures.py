@@ -13,7 +13,7 @@ from casadical.core.telling.drawing import COLOURS, draw
 from casadical.core.telling.page import require, safe_json
 from casadical.identification.figures import most_correlated, residual_quantiles
 from casadical.identification.pose_errors import (
-    STYLES,
+    MODEL_STYLES,
     ModelErrors,
     PoseErrors,
     error_distribution,
@@ -229,7 +229,7 @@ def test_words_and_lines_stand_out_from_their_ground(mode) -> None:
     for name in ("blue", "orange", "green", "red", "pink", "sky", "grey"):
         assert contrast(COLOURS[name][mode], ground) > 2.7, name
     # Not by colour alone.
-    styles = [*list(STYLES.values())[:3], *NETWORK_STYLES]
+    styles = [*list(MODEL_STYLES.values())[:3], *NETWORK_STYLES]
     assert len({(marker, dash) for _, marker, dash in styles}) == len(styles)
 
 

@@ -15,7 +15,7 @@ from casadical.core.telling.figure import Axis
 from casadical.diagnosis.figures import curve_figure, gap_course
 from casadical.diagnosis.joint_curves import JointCurves
 from casadical.identification.figures import intervals
-from casadical.identification.pose_errors import STYLES
+from casadical.identification.pose_errors import MODEL_STYLES
 from casadical.project.calibration_page import NETWORK_STYLES
 from casadical.project.telling import campaign_files
 
@@ -30,7 +30,7 @@ def test_bars_of_an_interval_go_from_low_to_high() -> None:
 
 
 def test_models_are_drawn_in_the_colours_of_a_light_page() -> None:
-    assert {colour for colour, _, _ in (*NETWORK_STYLES, *STYLES.values())} <= set(COLOURS)
+    assert {colour for colour, _, _ in (*NETWORK_STYLES, *MODEL_STYLES.values())} <= set(COLOURS)
     assert len(set(NETWORK_STYLES)) == len(NETWORK_STYLES)
 
 
