@@ -243,14 +243,14 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
 
 def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path]) -> Words:
     """What to do with what was found: keep it, or measure poses that tell more where they would."""
-    from casadical.diagnosis.statements import LITTLE, gain_of
+    from casadical.diagnosis.statements import MIN_DECISION_GAIN, gain_of
 
     d, poses, typed = found.diagnosis, found.details.poses, sys.argv[1:]
     if any(cause.effects for cause in d.causes):
         return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
     if d.verdict == "none":
         return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
-    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= LITTLE:
+    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= MIN_DECISION_GAIN:
         return next_step("for poses that tell more", *typed, "--next", "next.csv")
     u = found.details.unlisted
     unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()

@@ -16,13 +16,13 @@ from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
 # How many first causes are tried, and how many larger sets are followed.
-STARTS, BEAM = 6, 3
+MAX_FIRST_CAUSES, BEAM_WIDTH = 6, 3
 # A further cause of a set gains at least so much log evidence.
-GAIN = 8.0
+MIN_LOG_GAIN = 8.0
 # How probable the listed sets must be against all with something unlisted in them.
-LISTED = 0.9
+MIN_LISTED_SHARE = 0.9
 # Sets with the unlisted are followed for so many causes, and the best listed set is looked beyond so many times.
-FOLLOWED, BEYOND = 2, 4
+MAX_UNLISTED_CAUSES, MAX_BEST_SET_UPDATES = 2, 4
 
 Chosen = Mapping[str, tuple[Effect, ...]]
 Beside = Callable[[Sequence[Chosen]], Sequence[Ranking]]
@@ -81,7 +81,7 @@ class _Search:
             labels
             for s in sets
             for labels, label, _ in s.more()
-            if labels <= self.listed and s.ranking.log_factor[label] > GAIN
+            if labels <= self.listed and s.ranking.log_factor[label] > MIN_LOG_GAIN
         }
 
 
@@ -101,15 +101,15 @@ def most_probable_set(
     """
     search = _Search(beside, variants, listed)
     root = search.take(_Set({}, 0.0, first))
-    frontier, width = [root], STARTS
+    frontier, width = [root], MAX_FIRST_CAUSES
     for _ in range(SETTINGS.max_causes - steps):
         frontier = search.expand(search.best(search.gaining(frontier), width))
         if not frontier:
             break
-        width = BEAM
+        width = BEAM_WIDTH
     _follow_unlisted(search, root)
     none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
-    for _ in range(BEYOND):
+    for _ in range(MAX_BEST_SET_UPDATES):
         known = [k for k in search.mass if k <= listed]
         if not known:
             return (), frozenset()
@@ -127,7 +127,7 @@ def most_probable_set(
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
     # Where they are not: how probable each cause must be, whatever else is there.
-    doubted = frozenset(c for c in best if share < LISTED and without[c] > 1 - 0.95)
+    doubted = frozenset(c for c in best if share < MIN_LISTED_SHARE and without[c] > 1 - 0.95)
     before, last = search.reached[best]
     return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
 
@@ -136,8 +136,8 @@ def _follow_unlisted(search: _Search, root: _Set) -> None:
     """The best set that begins with what is on no list, so that the comparison is fair."""
     unlisted = [k for k in root.ranking.order if k not in search.listed and k in search.variants]
     found = root
-    for k in range(FOLLOWED if unlisted else 0):
+    for k in range(MAX_UNLISTED_CAUSES if unlisted else 0):
         label = unlisted[0] if not k else next((c for c in found.ranking.order if c in search.variants), None)
-        if label is None or found.ranking.log_factor[label] < GAIN:
+        if label is None or found.ranking.log_factor[label] < MIN_LOG_GAIN:
             return
         (found,) = search.expand([frozenset((*found.chosen, label))])

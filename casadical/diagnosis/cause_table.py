@@ -11,8 +11,8 @@ from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.effects.formula_effect import FLAGS
 from casadical.effects.plugins import signature_of
 
-READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
-READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
+READABLE_UNITS = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
+READABLE_UNITS |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def listed(words: Iterable[str]) -> str:
 def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:
     """Name, value, standard error and unit as they are shown; lengths of a millimetre and more in mm."""
     size = max(abs(value), error)
-    factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE.get(unit, (1.0, unit))
+    factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE_UNITS.get(unit, (1.0, unit))
     return name, f"{factor * value:.3g}", f"{factor * error:.2g}", word
 
 

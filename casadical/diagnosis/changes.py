@@ -19,7 +19,7 @@ from casadical.identification.prior import Prior, probability_of_change
 from casadical.measurements.measurements import Noise
 
 # From this probability on, nothing of the earlier campaign is taken for known of a part.
-NEW = 0.5
+MIN_CHANGE_PROBABILITY = 0.5
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
@@ -42,7 +42,7 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
                 factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
         left = [key for key in parts if key not in done]
         first = best_of(left, factor.__getitem__, logs=True) if left else None
-        if first is None or probability_of_change(factor[first]) < NEW:
+        if first is None or probability_of_change(factor[first]) < MIN_CHANGE_PROBABILITY:
             return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)
         prior = prior.with_nothing_known(parts[first])

@@ -33,7 +33,7 @@ from casadical.robot.robot import Robot
 __all__ = ["Diagnosis", "Masses", "diagnose"]
 
 # How the reason begins for which a kind of measurement does not determine where the base is.
-WITHOUT = "nothing at rest"
+UNDETERMINED_BASE_REASON = "nothing at rest"
 
 # What wrong declared masses of links are: a cause like others, or part of the base model.
 Masses = Literal["candidate", "nuisance"]
@@ -238,7 +238,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     if case.observations.plain:
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
-    said += dict.fromkeys(reason for reason in held if reason.startswith(WITHOUT))
+    said += dict.fromkeys(reason for reason in held if reason.startswith(UNDETERMINED_BASE_REASON))
     stops = case.observations.stops
     if stops.most > 1:
         said.append(

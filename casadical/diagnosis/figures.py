@@ -20,7 +20,7 @@ from casadical.identification.figures import banded, fit_figures, intervals, par
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
 # Joint curves stand in so many columns; height of a row of them [px].
-COLUMNS = 2
+CURVE_PANEL_COLUMNS = 2
 _GAP = (
     "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
     f"the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % interval over "
@@ -196,7 +196,7 @@ def curve_figure(curves: JointCurves) -> Figure:
     y = Axis(ends=(-most, most), count=5)
     titles = (f"{100 * c.share:.0f} %" if c.seen else "not seen" for c in curves.joints)
     panels = [
-        Panel(k // COLUMNS + 1, k % COLUMNS + 1, f"joint {c.joint}: {title}", x, y)
+        Panel(k // CURVE_PANEL_COLUMNS + 1, k % CURVE_PANEL_COLUMNS + 1, f"joint {c.joint}: {title}", x, y)
         for k, (c, title) in enumerate(zip(curves.joints, titles, strict=True))
     ]
     return Figure(
@@ -207,7 +207,7 @@ def curve_figure(curves: JointCurves) -> Figure:
         y=Axis("error [urad]"),
         caption=_CURVES,
         shared="xy",
-        height=150 * -(-len(panels) // COLUMNS) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
+        height=150 * -(-len(panels) // CURVE_PANEL_COLUMNS) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
         panels=panels,
     )
 

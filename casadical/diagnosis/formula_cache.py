@@ -30,8 +30,8 @@ from casadical.robot.kinematics import deflections, gravity_torques
 @lru_cache(maxsize=4096)
 def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
     """As `composed`; kept for other processes."""
-    kept = kept_formulas(s)
-    return kept.formula(template, settings) if kept.keeps(template) else composed(s, template, settings)
+    kept = cached_formulas(s)
+    return kept.formula(template, settings) if kept.is_cacheable(template) else composed(s, template, settings)
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
@@ -114,7 +114,7 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
             known = formula_of(s, effects[k], ())
             assert known
             parts.append(Part(known, [], starts[[k]], width))
-    kept_formulas(s).write()
+    cached_formulas(s).write()
     return tuple(parts)
 
 
@@ -133,9 +133,9 @@ def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]]
     return templates
 
 
-PACKAGE = Path(__file__).parents[1]
+PACKAGE_FOLDER = Path(__file__).parents[1]
 # Rooms on whose code a formula depends.
-ROOMS = ("core", "effects", "robot", "diagnosis")
+FORMULA_PACKAGES = ("core", "effects", "robot", "diagnosis")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +164,7 @@ class Formula:
         return cls(function, tuple(conditions), np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64))
 
 
-class KeptFormulas:
+class FormulaCache:
     """Formulas of one structure, read from one file and written to it; None is kept, too.
 
     The file's name holds the hash of the structure and of the code that composes formulas, so that it is never stale.
@@ -183,7 +183,7 @@ class KeptFormulas:
                 if digest == hashlib.sha256(text.encode()).hexdigest():  # else it was damaged, and is made again
                     self._known = json.loads(text)
 
-    def keeps(self, template: Effect) -> bool:
+    def is_cacheable(self, template: Effect) -> bool:
         """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
         own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
         if not (own and template.on_list):
@@ -210,13 +210,15 @@ class KeptFormulas:
 
 
 @lru_cache(maxsize=16)
-def kept_formulas(s: Seams) -> KeptFormulas:
+def cached_formulas(s: Seams) -> FormulaCache:
     """Those of one structure, by the code that runs."""
-    return KeptFormulas(s, code_hash(PACKAGE))
+    return FormulaCache(s, code_hash(PACKAGE_FOLDER))
 
 
 @lru_cache(maxsize=1)
 def code_hash(package: Path) -> str:
     """Hash of a package's code that composes formulas."""
-    files = sorted(path for room in ROOMS for kind in ("*.py", "*.toml") for path in (package / room).rglob(kind))
+    files = sorted(
+        path for room in FORMULA_PACKAGES for kind in ("*.py", "*.toml") for path in (package / room).rglob(kind)
+    )
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

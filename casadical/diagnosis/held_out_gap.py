@@ -30,8 +30,18 @@ from casadical.measurements.measurements import Noise
 if TYPE_CHECKING:
     from casadical.compensator import Trainer
 
-DRAWS = 1000
-COLUMNS = ("model", "gap_mm", "low_mm", "high_mm", "loo_mm", "blocks_mm", "model_mm", "model_low_mm", "model_high_mm")
+BOOTSTRAP_DRAWS = 1000
+COURSE_COLUMNS = (
+    "model",
+    "gap_mm",
+    "low_mm",
+    "high_mm",
+    "loo_mm",
+    "blocks_mm",
+    "model_mm",
+    "model_low_mm",
+    "model_high_mm",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +71,11 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
         runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
         error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
         loo, block = (held_out_errors(e, stage.columns, stage.noise, f).mean() for f in (alone, blocks))
-        resampled = resampled_means(np.stack([error, square]), seed, DRAWS)
+        resampled = resampled_means(np.stack([error, square]), seed, BOOTSTRAP_DRAWS)
         of_error, of_square = np.quantile(resampled, [0.025, 0.975], axis=1).T
         rooted = 1e3 * np.sqrt(np.maximum([square.mean(), *of_square], 0.0))
         rows.append((stage.added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
-    return pd.DataFrame(rows, columns=list(COLUMNS))
+    return pd.DataFrame(rows, columns=list(COURSE_COLUMNS))
 
 
 def time_blocks(case: Case) -> Array:

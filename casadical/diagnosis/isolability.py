@@ -37,17 +37,17 @@ from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 # Of more poses than this, evenly spaced ones say which effects look alike.
-MOST_ALIKE = 500
+MAX_SIMILARITY_POSES = 500
 # Columns that are in memory at a time: bytes of their rows, and how many whose spans are compared with all others.
-BYTES, AT_A_TIME = 16_000_000, 512
-USUAL_NOISE = Noise(20e-6, 8e-6)
+MAX_COLUMN_BYTES, MAX_COLUMNS_AT_ONCE = 16_000_000, 512
+TYPICAL_NOISE = Noise(20e-6, 8e-6)
 
 # An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
-ABSORBED, OUT_OF_REACH = 0.98, 5.0
+MAX_ABSORBED_SHARE, MAX_FINDABLE_MULTIPLE = 0.98, 5.0
 # Effects below this rms [mm] move nothing.
-NO_MARK = 1e-6
+MIN_SIZE_MM = 1e-6
 # Multiples of its usual size from which a cause is ruled out.
-TIMES = (1.0, 2.0, OUT_OF_REACH)
+RULED_OUT_MULTIPLES = (1.0, 2.0, MAX_FINDABLE_MULTIPLE)
 
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
@@ -114,7 +114,7 @@ def isolability(
     m: Measurements | None = None,
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
     *,
-    noise: Noise = USUAL_NOISE,
+    noise: Noise = TYPICAL_NOISE,
     whole: bool = False,
 ) -> Isolability:
     """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
@@ -192,7 +192,9 @@ def _judged(
     effects = table.groupby("label", sort=False).mean()
     # Noncentrality at which one among a hundred or so candidates is found nine times in ten.
     effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
-    some = evidence if n <= MOST_ALIKE else evidence.at(np.linspace(0, n - 1, MOST_ALIKE).astype(int))
+    some = (
+        evidence if n <= MAX_SIMILARITY_POSES else evidence.at(np.linspace(0, n - 1, MAX_SIMILARITY_POSES).astype(int))
+    )
     seen = some.projected(rho).columns(some.take(np.arange(some.width)))
     return Isolability(effects, _alike(seen, columns, owner), missing)
 
@@ -202,7 +204,7 @@ def _squares(evidence: Evidence, rho: float) -> Array:
 
     rho : joint repeatability over the instrument's sigma. Some columns at a time, for there may be many poses.
     """
-    step = max(1, BYTES // (24 * len(evidence.r)))
+    step = max(1, MAX_COLUMN_BYTES // (24 * len(evidence.r)))
     projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
     squares = []
     for first in range(0, evidence.width, step):
@@ -219,7 +221,7 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):
         alike = np.flatnonzero(widths == width)
-        for some in np.array_split(alike, min(1 + len(alike) * width // AT_A_TIME, len(alike))):
+        for some in np.array_split(alike, min(1 + len(alike) * width // MAX_COLUMNS_AT_ONCE, len(alike))):
             U, s, _ = np.linalg.svd(np.stack([E[:, columns[k]] for k in some]), full_matrices=False)
             # Directions of an effect that carry less than this share of its strongest one are round-off.
             there = s > 1e-6 * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
@@ -261,13 +263,15 @@ def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
     if poses is None:
         return {}
     seen = poses.effects.drop(index=[c.label for c in d.causes], errors="ignore")
-    idle = seen["size_mm"] < NO_MARK
-    absorbed = ~idle & (seen["absorbed"] > ABSORBED)
-    weak = ~idle & ~absorbed & (seen["findable_from"] > OUT_OF_REACH)
+    idle = seen["size_mm"] < MIN_SIZE_MM
+    absorbed = ~idle & (seen["absorbed"] > MAX_ABSORBED_SHARE)
+    weak = ~idle & ~absorbed & (seen["findable_from"] > MAX_FINDABLE_MULTIPLE)
     reasons = {
         "as nothing here causes them (no masses in the robot file, an idle joint)": seen.index[idle],
-        f"as the base model takes up {100 * ABSORBED:.0f} % or more of each in these poses": seen.index[absorbed],
-        f"against this noise, unless {OUT_OF_REACH:.0f} times their usual size": seen.index[weak],
+        f"as the base model takes up {100 * MAX_ABSORBED_SHARE:.0f} % or more of each in these poses": seen.index[
+            absorbed
+        ],
+        f"against this noise, unless {MAX_FINDABLE_MULTIPLE:.0f} times their usual size": seen.index[weak],
     }
     return {why: gathered(labels) for why, labels in reasons.items() if len(labels)}
 
@@ -282,12 +286,12 @@ def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
         return {}
     noise = unlisted.beside.noise[""]
     poses = of_case(d.case, noise, d.effects(unlisted=unlisted))
-    seen = poses.effects[(poses.effects["size_mm"] >= NO_MARK) & (poses.effects["absorbed"] <= ABSORBED)]
+    seen = poses.effects[(poses.effects["size_mm"] >= MIN_SIZE_MM) & (poses.effects["absorbed"] <= MAX_ABSORBED_SHARE)]
     named = {label for c in d.causes for label in (c.label, *c.indistinguishable)} | set(d.in_question)
     last = unlisted.beside.log_factor
     labels: dict[str, list[str]] = {}
     for label in (c.label for c in d.case.candidates if c.listed and c.label in seen.index and c.label not in named):
-        times = [t for t in TIMES if float(seen.loc[label, "findable_from"]) <= t]  # type: ignore[arg-type]
+        times = [t for t in RULED_OUT_MULTIPLES if float(seen.loc[label, "findable_from"]) <= t]  # type: ignore[arg-type]
         if times and last.get(label, 0.0) < 0:
             labels.setdefault(f"{times[0]:g}", []).append(label)
-    return {f"{t:g}": labels[f"{t:g}"] for t in TIMES if f"{t:g}" in labels}
+    return {f"{t:g}": labels[f"{t:g}"] for t in RULED_OUT_MULTIPLES if f"{t:g}" in labels}

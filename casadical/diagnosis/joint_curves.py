@@ -16,7 +16,7 @@ from casadical.diagnosis.structure import sines
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.measurements.measurements import Noise
 
-COLUMNS = ("joint", "rms [urad]", "share")
+CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ class JointCurves:
     orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """A row for each joint under `COLUMNS`, the greatest share first.
+        """A row for each joint under `CURVE_COLUMNS`, the greatest share first.
 
         Of a curve that is not seen the row tells how large it may be: two standard errors more.
         """

@@ -19,7 +19,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Combined, Directions, Factors, directions_of
 from casadical.diagnosis.formula_cache import Part, plan
-from casadical.diagnosis.seams import BLOCK, Seams, over_poses, seams_of
+from casadical.diagnosis.seams import POSES_PER_CALL, Seams, over_poses, seams_of
 from casadical.effects import Effect
 from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
@@ -307,8 +307,8 @@ class EffectColumns:
         for effect, first in zip(self.effects, self._edges.tolist(), strict=False):
             for part in effect.parts.values():
                 normal = np.zeros((len(part), len(part)))
-                for start in range(0, self.shape[0], BLOCK):
-                    poses = slice(start, start + BLOCK)
+                for start in range(0, self.shape[0], POSES_PER_CALL):
+                    poses = slice(start, start + POSES_PER_CALL)
                     normal += self._factors_of(first + part, poses).products(self.levers(poses))
                 # A direction of a part is unobservable if one size of it moves all poses together
                 # by less than this [m].

@@ -139,14 +139,14 @@ def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
     return picked, course
 
 
-POOL = 800
+DEFAULT_POOL_SIZE = 800
 # Settings of a cause that are looked at, and by how much their log likelihood may be less than the best one's.
-MOST_VARIANTS, LIKELY = 2, 4.0
+MAX_VARIANTS_PER_CAUSE, MAX_LOG_LIKELIHOOD_DEFICIT = 2, 4.0
 # Readings beyond the campaign's own range by less than this [rad or m] are nothing new.
-BEYOND = 0.02
+RANGE_TOLERANCE = 0.02
 # Torque of this share of a great one counts as none.
-IDLE = 0.15
-NONE = "none"
+IDLE_TORQUE_SHARE = 0.15
+NO_CAUSE = "none"
 
 
 def next_poses(
@@ -158,7 +158,7 @@ def next_poses(
     beside: Sequence[str] | None = None,
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
-    pool: int = POOL,
+    pool: int = DEFAULT_POOL_SIZE,
 ) -> pd.DataFrame:
     """The next n poses to measure, the most informative first.
 
@@ -194,7 +194,7 @@ def next_poses(
             return pd.DataFrame()
         known = {c.label for c in case.candidates}
         others = tuple(k for k in found.rankings[-1].order if k in known and k not in labels)[:1]
-    causes = causes_in_question(case, labels, (NONE, *others) if beside is None else beside)
+    causes = causes_in_question(case, labels, (NO_CAUSE, *others) if beside is None else beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
@@ -224,16 +224,16 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
     known = {c.label: c for c in case.candidates}
     causes: list[_Cause] = []
     for label in dict.fromkeys((*labels, *beside)):
-        if label == NONE:
-            causes.append(_Cause(NONE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
+        if label == NO_CAUSE:
+            causes.append(_Cause(NO_CAUSE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
             continue
         if label not in known:
             raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
         variants = known[label].variants
         grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
         likely = np.logaddexp.reduce(grids.reshape(len(variants), -1), axis=1)
-        allowed = np.flatnonzero(likely > likely.max() - LIKELY)
-        spread = allowed[np.linspace(0, len(allowed) - 1, MOST_VARIANTS).astype(int)]
+        allowed = np.flatnonzero(likely > likely.max() - MAX_LOG_LIKELIHOOD_DEFICIT)
+        spread = allowed[np.linspace(0, len(allowed) - 1, MAX_VARIANTS_PER_CAUSE).astype(int)]
         others = spread.tolist() if label in labels else []
         for k in dict.fromkeys([first_of_best(likely, logs=True), *others]):
             causes.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
@@ -268,7 +268,7 @@ def table_of(
 def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
     """For each pose, what of it the campaign had not: a wider range, another payload, approach or thermal state."""
     own = case.m.conditions
-    lower, upper = case.m.q.min(axis=0) - BEYOND, case.m.q.max(axis=0) + BEYOND
+    lower, upper = case.m.q.min(axis=0) - RANGE_TOLERANCE, case.m.q.max(axis=0) + RANGE_TOLERANCE
     payloads = campaign_payloads(case.robot, case.m)
     words = []
     for k in picked:
@@ -330,6 +330,8 @@ def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
-    idle, usual = ((np.abs(case.torques(m)) < IDLE * case.given.torque_scale).mean(axis=0) for m in (new, case.m))
+    idle, usual = (
+        (np.abs(case.torques(m)) < IDLE_TORQUE_SHARE * case.given.torque_scale).mean(axis=0) for m in (new, case.m)
+    )
     more = np.flatnonzero(idle > np.minimum(2 * usual, usual + 0.3))
     return [f"{round(idle[j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

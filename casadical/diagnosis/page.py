@@ -9,8 +9,7 @@ from casadical.core.telling.figure import Figure
 from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
-from casadical.diagnosis.joint_curves import COLUMNS as CURVE_COLUMNS
-from casadical.diagnosis.joint_curves import JointCurves
+from casadical.diagnosis.joint_curves import CURVE_COLUMNS, JointCurves
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
@@ -18,7 +17,7 @@ from casadical.identification.accuracy import summarise
 from casadical.identification.figures import correlated, parameter_tables, unidentifiable_table
 
 # Where a long name may be broken.
-BREAK = "\u200b"
+ZERO_WIDTH_SPACE = "\u200b"
 
 
 def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
@@ -77,7 +76,9 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
     yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
     if d.effects():
         first = next(c for c in d.causes if c.effects)
-        yield Tile("Leading cause", first.label.replace("_", f"_{BREAK}"), "", f"probability {first.confidence:.3f}")
+        yield Tile(
+            "Leading cause", first.label.replace("_", f"_{ZERO_WIDTH_SPACE}"), "", f"probability {first.confidence:.3f}"
+        )
     if d.has_rest:
         before, after, share = left_over(d)
         yield Tile(

@@ -21,7 +21,7 @@ from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
 
 # Poses that are evaluated in one call.
-BLOCK = 512
+POSES_PER_CALL = 512
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 
@@ -107,8 +107,8 @@ def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *dat
     q, w, data : shape (n, numbers) each; shared : parameters and constants, alike at all poses
     """
     parts = []
-    for first in range(0, len(q), BLOCK):
-        own, conditions, *rest = (values[first : first + BLOCK].T for values in (q, w, *data))
+    for first in range(0, len(q), POSES_PER_CALL):
+        own, conditions, *rest = (values[first : first + POSES_PER_CALL].T for values in (q, w, *data))
         outputs, n = call(_mapped(f, own.shape[1]), own, conditions, *shared, *rest), own.shape[1]
         parts.append([out.reshape(len(out), n, out.shape[1] // n).transpose(1, 0, 2) for out in outputs])
     # Pose by pose in memory.

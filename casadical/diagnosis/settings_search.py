@@ -21,18 +21,18 @@ from casadical.effects import Effect
 from casadical.measurements.measurements import Noise
 
 # Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
-HALVINGS, GAIN, MOST_ROUNDS = 2, 0.3, 10
+MAX_HALVINGS, MIN_SETTING_GAIN, MAX_SETTING_ROUNDS = 2, 0.3, 10
 # Whole numbers are looked at within this share of a fraction; they may have so much less log evidence, and a setting
 # that is tried beside them must bring so much. Steps at which it is refined.
-AROUND, WHOLE, PRICE = 0.12, 2.0, 5.0
+WHOLE_NUMBER_RANGE, WHOLE_NUMBER_BONUS, TRIED_SETTING_PRICE = 0.12, 2.0, 5.0
 FINE_STEPS = (0.0, -0.6, -0.3, 0.3, 0.6)
 # Log evidences that differ by less are equal: a step between two poses fits alike wherever it lies between them.
-TIE = 1e-6
+EQUAL_LOG_EVIDENCE = 1e-6
 # Of learning sizes: rounds at most, and the change of a logarithm that is none.
-SIZE_ROUNDS, SETTLED = 8, 0.05
+MAX_SIZE_ROUNDS, SIZE_TOLERANCE = 8, 0.05
 # A part of which the data determine less than this many parameters is left as it is.
-LEAST = 1.0
-LEAST_FACTOR, MOST_FACTOR = 0.05, 8.0
+MIN_DETERMINED_PARAMETERS = 1.0
+MIN_SIZE_FACTOR, MAX_SIZE_FACTOR = 0.05, 8.0
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
@@ -70,17 +70,17 @@ def refined(
         case, effect = case.with_sizes(variant[0], *learnt)
         return case, (effect,)
     halved = 0
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_SETTING_ROUNDS):
         trial: list[tuple[Effect, ...]] = [variant, *((e,) for e in neighbours(variant[0], 0.5**halved))]
         if len(trial) == 1:
             break
         case = case.with_variants(label, trial[1:])
         log = _log_evidence(case, trial, chosen)
         best = _best(case, trial, log, chosen)
-        if log[best] - log[0] < GAIN:
+        if log[best] - log[0] < MIN_SETTING_GAIN:
             halved += 1
         variant = trial[best]
-        if halved == HALVINGS:
+        if halved == MAX_HALVINGS:
             break
     case, effect = _between_poses(case, label, variant[0])
     return _with_probable_settings(case, label, effect, chosen)
@@ -112,13 +112,13 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     (name,) = whole
     read = float(getattr(effect, name))
 
-    near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(AROUND * read, 1.0)]
+    near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(WHOLE_NUMBER_RANGE * read, 1.0)]
     plain = [_with(effect, **{name: k}) for k in near]
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
     case = case.with_variants(label, every[1:])
     log = _log_evidence(case, every, chosen)
-    price = {(e,): PRICE for e in joined} | {(e,): -WHOLE for e in plain}
+    price = {(e,): TRIED_SETTING_PRICE for e in joined} | {(e,): -WHOLE_NUMBER_BONUS for e in plain}
     log = log - np.array([price.get(v, 0.0) for v in every])
     best = every[first_of_best(log, logs=True)][0]
     if best not in joined:
@@ -132,11 +132,11 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
     """Number of the best settings. Of equal ones those that explain the poses left out, too; else the first."""
-    equal = np.flatnonzero(log >= log.max() - TIE)
+    equal = np.flatnonzero(log >= log.max() - EQUAL_LOG_EVIDENCE)
     if len(equal) > 1 and not case.kept.all():
         every = case.with_kept(np.ones_like(case.kept))
         of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
-        equal = equal[of_all >= of_all.max() - TIE]
+        equal = equal[of_all >= of_all.max() - EQUAL_LOG_EVIDENCE]
     return int(equal[0])
 
 
@@ -162,7 +162,7 @@ def learnt_sizes(
     prior, mean = fit.prior.copy(), fit.mean
     factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
     square = float(fit.y @ fit.y)
-    for _ in range(SIZE_ROUNDS):
+    for _ in range(MAX_SIZE_ROUNDS):
         normal = sums.H / scale + np.diag(prior**-2)
         root = root_of_inverse(normal)
         x = root.T @ (root @ (sums.g / scale + mean / prior**2))
@@ -170,14 +170,14 @@ def learnt_sizes(
         left = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
         # With more parameters than rows the noise would shrink to nothing.
-        scale = max(float(left / (rows - determined.sum())), LEAST_FACTOR**2)
+        scale = max(float(left / (rows - determined.sum())), MIN_SIZE_FACTOR**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
-            if count > LEAST:
+            if count > MIN_DETERMINED_PARAMETERS:
                 unit = prior[at] / factors[part]
                 factor = float(np.sqrt(((x[at] / unit) ** 2).sum() / count))
-                factors[part] = float(np.clip(factor, LEAST_FACTOR, MOST_FACTOR))
+                factors[part] = float(np.clip(factor, MIN_SIZE_FACTOR, MAX_SIZE_FACTOR))
                 prior[at] = unit * factors[part]
-        if np.abs(np.log(np.array((scale, *factors.values())) / np.array(before))).max() < SETTLED:
+        if np.abs(np.log(np.array((scale, *factors.values())) / np.array(before))).max() < SIZE_TOLERANCE:
             break
     return factors, Noise(noise.sigma * float(np.sqrt(scale)), noise.repeatability * float(np.sqrt(scale)))

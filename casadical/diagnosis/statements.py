@@ -11,7 +11,7 @@ import pandas as pd
 from casadical.core.telling.template import paragraphs, sentence
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
 from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
-from casadical.diagnosis.changes import NEW
+from casadical.diagnosis.changes import MIN_CHANGE_PROBABILITY
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import of_time
 from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
@@ -24,9 +24,9 @@ from casadical.identification.gravity import in_words as gravity_in_words
 
 # Of the probability that a decision stands on: it is said to be just above or below its threshold where the odds
 # against it are at most so many times those of the threshold, or the reverse.
-NEAR = 1.5
+NEAR_THRESHOLD_ODDS_RATIO = 1.5
 # Poses that raise the probability of a right choice by less tell nothing.
-LITTLE = 0.1
+MIN_DECISION_GAIN = 0.1
 # Words before what is said about something, where it is a sentence of its own; the most important first.
 SUBJECTS = {
     "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
@@ -163,7 +163,13 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
 def _beside(probability: float, threshold: float) -> str:
     """Whether a probability is just above or below a threshold; empty where it is far from it."""
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
-    return "above" if 1 <= times < NEAR else "below" if 1 / NEAR < times < 1 else ""
+    return (
+        "above"
+        if 1 <= times < NEAR_THRESHOLD_ODDS_RATIO
+        else "below"
+        if 1 / NEAR_THRESHOLD_ODDS_RATIO < times < 1
+        else ""
+    )
 
 
 def change(ratio: float) -> str:
@@ -201,11 +207,11 @@ def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
 _TEMPLATES = Path(__file__).parent
 # What the templates ask for beside the diagnosis.
 _SAYS: dict[str, Any] = {
-    "NEW": NEW,
+    "NEW": MIN_CHANGE_PROBABILITY,
     "DETECT": SETTINGS.max_p_nothing,
     "CLAIM": SETTINGS.min_claim,
     "SET_CLAIM": SETTINGS.min_set,
-    "LITTLE": LITTLE,
+    "LITTLE": MIN_DECISION_GAIN,
     "timed": lambda causes: any(of_time(c.effects) for c in causes),
     "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),
     "undeclared": lambda d: any(m.sigma is None for m in d.case.observations.sets),

@@ -6,28 +6,28 @@ from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.joint_curves import COLUMNS, curve_of
+from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
-WIDTH = 112
+PAGE_WIDTH = 112
 # Labels that stand before each of their statements, not only before the first.
-EACH = ("CANNOT", "MISSING")
+REPEATED_LABELS = ("CANNOT", "MISSING")
 # Of the short answer: things to know, causes that are listed.
-CAUSES = 6
+MAX_BRIEF_CAUSES = 6
 # Characters of a thing to know: three lines of a terminal.
-LONGEST = 290
+MAX_NOTE_LENGTH = 290
 
 
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
-    """All that was found as plain text, at most `WIDTH` characters wide (see `detailed`).
+    """All that was found as plain text, at most `PAGE_WIDTH` characters wide (see `detailed`).
 
     Examples
     --------
     >>> print(casadical.diagnosis.page_of(diagnosis).splitlines()[0])
     VERDICT  explained: gear_eccentricity@2; 0.081 -> 0.037 mm, noise alone would leave 0.033
     """
-    return "\n".join(line.rstrip() for line in plain_text(detailed(d, more), WIDTH).splitlines())
+    return "\n".join(line.rstrip() for line in plain_text(detailed(d, more), PAGE_WIDTH).splitlines())
 
 
 def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
@@ -39,12 +39,12 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
     rows: list[tuple[str, str]] = []
     last = ""
     for s in statements(d, more):
-        rows.append((f"{s.about if s.about != last or s.about in EACH else '':<7}", s.text))
+        rows.append((f"{s.about if s.about != last or s.about in REPEATED_LABELS else '':<7}", s.text))
         tables: list[Table] = []
         if s.about == "WHICH" and d.causes:
             tables = [*_sized(d)]
             if more and more.curves and curve_of(d.causes):
-                tables.append(Table("", COLUMNS, more.curves.rows(), frozenset({0, 1, 2})))
+                tables.append(Table("", CURVE_COLUMNS, more.curves.rows(), frozenset({0, 1, 2})))
         if s.about == "LAYERS":
             tables = [Table("", LAYER_COLUMNS, layer_rows(d, floor_of(d, more)), frozenset({1, 2, 3, 4}))]
         if tables:
@@ -91,9 +91,9 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
         columns = ("cause", "probability", "error less, 95 %", "what the data show")
-        yield Table("", columns, rows[:CAUSES], frozenset({1, 2}))
-    if len(rows) > CAUSES:
-        yield Words(f"and {len(rows) - CAUSES} more")
+        yield Table("", columns, rows[:MAX_BRIEF_CAUSES], frozenset({1, 2}))
+    if len(rows) > MAX_BRIEF_CAUSES:
+        yield Words(f"and {len(rows) - MAX_BRIEF_CAUSES} more")
 
 
 def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
@@ -115,7 +115,7 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
 
 
 def _short(text: str) -> str:
-    if len(text) <= LONGEST:
+    if len(text) <= MAX_NOTE_LENGTH:
         return text
-    whole, part, _ = text[:LONGEST].rpartition("; ")
-    return f"{whole if part else text[:LONGEST].rpartition(' ')[0]} ..."
+    whole, part, _ = text[:MAX_NOTE_LENGTH].rpartition("; ")
+    return f"{whole if part else text[:MAX_NOTE_LENGTH].rpartition(' ')[0]} ..."

@@ -12,7 +12,7 @@ LISTED = (
      "Noise(scale * noise.sigma, noise.repeatability)", "scale of repeatability"),
     ("diagnosis/noise_floor.py", "wide = -3 * np.log", "wide = -2 * np.log", "-3 log of a pose's noise"),
     ("diagnosis/conclusion.py", "distance[out][0] < 2 * SETTINGS.outlier_distance", "distance[out][0] < SETTINGS.outlier_distance", "limit of one outlier"),
-    ("diagnosis/settings_search.py", "log[best] - log[0] < GAIN", "log[best] - log[0] < -GAIN", "sign of GAIN"),
+    ("diagnosis/settings_search.py", "log[best] - log[0] < MIN_SETTING_GAIN", "log[best] - log[0] < -MIN_SETTING_GAIN", "sign of MIN_SETTING_GAIN"),
     ("fleet/comparison.py", "YEAR, CAMPAIGNS = 365.25", "YEAR, CAMPAIGNS = 36.525", "YEAR"),
     ("fleet/comparison.py", "(1 - HAZARD) ** (k - 1)", "(1 - HAZARD) ** k", "HAZARD's exponent"),
     ("fleet/comparison.py", "('sine', 'cosine')[w]", "('cosine', 'sine')[w]", "sine for cosine"),

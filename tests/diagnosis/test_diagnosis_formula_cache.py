@@ -9,7 +9,7 @@ from cases import practice, robot
 
 from casadical.core.basics import Array
 from casadical.diagnosis import formula_cache
-from casadical.diagnosis.formula_cache import PACKAGE, KeptFormulas, code_hash
+from casadical.diagnosis.formula_cache import PACKAGE_FOLDER, FormulaCache, code_hash
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.seams import seams_of
 from casadical.effects import Effect, TransmissionRipple
@@ -32,7 +32,7 @@ def columns(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Columns
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
 
     def forget() -> None:
-        for name in ("plan", "formula_of", "kept_formulas", "code_hash"):
+        for name in ("plan", "formula_of", "cached_formulas", "code_hash"):
             getattr(formula_cache, name).cache_clear()
 
     def made(effects: list[Effect] = EFFECTS, name: str = "kr210") -> Array:
@@ -53,8 +53,8 @@ def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, mo
 def test_other_code_has_a_file_of_its_own(columns: Columns, tmp_path: Path) -> None:
     columns()
     s = seams_of(robot("kr210"))
-    assert [*tmp_path.glob("formulas-*.json")] == [KeptFormulas(s, code_hash(PACKAGE)).path]
-    assert KeptFormulas(s, "other").path != KeptFormulas(s, code_hash(PACKAGE)).path
+    assert [*tmp_path.glob("formulas-*.json")] == [FormulaCache(s, code_hash(PACKAGE_FOLDER)).path]
+    assert FormulaCache(s, "other").path != FormulaCache(s, code_hash(PACKAGE_FOLDER)).path
 
 
 def test_the_code_is_that_of_all_rooms_on_which_a_formula_depends(tmp_path: Path) -> None:

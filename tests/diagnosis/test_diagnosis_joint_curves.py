@@ -17,7 +17,7 @@ from casadical.diagnosis.evidence import KAPPA_GRID, RHO_GRID, SIGMA_GRID_M, Evi
 from casadical.diagnosis.joint_curves import curve_of, curves_of, joint_curves
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.settings_search import learnt_sizes
-from casadical.diagnosis.text import WIDTH, page_of
+from casadical.diagnosis.text import PAGE_WIDTH, page_of
 from casadical.effects import JointErrorCurve, TransmissionRipple
 from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
 from casadical.identification.accuracy import errors
@@ -77,7 +77,7 @@ def test_curves_lie_within_their_bands_and_share_what_they_explain(found) -> Non
         inside = [(low <= q) & (q <= high) for low, high in told["covered_deg"]]
         assert np.any(inside, axis=0).mean() > 0.95
     page = page_of(d, Details(curves=curves))
-    assert max(map(len, page.splitlines())) <= WIDTH
+    assert max(map(len, page.splitlines())) <= PAGE_WIDTH
     assert "harmonics of each joint 60" in page
     lines = page.splitlines()
     start = next(k for k, line in enumerate(lines) if line.split()[:2] == ["joint", "rms"])

@@ -32,7 +32,7 @@ from casadical.diagnosis.evidence import (
     NoisePrior,
     log_noise_prior,
 )
-from casadical.diagnosis.formula_cache import KeptFormulas, screw
+from casadical.diagnosis.formula_cache import FormulaCache, screw
 from casadical.diagnosis.laws.forms import Driver, with_widths
 from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
 from casadical.diagnosis.linear_problem import Case
@@ -206,7 +206,7 @@ def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() ->
 
 
 def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
-    path = KeptFormulas(seams_of(robot("ur10e")), "code").path
+    path = FormulaCache(seams_of(robot("ur10e")), "code").path
     assert path is None or re.fullmatch(r".*-[0-9a-f]{32}\.(so|json)", path.name)
 
 

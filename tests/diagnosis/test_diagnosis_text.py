@@ -12,7 +12,7 @@ from cases import diagnose, practice, robot
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
-from casadical.diagnosis.held_out_gap import COLUMNS, Check, NetworkGap
+from casadical.diagnosis.held_out_gap import COURSE_COLUMNS, Check, NetworkGap
 from casadical.diagnosis.isolability import Isolability
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.localisation import BIN_COLUMNS, DIRECTION_COLUMNS, PART_COLUMNS, Localisation
@@ -22,7 +22,7 @@ from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
 from casadical.diagnosis.statements import missing_columns, not_logged
-from casadical.diagnosis.text import WIDTH, brief, page_of
+from casadical.diagnosis.text import PAGE_WIDTH, brief, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 from casadical.measurements.measurements import Noise
 
@@ -65,7 +65,7 @@ def fixed(true: Diagnosis) -> Diagnosis:
         noise=noise,
         account=account,
         unknown_rest=0.2,
-        course=pd.DataFrame(rows, columns=list(COLUMNS)),
+        course=pd.DataFrame(rows, columns=list(COURSE_COLUMNS)),
         replicates=Replicates(12e-6, 18, 6, 36),
         rankings=(one,),
         cause_set=CauseSet(
@@ -207,7 +207,7 @@ def test_what_to_log_is_named_as_a_table_names_it(fixed: Diagnosis) -> None:
 
 def test_true_page_is_no_wider_than_it_says(true: Diagnosis) -> None:
     text = page_of(true, analyse(true, poses=3, file="a_rather_long_name_of_a_file.csv"))
-    assert max(map(len, text.splitlines())) <= WIDTH
+    assert max(map(len, text.splitlines())) <= PAGE_WIDTH
     for word in ("VERDICT", "GAP", "WHERE", "WHICH", "AFTER"):
         assert f"\n{word}" in f"\n{text}"
 
