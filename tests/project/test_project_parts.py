@@ -14,7 +14,7 @@ from casadical import InputError, Measurements, report
 from casadical.diagnosis.localisation import Localisation
 from casadical.project.calibration import accuracy_without_prior
 from casadical.project.calibration_page import residual_localisation
-from casadical.project.check.findings import LACKS, far_rows, outlook_findings
+from casadical.project.check.findings import MAX_SCATTER_TO_NOISE, far_rows, outlook_findings
 from casadical.project.check.information import outlook
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Hypothesis
@@ -55,7 +55,7 @@ def test_a_misfit_is_more_than_four_times_the_noise(planar: Problem, seen: Outlo
         found = outlook_findings(replace(seen, scatter=scatter), planar.robot, 1e-4)
         return [f.topic for f in found if f.topic == "misfit"]
 
-    assert LACKS == 4
+    assert MAX_SCATTER_TO_NOISE == 4
     assert misfits(4e-4) == []
     assert misfits(4.01e-4) == ["misfit"]
 

@@ -1,4 +1,4 @@
-"""Faults of a problem and its data, and the expected accuracy, before a solve."""
+"""Checks before a solve: faults of a problem and its data, and the accuracy to expect."""
 
 from casadical.project.check.check import precheck
 from casadical.project.check.result import Precheck

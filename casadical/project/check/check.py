@@ -42,9 +42,13 @@ def precheck(
 ) -> Precheck:
     """Examine a problem folder and its data without solving anything.
 
-    noise : one sigma of a measured coordinate [m] for the forecasts; None: what a linear step leaves of the data
-    seed : of the split, instead of the problem's; show : called with a line of progress
-    tables : measured poses, in place of the folder's own or beside a robot file (see `read_problem`)
+    folder : problem folder or robot file
+    noise : one sigma of a measured coordinate [m] for the forecasts; None: the residual of a linear
+        step
+    seed : seed of the split in place of the problem's own
+    show : called with each line of progress
+    tables : measured poses, in place of the folder's own or for a robot file (see `read_problem`)
+
     Faults of the input are findings, not exceptions.
     """
     folder = Path(folder)
@@ -97,7 +101,7 @@ def precheck(
 def _outlooks(
     methods: Sequence[str], start: Robot, sets: Sequence[Measurements], noise: float | None
 ) -> tuple[list[Outlook], list[Finding]]:
-    """The accuracy to expect of each method, and of those that have none, why."""
+    """Return the expected accuracy by each method, and findings on methods that have none."""
     outlooks: list[Outlook] = []
     findings: list[Finding] = []
     for method in methods:
@@ -120,7 +124,10 @@ def _outlooks(
 def _slips(
     robot: Robot, table: Measurements, targets: Targets | None, others: Sequence[Robot], show: Show
 ) -> Slips | None:
-    """Several slips of a table at once; of several targets, of the one measured most, or of their middle."""
+    """Return several slips of a table at once.
+
+    Of several targets, the table is that of the most measured one, or of their centroid.
+    """
     if targets and targets.turning:
         middle = middles(table, targets.count)
         return search_slips(robot, middle, others, show) if middle is not None else None
@@ -134,12 +141,12 @@ def _slips(
 def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Whether the nominal model explains a table, or would if one slip were undone."""
-    judged = facts.plausible(robot, m, others) if len(m) >= facts.TELLING else None
+    """Return whether the nominal model explains a table, or would if one slip were undone."""
+    judged = facts.plausible(robot, m, others) if len(m) >= facts.MIN_PLAUSIBILITY_POSES else None
     if judged is None:
         return [], None
     slips = Slips(*judged, ())
-    if slips.explains or slips.before.error > facts.GROSS * robot.reach:
+    if slips.explains or slips.before.error > facts.MAX_MEDIAN_ERROR_OF_REACH * robot.reach:
         return [slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
     return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
@@ -148,7 +155,11 @@ def _plausible(
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Findings of the data that are fitted, and a single slip where one explains those of the first table, whole."""
+    """Return findings on the fitted data, and the single slip that explains the first table.
+
+    table : all positions of the only table, held-out poses included; None where there is no such
+        table
+    """
     findings: list[Finding] = []
     single: Slips | None = None
     for k, m in enumerate(sets):
@@ -167,6 +178,7 @@ def _data_findings(
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
+    """Return the known noise of a coordinate [m], and where it is from, in words."""
     if given is not None:
         return given, "as given"
     stated = next((m.sigma for m in sets if m.sigma), None)

@@ -1,4 +1,4 @@
-"""All that a check says of a problem, in sentences: findings, each with a level and a topic."""
+"""The findings of a check, in sentences, each with a level and a topic."""
 
 import difflib
 import re
@@ -18,7 +18,7 @@ from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.information import Outlook
 from casadical.project.check.plausible import coverage, far_off, margin, repeats
-from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS, in_words, left_mm
+from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WARNING, error_in_mm, in_words
 from casadical.project.check.slips import Slips
 from casadical.project.problem import Problem
 from casadical.project.robot_columns import computed, some_rows, unfitted, unmeasured
@@ -26,16 +26,21 @@ from casadical.project.targets import Targets, WrongNames
 from casadical.robot.kinematics import LEAST_MARGIN
 from casadical.robot.robot import Robot
 
-# Columns that the model or an effect may ask for, besides readings and observations.
-KNOWN = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
-# A scatter of more than so many times the noise has other causes.
-LACKS = 4
+# Columns that the model or an effect may need, besides readings and observations.
+KNOWN_COLUMNS = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
+# A scatter of more than this many times the noise shows that the model is incomplete.
+MAX_SCATTER_TO_NOISE = 4
 Level = Literal["error", "warning", "note"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """level : error (no use to go on), warning (look at it), note (good to know); topic : one word or two"""
+    """One finding.
+
+    level : error (no use to go on), warning (look at it) or note (good to know)
+    topic : one word or two
+    text : sentence
+    """
 
     level: Level
     topic: str
@@ -43,12 +48,13 @@ class Finding:
 
 
 def fault_findings(error: InputError, topic: str) -> list[Finding]:
+    """Return an error's faults as findings."""
     faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
     return [Finding("error", topic, str(fault)) for fault in faults]
 
 
 def target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
-    """Of several targets that nobody named, or of rows that name another one."""
+    """Return findings on several targets without names, or on rows with a wrong name."""
     if wrong:
         return [Finding("error", "targets", wrong.in_words(source))]
     if not targets:
@@ -64,23 +70,29 @@ def target_findings(targets: Targets | None, wrong: WrongNames | None, source: s
 
 
 def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
+    """Return the finding on data that contradict the nominal robot, with the slips that explain it.
+
+    standard : whether the rows of the robot file are of the standard DH convention
+    """
     before, best = slips.before, slips.best
     source, of_positions = m.source, m.position is not None
     text = f"{source}: with base and tool fitted the nominal model still is {1e3 * before.error:.4g} mm (median) from "
     text += f"the data, {100 * before.error / robot.reach:.2g} % of its reach"
     if not slips.explains:
         return Finding("error", "units", f"{text}; no slip of unit, sign or zero explains it: check the robot file")
-    text += f"; {left_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
+    text += f"; {error_in_mm(best, robot)} would be left if {'; '.join(in_words(best, robot, standard))}"
     for rival in slips.rivals:
-        text += f". Rival, {left_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
-    mirrored = f". But {MIRRORED}" if best.mirrored else "" if of_positions else f". {OF_LENGTHS}"
+        text += f". Rival, {error_in_mm(rival, robot)}: {'; '.join(in_words(rival, robot, standard))}"
+    mirrored = f". But {MIRROR_WARNING}" if best.mirrored else "" if of_positions else f". {LENGTHS_MIRROR_WARNING}"
     return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
 
 
 def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_readings: bool) -> list[Finding]:
-    """Of one table that is fitted; table : whole, with the poses that are held out, where there is one alone.
+    """Return the findings on one table that is fitted.
 
-    known_readings : whether another table has the same readings, of which the same was said
+    m : the fitted poses
+    table : the whole table, with held-out poses, where there is only one
+    known_readings : whether a table before had the same readings, with the same findings
     """
     findings = [] if known_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
     if computed(robot, m):
@@ -98,7 +110,10 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_r
 
 
 def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
-    """Rows that are far off: doubtful measurements; those that no robot of this size measures are an error."""
+    """Return a finding on rows that are far off.
+
+    It is an error where no robot of this size measures them.
+    """
     far, e = far_off(robot, m)
     if not far.any():
         return []
@@ -117,6 +132,7 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
+    """Return findings on joints that do not move, or cover little of their range."""
     findings = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
         if moved < np.deg2rad(1.0):
@@ -132,7 +148,7 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """A four-bar that is nearly folded somewhere; one that is open is refused elsewhere."""
+    """Return a finding on a four-bar that is nearly folded; an open one is refused elsewhere."""
     smallest = margin(robot, m)
     if smallest is None or not LEAST_MARGIN <= smallest < 5 * LEAST_MARGIN:
         return []
@@ -141,7 +157,7 @@ def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
-    """Columns that are almost a name that something asks for, and those that this robot has no use for."""
+    """Return findings on misspelt columns, and on columns that this robot does not use."""
     findings = []
     if robot.gravity_frame != "logged" and {*GRAVITY_COLUMNS} <= {*conditions}:
         text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
@@ -153,17 +169,17 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
         text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
         findings.append(Finding("warning", "columns", text))
     for name in conditions:
-        near = [known for known in KNOWN if known.startswith(f"{name}_")]
-        # A height is no weight (0.83); a temperature_C may be meant as temperature_degC.
-        near = near or difflib.get_close_matches(name.casefold(), KNOWN, 1, 0.84)
-        if name not in KNOWN and near and not name.startswith(("warmth_", "approach")):
+        near = [known for known in KNOWN_COLUMNS if known.startswith(f"{name}_")]
+        # At 0.84 a height is not taken for a weight (0.83), but temperature_C for temperature_degC.
+        near = near or difflib.get_close_matches(name.casefold(), KNOWN_COLUMNS, 1, 0.84)
+        if name not in KNOWN_COLUMNS and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             findings.append(Finding("warning", "columns", text))
     return findings
 
 
 def limits_findings(robot: Robot) -> list[Finding]:
-    """Joints whose limits are those that are taken where none are given."""
+    """Return a finding on joints with default limits, as none are given."""
     assumed = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
     wide = [str(i) for i, j in enumerate(robot.joints, 1) if (j.lower, j.upper) == assumed[j.kind]]
     if not wide:
@@ -174,13 +190,13 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 
 def held_out_findings(problem: Problem) -> list[Finding]:
-    """Of the poses that are not fitted, which count in the figures, and the columns that nobody uses."""
+    """Return findings on the held-out poses, on targets and on unused columns."""
     findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
     for table in problem.tables:
         made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
         turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]
         if len(turned) % 2:
-            text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRRORED}"
+            text = f"problem.toml turns the sign of {', '.join(turned)}: {MIRROR_WARNING}"
             findings.append(Finding("warning", "units", text))
     if lost := unmeasured(problem.sets, problem.robot):
         text = f"the robot file has {', '.join(lost)}, which no row names: it stays where the file says"
@@ -202,6 +218,10 @@ def held_out_findings(problem: Problem) -> list[Finding]:
 
 
 def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
+    """Return findings on the expected accuracy by one method.
+
+    noise : known noise of a coordinate [m], None where it is not known
+    """
     p = view.unknowns
     if not view.enough:
         text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
@@ -218,7 +238,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
     if view.condition > CONFOUNDED_CONDITION_NUMBER:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
         findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
-    if noise and view.scatter > LACKS * noise:
+    if noise and view.scatter > MAX_SCATTER_TO_NOISE * noise:
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         findings.append(Finding("warning", "misfit", text))

@@ -1,8 +1,9 @@
-"""What an identification will determine, and how accurately, from one linear step at the nominal robot, unsolved.
+"""The expected result of an identification, from one linear step at the nominal robot.
 
-The step leaves a scatter, of noise and of what the model lacks. It is carried through the identified parameters to
-poses all over the joints' ranges (compare `pose_selection.forecast`): the accuracy to expect of the parameters. What
-the model lacks comes on top where it was measured, too.
+The residuals of the step are of noise and of what the model lacks. Their scatter is propagated
+through the identified parameters to poses all over the joint ranges (compare
+`casadical.pose_selection.pose_search.forecast`): this is the accuracy to expect of the parameters.
+What the model lacks adds to it where the poses were measured, too.
 """
 
 from collections.abc import Sequence
@@ -27,15 +28,20 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """What one method will determine.
+    """What one method is expected to determine.
 
-    names : parameters that will be identified; held : the others, each with its reason; numbers : observed ones
-    unknowns : parameters that are independent, and coordinates of unknown points
-    condition : of the scaled Jacobian
-    scatter : of a coordinate, or distance, that a linear step leaves [m], NaN without numbers to spare
-    noise : of a coordinate that the forecasts take [m]: the given one, else the scatter
-    of_points : whether points were measured, not distances
-    errors : standard errors to expect of `names` [SI]; accuracy : rms position error of them to expect [m], NaN of none
+    method : method
+    names : parameters that will be identified
+    held : the other parameters, each with its reason
+    numbers : number of observed values
+    unknowns : number of independent parameters and coordinates of unknown points
+    condition : condition number of the scaled Jacobian
+    scatter : rms residual of a linear step, of a coordinate or length [m], NaN without degrees of
+        freedom
+    noise : noise of a coordinate for the forecasts [m]: the given one, else the scatter
+    of_points : whether positions were measured, not distances
+    errors : expected standard errors of `names` [SI]
+    accuracy : rms position error to expect of the parameters [m], NaN where none is identified
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -60,19 +66,23 @@ class Outlook:
 
     @property
     def reasons(self) -> list[Table]:
-        """Return why each parameter is held, where any is."""
+        """Return a table of the reasons why parameters are not identified, if there are any."""
         rows = [(u.name, u.reason) for u in self.held]
         return [Table("", ("held", "why"), rows)] if rows else []
 
     @property
     def held_out(self) -> float | None:
-        """Mean error [m] to expect on other poses like these, three coordinates with this scatter; None for others."""
+        """Return the mean error to expect on other poses like these [m]; None for other kinds.
+
+        It is that of three coordinates with this scatter.
+        """
         if not (self.enough and self.of_points and self.names):
             return None
         return float(np.sqrt(8 / np.pi) * self.scatter * np.sqrt(1 + self.unknowns / self.numbers))
 
     @property
     def enough(self) -> bool:
+        """Return whether there are more observed values than unknowns."""
         return self.numbers > self.unknowns
 
 
@@ -84,32 +94,36 @@ def outlook(
     noise: float | None = None,
     seed: int = 0,
 ) -> Outlook:
-    """What an identification of these parameters from these sets is expected to determine.
+    """Return what an identification of these parameters from these sets is expected to determine.
 
-    robot : with its base and tool placed; free : as of `identify`; noise : one sigma of a coordinate [m], None: as the
-    data show. Raises InputError.
+    robot : robot with its base and tool placed
+    free : parameters, as of `identify`
+    method : name of the method
+    noise : one sigma of a coordinate [m]; None: as the data show
+    seed : seed of the poses over the joint ranges
+    Raises InputError.
     """
     sigmas = tuple((noise or m.sigma or INITIAL_SIGMA_M, m.sigma_angle or INITIAL_SIGMA_ANGLE_RAD) for m in sets)
     problem = LeastSquares(robot, tuple(sets), robot.parameters.select(free), "linear", False, sigmas)
     independent = independent_parameters(problem)
     problem, r, J = _weighted(problem.with_names(independent.independent))
     near = _near(problem.sets, r, J)
-    if not all(rows.all() for rows in near):  # as calibrate leaves them out; the nominal model may have hidden them
+    if not all(rows.all() for rows in near):  # outliers, which calibrate leaves out, too
         sets = [m[np.flatnonzero(rows)] for m, rows in zip(sets, near, strict=True)]
         return outlook(robot, sets, free, method, noise, seed)
     sigmas, spare = problem.sigmas, problem.residual_count - problem.size
     left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     scatter = float(np.sqrt(left @ left / spare)) if spare > 0 else float("nan")
-    if find_kind(sets[0].kind).angles:  # what angles leave says nothing of positions
+    if find_kind(sets[0].kind).angles:  # the residuals of angles do not concern positions
         lengths, freedom = _parts(problem.sets[0], r, J)[0]
         scatter = float(np.sqrt(lengths / freedom)) if freedom > 0 else float("nan")
-    # Data without noise have a scatter of at least this, in units of sigma: nothing is divided by zero.
+    # The scatter in units of sigma has a floor, as data without noise would divide by zero.
     unit = 1.0 if noise or np.isnan(scatter) else max(scatter, 1e-6)
     _, H = problem.gradient(np.zeros(problem.size))
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
     kept = tuple(problem.names[k] for k in columns)
     scale, accuracy = np.array([robot.parameters[n].scale for n in kept]), float("nan")
-    if kept:  # root mean square position error over the joints' ranges
+    if kept:  # rms position error over the joint ranges
         task = expected(robot, draw(robot, 200, Workspace(), np.random.default_rng(seed)), {}, "task")
         J = scaled_jacobian(robot, kept, task)
         accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
@@ -121,9 +135,10 @@ def outlook(
 
 
 def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
-    """The problem with each angle's sigma as a linear step leaves it, its residuals, shape (m,), and Jacobian.
+    """Return the problem with the angles' sigma estimated, residuals (m,) and Jacobian.
 
-    Positions and angles have units of their own: guessed beside each other, one would hide the other.
+    Positions and angles have different units: if their sigmas were guessed, one would hide the
+    other.
     """
     for _ in range(6):  # until their logarithms change by less than 0.03
         residuals, J = problem.evaluate(np.zeros(problem.size))
@@ -144,7 +159,10 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
 
 
 def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
-    """Rows of each set that a linear step does not leave far off, shapes (n,); all where it leaves nothing to see."""
+    """Return the mask of rows of each set that a linear step does not leave far off, shapes (n,).
+
+    All rows are near where there are too few degrees of freedom, or too many far rows.
+    """
     left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     masks = []
     for m in sets:
@@ -158,7 +176,10 @@ def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
 
 
 def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ...]:
-    """Of the lengths and of the angles of the first set: square sum that a linear step leaves, degrees of freedom."""
+    """Return the square sum and the degrees of freedom of a linear step's residuals.
+
+    They are of the lengths and of the angles of the first set.
+    """
     Q = np.linalg.qr(J)[0]
     left, free = r - Q @ (Q.T @ r), 1 - (Q**2).sum(axis=1)
     kind = find_kind(m.kind)

@@ -1,8 +1,8 @@
-"""Whether the data are plausible for the nominal model: with base and tool fitted, no centimetres may be left.
+"""Plausibility of the data for the nominal model, and the coverage of the poses.
 
-Single slips are tried one by one (see `slips`), and one that explains far more is named.
-
-Coverage of the poses: ranges of the joints, repeated readings and their scatter, four-bar margin.
+With base and tool fitted, the nominal robot must explain the data within centimetres. Single slips
+are tried one by one (see `slips`), and one that explains the data far better is named. Coverage is
+that of joint ranges and repeated readings, with the margin of four-bars.
 """
 
 from collections.abc import Sequence
@@ -21,24 +21,27 @@ from casadical.identification.plausibility import least_margins
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.project.check.slip_list import single_slips, undone
-from casadical.project.check.slips import WORTH, outside, slip_fit
+from casadical.project.check.slips import MIN_ERROR_REDUCTION, outside, slip_fit
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# Fewer poses fit any model, or none, with base and tool alone.
-TELLING = 4
-# Share of the reach that a placed nominal robot may miss by, and the share of that which an undone mistake may leave.
-GROSS = 0.02
+# With fewer poses, base and tool alone fit any model or none.
+MIN_PLAUSIBILITY_POSES = 4
+# The data contradict the nominal robot where its median error, base and tool fitted, is above this
+# share of its reach.
+MAX_MEDIAN_ERROR_OF_REACH = 0.02
 
 
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
-    """What is left after placing, and with the single slip undone of which least is left; None of kinds without
-    positions and lengths.
+    """Return the fit of the data as they are, and the best fit with at most one slip undone.
 
+    Returns None for kinds without positions and lengths.
+
+    robot : nominal robot
     others : robots that the file may have meant (see `other_conventions`)
     """
     some, none = m[:: -(-len(m) // 150)], Hypothesis.none(robot.n)
-    if m.position is None:  # lengths, which tell no unit and no hand of a frame
+    if m.position is None:  # lengths, which show neither a wrong unit nor a mirrored frame
         lengths = slip_fit(robot, some, others)
         if lengths is None:
             return None
@@ -51,27 +54,33 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
         meant, free = undone(fit, some), rigid([robot, *others][fit.hypothesis.rows])
         assert meant.position is not None
         measured, moved = (np.linalg.norm(np.ptp(p, axis=0)) for p in (meant.position, predicted(free, meant)[0]))
-        if measured > 0.1 * moved:  # shrunk positions would fit anything
+        if measured > 0.1 * moved:  # positions that are shrunk to a point would fit any model
             tried.append(replace(fit, error=median_error(free, meant)))
     return _simplest(robot, some, tried)
 
 
 def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, Fit]:
-    """The first and the best: of alike fits that with fewest shifted zeros; one out of the joints' ranges is none."""
+    """Return the first and the best fit; of tied fits the one with fewest shifted zeros.
+
+    A fit with readings out of the joint ranges must be better by a factor.
+    """
     before = tried[0]
     tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))
-    costs = [fit.error * (WORTH if outside(fit.hypothesis, robot, some.q) else 1) for fit in tried]
+    costs = [fit.error * (MIN_ERROR_REDUCTION if outside(fit.hypothesis, robot, some.q) else 1) for fit in tried]
     return before, tried[first_of_best(-np.log(np.maximum(costs, 1e-12)), logs=True)]
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
-    """At which rows the placed nominal model is far off, and its errors [m], shapes (n,); none where poses are few."""
+    """Return the mask of rows far off the placed nominal model, and all errors [m], shapes (n,).
+
+    With few poses, or where half of them were far off, the mask is empty.
+    """
     kept = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
     if m.position is None or len(m) < 12:
         return ~kept, e
     free = rigid(robot)
-    for _ in range(4):  # far rows draw base and tool towards themselves
+    for _ in range(4):  # far rows bias base and tool
         e = errors(place_frames(free, m[kept]), m)
         near = e <= 5.0 * np.median(e)
         if (near == kept).all():
@@ -81,8 +90,8 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
 
 
 def other_conventions(path: Path) -> list[Robot]:
-    """The robot of a robot file with its DH rows read by the other convention; none for a URDF."""
-    # The reader of the problem reports faults of its files.
+    """Return a robot file's robot with its DH rows in the other convention; [] for a URDF."""
+    # Faults of the file are reported where the problem is read.
     with suppress(InputError):
         if path.suffix == ".toml":
             other = {"modified": "standard", "standard": "modified"}[convention_of(path)]
@@ -91,13 +100,20 @@ def other_conventions(path: Path) -> list[Robot]:
 
 
 def convention_of(path: Path) -> str:
-    """Of the DH rows in a robot file; modified for a URDF. Raises InputError."""
+    """Return a robot file's DH convention, modified for a URDF. Raises InputError."""
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
 
 
 @dataclass(frozen=True)
 class JointCoverage:
-    """Of one joint: least and greatest reading, and its limits [deg or mm]; share of the range that is covered."""
+    """The readings of one joint.
+
+    joint : number of the joint
+    unit : deg or mm
+    low, high : least and greatest reading
+    lower, upper : joint limits
+    share : share of the range that is covered
+    """
 
     joint: int
     unit: str
@@ -109,7 +125,10 @@ class JointCoverage:
 
 
 def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
-    """Ranges covered by the readings; of a joint that turns more than once, a full turn is all there is to cover."""
+    """Return the range that the readings of each joint cover.
+
+    A joint that turns more than once is fully covered by one turn.
+    """
     joints = []
     for i, (joint, (key, factor)) in enumerate(zip(robot.joints, robot.reading_units.items(), strict=True)):
         low, high = float(m.q[:, i].min()), float(m.q[:, i].max())
@@ -120,7 +139,10 @@ def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
 
 
 def repeats(m: Measurements) -> tuple[int, float | None]:
-    """How many distinct readings there are, and one sigma of a coordinate [m] that repeated ones show (or None)."""
+    """Return the number of distinct readings, and the noise of a coordinate from repeats [m].
+
+    The noise is None where too few readings are repeated.
+    """
     tools = [values for name, values in m.conditions.items() if name.startswith("tool_")]
     reading = same_readings(np.column_stack([m.q, *tools]))
     distinct = int(reading.max()) + 1
@@ -134,5 +156,5 @@ def repeats(m: Measurements) -> tuple[int, float | None]:
 
 
 def margin(robot: Robot, m: Measurements) -> float | None:
-    """The smallest margin of the robot's four-bars over the poses; None without four-bars."""
+    """Return the smallest margin of the four-bars over the poses; None without four-bars."""
     return float(least_margins(robot, m).min()) if robot.loops else None

@@ -1,4 +1,4 @@
-"""The repair of slips and names of targets, in problem.toml and in the robot file."""
+"""Repair of slips and of target names, written to problem.toml and to the robot file."""
 
 import difflib
 import re
@@ -17,7 +17,7 @@ from casadical.measurements.columns import ORIENTATION, Source
 from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
-from casadical.project.check.slip_list import MIRRORED, left_mm, meant_length, other_lengths
+from casadical.project.check.slip_list import MIRROR_WARNING, error_in_mm, meant_length, other_lengths
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import as_toml
 from casadical.project.robot_columns import understood
@@ -27,7 +27,10 @@ from casadical.robot.urdf import read_urdf
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
-    """problem.toml and, of wrong rows, the robot file, the first table repaired. Raises InputError."""
+    """Return the text of problem.toml and, for wrong rows, of the robot file, repaired.
+
+    The first table alone is repaired. Raises InputError.
+    """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
     tables: Any = problem["measurements"]
@@ -56,9 +59,13 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
 
 
 def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
-    """How our columns are made, with the repair; known : how they are made now. Raises InputError."""
+    """Return the sources of the columns that the repair changes, by casadical's name.
+
+    known : sources of all columns now
+    Raises InputError.
+    """
     h = fit.hypothesis
-    names = [_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
+    names = [_column_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
     si = {"deg": np.pi / 180, "rad": 1.0, "mm": 1e-3, "m": 1.0}
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
     columns: dict[str, Source] = {}
@@ -66,7 +73,10 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
 
         def own(j: int, i: int = i) -> Source:
             """The reading of joint j before others are added, in the unit of joint i."""
-            source, factor = _simple(known[names[h.source[j]]]), h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i]
+            source, factor = (
+                _without_sum(known[names[h.source[j]]]),
+                h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i],
+            )
             return Source(
                 source.name, factor * source.times, factor * source.plus + h.zero[j] / unit[i], {}, source.rows
             )
@@ -81,32 +91,39 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     for c, scale in zip("xyz", scales, strict=True):
         if scale == 1.0 and not (c == "y" and fit.mirrored):
             continue
-        name = _present(known, c, ("_mm", "_m"))
-        source, sign = _simple(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
+        name = _column_present(known, c, ("_mm", "_m"))
+        source, sign = _without_sum(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         times = sign * scale * source.times
         columns[name] = Source(source.name, _round(times), sign * scale * source.plus, {}, source.rows)
     return {name: made for name, made in columns.items() if made != known[name]}
 
 
 def _round(value: float) -> float:
+    """Return a number with ten significant digits."""
     return float(f"{value:.10g}")
 
 
-def _present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
+def _column_present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
+    """Return the name of a column with the unit in which it is there. Raises InputError."""
     for unit in units:
         if stem + unit in known:
             return stem + unit
     raise InputError(f"column {stem} is missing; the repair cannot be written")
 
 
-def _simple(source: Source) -> Source:
+def _without_sum(source: Source) -> Source:
+    """Return a source that is no sum of columns. Raises InputError for a sum."""
     if source.add:
         raise InputError(f"column {source.name!r} is a sum already (columns in problem.toml); repair it by hand")
     return source
 
 
 def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
-    """The robot file with the repair of its rows; times : of all lengths, where they are in another unit."""
+    """Return the text of a robot file with its rows repaired.
+
+    times : factor of all lengths, where they are in another unit
+    Raises InputError.
+    """
     if path.suffix != ".toml":
         raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
     document = tomlkit.parse(read_text(path))
@@ -129,7 +146,7 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
 
 
 def write_repair(texts: Mapping[Path, str]) -> str:
-    """Write repaired files; the difference that it makes, line by line. Raises InputError."""
+    """Write repaired files and return the changed lines. Raises InputError."""
     lines: list[str] = []
     for path, text in texts.items():
         before = read_text(path).splitlines()
@@ -139,7 +156,11 @@ def write_repair(texts: Mapping[Path, str]) -> str:
 
 
 def repaired(found: Precheck) -> str:
-    """Write the repair that a check has found, targets before slips: the lines that change. Raises InputError."""
+    """Write the repair that a check has found, and return the changed lines.
+
+    Targets are repaired before slips; the text is empty where there is no repair. Raises
+    InputError.
+    """
     robot, slips, targets = found.nominal, found.slips, found.targets
     if targets and targets.which is not None and targets.points is not None and targets.rows is not None:
         rows = [targets.rows[targets.which == k] for k in range(targets.count)]
@@ -151,14 +172,14 @@ def repaired(found: Precheck) -> str:
         return f"{shown}\nrepaired: {int((wrong.given != wrong.meant).sum())} rows name another target"
     if robot and slips and slips.explains:
         shown = write_repair(repaired_files(found.folder, slips.best, robot))
-        meant = f"\nthe frame is mirrored: {MIRRORED}" if slips.best.mirrored else ""
-        after = left_mm(slips.best, robot)
+        meant = f"\nthe frame is mirrored: {MIRROR_WARNING}" if slips.best.mirrored else ""
+        after = error_in_mm(slips.best, robot)
         return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {after} after{meant}"
     return ""
 
 
 def not_repaired(found: Precheck) -> str:
-    """Why errors are left that nothing was written for; empty where there are none."""
+    """Return why errors remain for which nothing was written; empty without errors."""
     if found.ok:
         return ""
     slips = found.slips
@@ -170,7 +191,13 @@ def not_repaired(found: Precheck) -> str:
 
 
 def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: Sequence[Array]) -> dict[Path, str]:
-    """problem.toml and, but of a URDF, the robot file with targets: points, (K, 3) [m], rows of the file of each."""
+    """Return the texts of problem.toml and robot file with several targets.
+
+    Of a URDF, problem.toml has the targets alone.
+
+    points : in the last link's frame, shape (K, 3) [m]
+    rows : rows of the file at which each target was measured
+    """
     path = folder / "problem.toml"
     problem = tomlkit.parse(file_with_names(folder, names, rows)[path])
     unknown = read_problem_robot(folder).tool.unknown
@@ -187,7 +214,10 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
 
 
 def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -> dict[Path, str]:
-    """problem.toml with the rows of the file at which each target was measured."""
+    """Return the text of problem.toml with the rows at which each target was measured.
+
+    rows : rows of the file, for each name
+    """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
     tables: Any = problem["measurements"]
@@ -199,7 +229,12 @@ def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -
 
 
 def _tools(names: Sequence[str], points: Array, flange: Array, unknown: str) -> Any:
-    """Tables of these points, seen from the frame in which the file gives its tool, at `flange` in the last link."""
+    """Return the tables [[tool]] of these points.
+
+    points : in the last link's frame, shape (K, 3) [m]
+    flange : pose in the last link of the frame in which the file gives its tool, shape (4, 4)
+    unknown : what is to be identified of each tool
+    """
     seen = (points - flange[:3, 3]) @ flange[:3, :3]
     tools = tomlkit.aot()
     for name, point in zip(names, seen, strict=True):

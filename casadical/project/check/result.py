@@ -1,4 +1,4 @@
-"""What was found of a problem before a solve; as words and tables, and as plain data to keep."""
+"""The result of a check before a solve, as sentences and tables, and as plain data."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,15 +18,23 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Precheck(Result):
-    """What was found of one problem.
+    """The result of a check of one problem.
 
-    title, robot : names, empty where they could not be read; poses : in each set
-    noise : of a coordinate [m] as far as it is known beforehand; noise_source : from where, in words
-    joints : covered ranges in the set that is fitted; margin : smallest one of the four-bars
-    outlooks : for each method; none where the data are unusable
-    nominal : the robot; slips : what explains data that contradict it, where several slips were searched for
-    targets : several on one flange, that the table does not name; wrong_names : rows that name another one
-    tables : given in place of the folder's own; more : the step that plans more poses
+    folder : problem folder or robot file
+    findings : all findings
+    title, robot : names, empty where they could not be read
+    poses : number of poses in each set
+    noise : noise of a coordinate [m], as far as it is known beforehand
+    noise_source : where it is from, in words
+    joints : covered joint ranges in the set that is fitted
+    margin : smallest margin of the four-bars
+    outlooks : expected accuracy by each method, () where the data are unusable
+    nominal : nominal robot
+    slips : slips that explain data that contradict the robot, where several were searched for
+    targets : several targets on one flange that the table does not name
+    wrong_names : rows that name another target
+    tables : tables given in place of the folder's own
+    more : command that plans more poses
     """
 
     report: ClassVar[str] = "check.j2"
@@ -56,27 +64,32 @@ class Precheck(Result):
     more: Words | None = None
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
+        """Return the findings of a level."""
         return tuple(f for f in self.findings if f.level == level)
 
     @property
     def ok(self) -> bool:
+        """Return whether there are no errors."""
         return not self.of_level("error")
 
     def words_of(self, findings: Sequence[Finding]) -> list[Words]:
-        """Return findings as words, errors first."""
+        """Return findings as sentences, errors first."""
         marks: dict[Level, str] = {"error": "ERROR", "warning": "WARNING", "note": "note"}
         ordered = [f for level in marks for f in findings if f.level == level]
         return [Words(f"{f.topic}: {f.text}", f.level, mark=marks[f.level]) for f in ordered]
 
     def brief(self) -> list[Block]:
-        """Return the same in few lines: verdict, errors and warnings, accuracy to expect."""
+        """Return the result in few lines: verdict, errors and warnings, accuracy to expect."""
         important = [f for f in self.findings if f.level != "note" or f.topic == "units"]
         important.sort(key=lambda f: ("error", "warning", "note").index(f.level))
         return self._report_blocks(brief=True, important=important)
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now; only the errors are to be corrected, where they have no repair."""
+        """Return the command to run next.
+
+        Errors without a repair must be corrected by hand first.
+        """
         if self.ok:
             return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
         if all(f.topic == "too few poses" for f in self.of_level("error")):
@@ -88,7 +101,7 @@ class Precheck(Result):
 
     @property
     def ranges(self) -> list[Table]:
-        """Return the readings of each joint that are fitted, with its limits, where there are any."""
+        """Return a table of the fitted readings of each joint, with its limits, if any."""
         rows = []
         for c in self.joints:
             limits, covered = f"{c.lower:.0f} .. {c.upper:.0f}", f"{100 * c.share:.0f} %"

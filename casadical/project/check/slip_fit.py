@@ -1,8 +1,9 @@
-"""A fast fit of many hypotheses on one table: rows of plain numpy, base and tool by linear least squares.
+"""A fast fit of many slip hypotheses to one table, with base and tool by linear least squares.
 
-p(q) = M y + c - R(q) t with flange position p, orientation R, measured y: linear in M (9 numbers), c and t (3 each). M
-is a rotation where nothing is wrong with the positions; its columns show wrong units, its determinant a left-handed
-frame. So only what is wrong with readings and rows must be searched for.
+p(q) = M y + c - R(q) t with flange position p, orientation R, measured y: linear in M (9 numbers),
+c and t (3 each). M is a rotation where nothing is wrong with the positions; its columns show wrong
+units, its determinant a left-handed frame. Therefore only what is wrong with readings and rows must
+be searched for.
 """
 
 from __future__ import annotations
@@ -21,11 +22,14 @@ from casadical.identification.placement import solve_placement
 
 
 class Hypothesis(NamedTuple):
-    """What the readings and rows of the robot are, if they are not what they seem.
+    """What may be wrong with the readings and the robot's rows.
 
     reading i = own i + add * (own i - 1), own i = sign * factor * column[source i] + zero
-    shift : rows that the readings lie before
-    rows : index of the DH rows that are meant; lengths : (name, joint, departure [m]) of wrong link lengths
+
+    source, sign, factor, zero, add : of each joint, as above; zero in rad or m
+    shift : number of rows by which the readings precede their positions
+    rows : index of the DH rows that are meant
+    lengths : (name, joint index, departure [m]) of wrong link lengths
     """
 
     source: tuple[int, ...]
@@ -39,11 +43,15 @@ class Hypothesis(NamedTuple):
 
     @staticmethod
     def none(n: int) -> Hypothesis:
+        """Return the hypothesis that nothing is wrong with n joints."""
         return Hypothesis(tuple(range(n)), (1,) * n, (1.0,) * n, (0.0,) * n, (0,) * n)
 
     @property
     def slips(self) -> int:
-        """How many things are wrong; two columns that are swapped are one, as are all joints in another unit."""
+        """Return the number of slips.
+
+        Two swapped columns are one, as are all joints in another unit.
+        """
         factors = [f for f in self.factor if f != 1.0]
         units = 1 if len(factors) > 2 and len(set(factors)) == 1 else len(factors)
         moved = sum(s != k for k, s in enumerate(self.source))
@@ -54,29 +62,39 @@ class Hypothesis(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """How improbable it is, in slips: joints that count the other way come together, with coupled readings, too."""
+        """Return the improbability, counted in slips.
+
+        Joints that count the other way occur together, and together with coupled readings.
+        """
         reversed_ = sum(s < 0 for s in self.sign)
         together = sum(s < 0 and a != 0 for s, a in zip(self.sign, self.add, strict=True))
-        # A joint more that counts the other way is a slip less 0.6; with its coupling to the joint before, less 0.5.
+        # Each further reversed joint costs 0.6 slips less; a reversed and coupled one 0.5 less.
         return self.slips - 0.6 * max(0, reversed_ - 1) - 0.5 * together
 
     def at(self, what: str, i: int, value: float) -> Hypothesis:
+        """Return the hypothesis with another value at joint index i."""
         entries = list(getattr(self, what))
         entries[i] = value
         entry: dict[str, Any] = {what: tuple(entries)}
         return self._replace(**entry)
 
     def readings(self, q: Array) -> Array:
-        """Readings as meant, shape (n, joints); q : as they stand in the table."""
+        """Return the readings as they are meant, shape (n, joints) [rad or m].
+
+        q : readings of the table, of the same shape
+        """
         return np.asarray(_readings([self], q)[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Of one hypothesis: error with base and tool placed [m], factors of x, y, z, whether y is mirrored.
+    """The fit of one hypothesis, base and tool placed.
 
-    The error is the median, or a third of what a fifth of the rows exceed, where that is greater. turn : median angle
-    between measured and modelled orientations [rad], 0 where none were measured
+    hypothesis : what is undone
+    error : median error [m], or a third of the 80 % quantile, if that is greater
+    scale : unit factors of x, y, z
+    mirrored : whether y is mirrored
+    turn : median angle between measured and modelled orientations [rad], 0 where none were measured
     """
 
     hypothesis: Hypothesis
@@ -87,11 +105,12 @@ class Fit:
 
     @property
     def cost(self) -> float:
-        """How improbable it is, in slips: no instrument's frame is left-handed."""
+        """Return the improbability, counted in slips; no instrument's frame is left-handed."""
         return self.slips - self.hypothesis.slips + self.hypothesis.cost + 0.5 * self.mirrored
 
     @property
     def slips(self) -> int:
+        """Return the number of slips, those of the positions included."""
         scaled = [s for s in self.scale if s != 1.0]
         units = 1 if len(scaled) == 3 and len(set(scaled)) == 1 else len(scaled)
         return self.hypothesis.slips + units + self.mirrored
@@ -99,11 +118,13 @@ class Fit:
 
 @dataclass(frozen=True, eq=False)
 class SlipFit:
-    """One table and the rows that may be meant.
+    """One table of positions, and the robots that may be meant.
 
-    q : readings as they stand, shape (n, joints) [rad or m]; y : measured positions, shape (n, 3) [m]
+    q : readings of the table, shape (n, joints) [rad or m]
+    y : measured positions, shape (n, 3) [m]
     rows : DH rows, one sequence of joints for each convention that may be meant
-    orientation : measured, shape (n, 3, 3), where it was
+    reach : reach of the robot [m]
+    orientation : measured orientations, shape (n, 3, 3), None without
     """
 
     q: Array
@@ -111,19 +132,25 @@ class SlipFit:
     rows: Sequence[Sequence[Joint]]
     reach: float
     orientation: Array | None = None
-    # So many poses distinguish hypotheses; of which so many are carried to the next level.
+    # Number of poses by which hypotheses are scored.
     scored: ClassVar[int] = 40
+    # Number of hypotheses that are kept on each level of the search.
     beam: ClassVar[int] = 800
 
     def _aligned(self, shift: int) -> tuple[Array, Array]:
-        """Readings and positions of the rows that belong together if the readings lie `shift` rows before."""
+        """Return readings and positions that belong together after a shift of rows."""
         n = len(self.q)
         if shift >= 0:
             return self.q[shift:], self.y[: n - shift]
         return self.q[: n + shift], self.y[-shift:]
 
     def _flange(self, q: Array, joints: Sequence[Joint], a: Array, d: Array) -> tuple[Array, Array, Array, Array]:
-        """Positions (k, n, 3), orientations (k, n, 3, 3), directions of the a and of the d (k, joints, n, 3)."""
+        """Return the flange poses, and the directions of all lengths a and d.
+
+        q : shape (k, n, joints) [rad or m]
+        a, d : shape (k, joints) [m]
+        Returns positions (k, n, 3), orientations (k, n, 3, 3), directions (k, joints, n, 3)
+        """
         count, n, size = q.shape
         p = np.zeros((count, n, 3))
         x, y, z = (np.broadcast_to(axis, (count, n, 3)) for axis in np.eye(3))  # columns of the orientation
@@ -131,21 +158,21 @@ class SlipFit:
         for i, joint in enumerate(joints):
             along_a[:, i] = x
             p = p + a[:, i, None, None] * x
-            y, z = _turned(y, z, joint.alpha)
+            y, z = _rotated(y, z, joint.alpha)
             if joint.beta:
-                z, x = _turned(z, x, joint.beta)
+                z, x = _rotated(z, x, joint.beta)
             turns = joint.kind == "revolute"
-            x, y = _turned(x, y, joint.theta + q[..., i] if turns else joint.theta)
+            x, y = _rotated(x, y, joint.theta + q[..., i] if turns else joint.theta)
             along_d[:, i] = z
             p = p + (d[:, i, None] + (0.0 if turns else q[..., i]))[..., None] * z
         return p, np.stack([x, y, z], axis=3), along_a, along_d
 
     def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Share of the motion that each leaves unexplained, shape (k,)."""
+        """Return the share of the motion that each hypothesis does not explain, shape (k,)."""
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
-            left, turn, _ = _without(y, p, R)
-            left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
+            left, turn, _ = _project_out_frame(y, p, R)
+            left = left - (turn @ _least_squares(turn, left[..., None]))[..., 0]
             spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
             square = np.sort((left.reshape(len(left), -1, 3) ** 2).sum(axis=2), axis=1)
             counted = square[:, : max(1, int(0.75 * square.shape[1]))]
@@ -153,12 +180,15 @@ class SlipFit:
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Share of the error that each length would leave, and its departure [m], (k, 2 joints, 2), the a first."""
+        """Return for each length the share of the error that is left if it is freed, and its change.
+
+        The shape is (k, 2 joints, 2), all a before all d; departures are in m.
+        """
         departures = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
         for part, y, p, R, along in self._parts(hypotheses):
-            left, turn, extra = _without(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
-            left = left - (turn @ _solved(turn, left[..., None]))[..., 0]
-            extra = extra - turn @ _solved(turn, extra)
+            left, turn, extra = _project_out_frame(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
+            left = left - (turn @ _least_squares(turn, left[..., None]))[..., 0]
+            extra = extra - turn @ _least_squares(turn, extra)
             norms = np.maximum((extra**2).sum(axis=1), 1e-6 * len(y))
             products = (extra * left[..., None]).sum(axis=1)
             whole = (left**2).sum(axis=1)[:, None]
@@ -167,26 +197,35 @@ class SlipFit:
         return departures
 
     def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:
-        """What to add to the zero of a turning joint so that it fits best, shape (k,) [rad].
+        """Return the correction of a revolute joint's zero that fits best, shape (k,) [rad].
 
-        Poses are linear in cosine and sine of it, so that p + R t is in both, in t and in their products; these are
-        taken as unknowns of their own, of a linear least squares.
+        Poses are linear in its cosine and sine, so that p + R t is linear in both, in t and in
+        their products, which are taken as independent unknowns of a linear least-squares problem.
+
+        joint : index of the joint
         """
         zeros = np.empty(len(hypotheses))
         turned = [[h.at("zero", joint, h.zero[joint] + z) for h in hypotheses] for z in (0.0, np.pi / 2, np.pi)]
         for (part, y, p0, R0, _), (_, _, p1, R1, _), (_, _, p2, R2, _) in zip(*map(self._parts, turned), strict=True):
             constant, x0 = (p0 + p2) / 2, (R0 + R2) / 2
-            parts = [_without(y, *pR) for pR in ((constant, x0), (p0 - constant, R0 - x0), (p1 - constant, R1 - x0))]
+            parts = [
+                _project_out_frame(y, *pR)
+                for pR in ((constant, x0), (p0 - constant, R0 - x0), (p1 - constant, R1 - x0))
+            ]
             (fixed, R, _), (cosine, R_cos, _), (sine, R_sin, _) = parts
             A = np.concatenate([cosine[..., None], sine[..., None], R, R_cos, R_sin], axis=2)
-            w = -_solved(A, fixed[..., None])[..., 0]
+            w = -_least_squares(A, fixed[..., None])[..., 0]
             zeros[part] = np.arctan2(w[:, 1], w[:, 0])
         return zeros
 
     def _parts(
         self, hypotheses: Sequence[Hypothesis]
     ) -> Iterator[tuple[list[int], Array, Array, Array, tuple[Array, Array]]]:
-        """Hypotheses with the same rows, some at a time: their indices, measured positions, and what `_flange` says."""
+        """Yield hypotheses with equal rows in batches, with what `_flange` returns for them.
+
+        Yields their indices, the measured positions, flange positions, orientations, and directions
+        of the lengths
+        """
         keys = [(h.shift, h.rows) for h in hypotheses]
         for shift, rows in dict.fromkeys(keys):
             index = [k for k, key in enumerate(keys) if key == (shift, rows)]
@@ -198,6 +237,7 @@ class SlipFit:
                 yield part, y, p, R, (along[0], along[1])
 
     def _lengths(self, hypotheses: Sequence[Hypothesis], rows: int) -> tuple[Array, Array]:
+        """Return the lengths a and d of each hypothesis, shapes (k, joints) [m]."""
         a, d = (np.tile([getattr(j, name) for j in self.rows[rows]], (len(hypotheses), 1)) for name in ("a", "d"))
         for k, h in enumerate(hypotheses):
             for name, i, departure in h.lengths:
@@ -205,28 +245,31 @@ class SlipFit:
         return a, d
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:
-        """The hypothesis with base and tool as frames: its error, and what is wrong with the positions.
+        """Return the fit of a hypothesis with base and tool as frames.
 
-        as_given : nothing is wrong with these
+        as_given : whether the positions are taken to be right, in unit and hand
         """
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept = np.ones(len(y), dtype=bool)
         scale, mirrored, error = (1.0, 1.0, 1.0), False, np.inf
-        for _ in range(3):  # far rows draw the fit towards themselves
+        for _ in range(3):  # far rows bias the fit
             if not as_given:
-                scale, mirrored = _shape(_linear(p[0][kept], R[0][kept], y[kept]))
+                scale, mirrored = _units_and_hand(_frame_matrix(p[0][kept], R[0][kept], y[kept]))
             meant = y * np.array(scale) * [1, -1 if mirrored else 1, 1]
             T, t = solve_placement(p[0][kept], R[0][kept], meant[kept], None, np.eye(4), np.zeros(3))
             e = np.linalg.norm((p[0] + R[0] @ t) @ T[:3, :3].T + T[:3, 3] - meant, axis=1)
             error = max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0)
             kept = e <= 5 * np.median(e)
-        if not as_given:  # positions that are made small fit everything
+        if not as_given:  # positions that are scaled down fit every model
             error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
         return Fit(h, error, scale, mirrored, self._turn(h.shift, T[:3, :3] @ R[0]))
 
     def _turn(self, shift: int, R: Array) -> float:
-        """Median angle [rad] between measured and modelled orientations, shape (n, 3, 3), the tool's turn fitted."""
+        """Return the median orientation error [rad], the tool rotated to fit.
+
+        R : modelled orientations, shape (n, 3, 3)
+        """
         if self.orientation is None:
             return 0.0
         n = len(R)
@@ -238,41 +281,48 @@ class SlipFit:
 
 @dataclass(frozen=True, eq=False)
 class LengthFit(SlipFit):
-    """One table of lengths from the tool to a few unknown places at rest; y : length [m], index of the place.
+    """One table of lengths from the tool to a few unknown fixed points.
 
-    Lengths tell neither how a frame is turned nor its hand, so that only readings and rows are searched for. Tool and
-    places are fitted by damped Gauss-Newton steps (Levenberg 1944; Marquardt 1963), from the tool on the flange.
+    y has the length [m] and the index of the point. Lengths show neither the rotation of a frame
+    nor its hand, so that only readings and rows are searched for. Tool and points are fitted by
+    damped Gauss-Newton steps (Levenberg 1944; Marquardt 1963), which start with the tool at the
+    flange.
     """
 
     scored: ClassVar[int] = 60
     beam: ClassVar[int] = 60
 
     def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Return the share of the motion that each hypothesis does not explain, shape (k,)."""
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
-            square = np.sort(self._left(p, R, y) ** 2, axis=1)[:, : max(1, int(0.75 * len(y)))]
+            square = np.sort(self._residuals(p, R, y) ** 2, axis=1)[:, : max(1, int(0.75 * len(y)))]
             share[part] = np.sqrt(square.mean(axis=1)) / (np.std(p, axis=1).sum(axis=1) + 1e-3 * self.reach)
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """No length of the robot is searched for."""
+        """Return that no length of the robot departs: lengths are not searched for."""
         return np.tile([1.0, 0.0], (len(hypotheses), 2 * self.q.shape[1], 1))
 
     def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:  # noqa: ARG002
-        """No zero but those of quarter turns."""
+        """Return zero corrections: only quarter turns are searched for."""
         return np.zeros(len(hypotheses))
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:  # noqa: ARG002
+        """Return the fit of a hypothesis with tool and points fitted."""
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         kept, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
-        for _ in range(3):  # far rows draw the fit towards themselves
-            e = np.abs(self._left(p, R, y, kept, 40)[0])
+        for _ in range(3):  # far rows bias the fit
+            e = np.abs(self._residuals(p, R, y, kept, 40)[0])
             kept = e <= 5 * np.median(e)
         return Fit(h, max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0))
 
-    def _left(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = 12) -> Array:
-        """Lengths less those of the fitted tool and places, shape (k, n); kept : rows that are fitted."""
+    def _residuals(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = 12) -> Array:
+        """Return the residuals of the lengths after the fit of tool and points, shape (k, n) [m].
+
+        kept : mask of the rows that are fitted
+        """
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if kept is None else kept.astype(float)
 
@@ -292,21 +342,21 @@ class LengthFit(SlipFit):
 
             return (weight * left**2).sum(axis=1), sums
 
-        # The floor: what no length tells, as a planar arm of its tool, would have no step.
+        # The floor regularises what no length determines, as a part of the tool of a planar arm.
         best, _ = levenberg_marquardt(evaluate, self._start(p, length, place), steps, floor=1e-6 * len(y))
         return np.asarray(length - lines(best)[1])
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
-        """Tool on the flange, and the places that fit best then, linear in them and their squares, (k, 3 + 3 K).
+        """Return the start of the fit, shape (k, 3 + 3 K) [m]: tool at the flange, points fitted to it.
 
-        How far a place is from the plane of an arm that moves in one is told by its square alone.
+        The distance of a point from the plane of a planar arm follows from its square alone.
         """
         x = [np.zeros((len(p), 3))]
         for own in place.T > 0:
             local = p[:, own] - p[:, own].mean(axis=1, keepdims=True)
             A = np.concatenate([2 * local, -np.ones((*local.shape[:2], 1))], axis=2)
-            solved = _solved(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
+            solved = _least_squares(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
             spread, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
             beside = np.sqrt(np.maximum(solved[:, 3] - (solved[:, :3] ** 2).sum(axis=1), 0.0))
             beside[spread[:, 0] > 1e-6 * spread[:, 2]] = 0.0
@@ -315,7 +365,10 @@ class LengthFit(SlipFit):
 
 
 def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
-    """Readings as meant, shape (k, n, joints); q : as they stand in the table, shape (n, joints)."""
+    """Return the readings as they are meant, shape (k, n, joints).
+
+    q : readings of the table, shape (n, joints) [rad or m]
+    """
     source, sign, factor, zero, add = (
         np.array([getattr(h, name) for h in hypotheses]) for name in ("source", "sign", "factor", "zero", "add")
     )
@@ -325,8 +378,11 @@ def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
     return np.asarray(meant)
 
 
-def _without(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
-    """Less what M y + c explains: p as (k, 3 n), R as (k, 3 n, 3), more as (k, 3 n, columns)."""
+def _project_out_frame(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
+    """Return p, R and further columns without their part in the span of M y + c.
+
+    Shapes are (k, 3 n), (k, 3 n, 3) and (k, 3 n, columns).
+    """
     basis = np.linalg.qr(np.column_stack([y - y.mean(axis=0), np.ones(len(y))]))[0]
     x = np.concatenate([R, p[..., None], *([] if more is None else [more])], axis=3)
     flat = x.reshape(*x.shape[:2], -1)
@@ -334,23 +390,25 @@ def _without(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[A
     return x[..., 3], x[..., :3], x[..., 4:]
 
 
-def _solved(A: Array, b: Array) -> Array:
+def _least_squares(A: Array, b: Array) -> Array:
+    """Return the regularised least-squares solutions of A x = b."""
     At = np.swapaxes(A, 1, 2)
     return np.asarray(np.linalg.solve(At @ A + 1e-9 * np.eye(A.shape[2]), At @ b))
 
 
 def _spread(p: Array) -> float:
+    """Return the root of the squared distances from the mean point."""
     return float(np.linalg.norm(p - p.mean(axis=0)))
 
 
-def _turned(first: Array, second: Array, angle: Array | float) -> tuple[Array, Array]:
-    """Two axes, shape (k, n, 3), turned about the third from the first to the second."""
+def _rotated(first: Array, second: Array, angle: Array | float) -> tuple[Array, Array]:
+    """Return two axes, shape (k, n, 3), rotated about the third from the first to the second."""
     c, s = (f(angle)[..., None] if isinstance(angle, np.ndarray) else f(angle) for f in (np.cos, np.sin))
     return c * first + s * second, c * second - s * first
 
 
-def _linear(p: Array, R: Array, y: Array) -> Array:
-    """M of p = M y + c - R t, shape (3, 3), by least squares."""
+def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
+    """Return M of p = M y + c - R t, shape (3, 3), by least squares."""
     n = len(p)
     A = np.zeros((n, 3, 15))
     for row in range(3):
@@ -360,14 +418,17 @@ def _linear(p: Array, R: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A.reshape(3 * n, -1), p.ravel(), rcond=None)[0][:9].reshape(3, 3))
 
 
-# Units that a length may be in, as factors to the one that its name says.
-SCALES = (1.0, 1e3, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 1e2, 1e-2, 1e3 / 25.4, 25.4e-3)
+# Factors between the units that a length may be in and the one that its name states.
+UNIT_FACTORS = (1.0, 1e3, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 1e2, 1e-2, 1e3 / 25.4, 25.4e-3)
 
 
-def _shape(M: Array) -> tuple[tuple[float, float, float], bool]:
-    """Factors of x, y and z that make M a rotation, where they are units, and whether M mirrors."""
+def _units_and_hand(M: Array) -> tuple[tuple[float, float, float], bool]:
+    """Return the unit factors of x, y and z that make M a rotation, and whether M mirrors.
+
+    A factor that is near no unit is 1.
+    """
     norms = np.linalg.norm(M, axis=0)
-    nearest = [min(SCALES, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
+    nearest = [min(UNIT_FACTORS, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
     sure = [abs(np.log(max(norm, 1e-12) / s)) < 0.2 for norm, s in zip(norms, nearest, strict=True)]
     x, y, z = (s if ok else 1.0 for s, ok in zip(nearest, sure, strict=True))
     return (x, y, z), bool(np.linalg.det(M) < 0)

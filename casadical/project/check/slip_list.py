@@ -1,7 +1,8 @@
-"""The list of slips: what may be wrong with a table, or with one reading of it that the others contradict; in words.
+"""Slips in words: what may be wrong with a table, or with one reading that the others contradict.
 
-A table is judged with base and tool free, so that swapped axes, or two that are turned, are no slip of it. One
-reading is judged by where the others say that base, tool and robot are: it may have these, too, and others.
+A table is judged with base and tool free, so that swapped axes, or two reversed ones, are no slip
+of it. One reading is judged by base, tool and robot as the other readings determine them: it may
+have these slips and others.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,31 +18,44 @@ from casadical.measurements.measurements import FIELDS, Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.robot.robot import Robot
 
-QUARTERS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
+# Rotations by which the zero of a joint is often wrong [rad].
+QUARTER_TURNS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 
 
 def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
-    """Every single slip, as an explanation whose error is not known; others : ways to read the robot's rows."""
+    """Yield every single slip, as a fit whose error is not known.
+
+    others : number of other robots that the file may have meant
+    """
     none = Hypothesis.none(robot.n)
     yield from (Fit(none, np.inf, (scale,) * 3) for scale in (1e3, 1e-3, 25.4))
     yield Fit(none, np.inf, mirrored=True)
     turning = [j.kind == "revolute" for j in robot.joints]
-    yield from (Fit(h, np.inf) for h in set(moves(none, turning, (0,), 1 + others)) if h.slips == 1)
+    yield from (Fit(h, np.inf) for h in set(further_slips(none, turning, (0,), 1 + others)) if h.slips == 1)
 
 
 def undone(fit: Fit, m: Measurements) -> Measurements:
-    """Measured positions with an explanation's slips undone."""
+    """Return the measurements with the slips of a fit undone."""
     assert m.position is not None
     turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
     return replace(m, q=fit.hypothesis.readings(m.q), position=m.position * turns)
 
 
 def inner(turning: Sequence[bool]) -> list[int]:
-    """Turning joints but the first and the last, whose zeros are those of base and tool."""
+    """Return the indices of revolute joints but the first and the last.
+
+    The zeros of those two cannot be distinguished from base and tool.
+    """
     return [i for i in range(1, len(turning) - 1) if turning[i]]
 
 
-def moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
+def further_slips(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
+    """Yield every hypothesis that differs from `h` by one slip.
+
+    turning : whether each joint is revolute
+    shifts : shifts of rows to try
+    rows : number of robots that may be meant
+    """
     n = len(turning)
     yield from (h._replace(shift=shift) for shift in shifts if shift != h.shift)
     yield from (h._replace(rows=k) for k in range(rows) if k != h.rows)
@@ -49,7 +63,7 @@ def moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: i
         yield h._replace(factor=tuple(factor if t else 1.0 for t in turning))
     for i in range(n):
         for sign in (1, -1):
-            for zero in QUARTERS if i in inner(turning) else (0.0,):
+            for zero in QUARTER_TURNS if i in inner(turning) else (0.0,):
                 if (sign, zero) != (h.sign[i], h.zero[i]):
                     yield h.at("sign", i, sign).at("zero", i, zero)
         if turning[i]:
@@ -64,21 +78,27 @@ def moves(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: i
 
 
 def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
-    """Every slip of an explanation, as what is wrong and what to do; standard : the rows of the robot file are."""
+    """Return every slip of a fit, as what is wrong and what to do.
+
+    standard : whether the rows of the robot file are of the standard DH convention
+    """
     return [*_of_readings(fit, robot), *_of_positions(fit, robot), *_of_rows(fit, robot, standard)]
 
 
-MIRRORED = (
+# Why a mirrored frame is doubtful although it explains the positions.
+MIRROR_WARNING = (
     "no instrument has a left-handed frame: y was written with another sign, or joints count the other way, which "
     "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
 )
 
-OF_LENGTHS = (
+# The same where lengths were measured, which a mirrored robot fits as well.
+LENGTHS_MIRROR_WARNING = (
     "Lengths fit the mirror image of a robot as well: look which way joint 1 turns before a program is corrected by it"
 )
 
 
 def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
+    """Yield the slips of the joint readings, in words."""
     h = fit.hypothesis
     for i, k in enumerate(h.source):
         if k > i:
@@ -111,19 +131,24 @@ def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
 
 
 def other_lengths(fit: Fit, robot: Robot) -> float:
-    """The factor that gives a robot of usual size, where its lengths are in another unit, not the positions; else 0."""
+    """Return the unit factor of the robot's lengths, where they are in another unit; else 0.
+
+    That is assumed where it gives the robot a usual size, and all positions have the inverse
+    factor.
+    """
     s = fit.scale[0]
     if set(fit.scale) != {s} or s == 1.0 or 0.1 < robot.reach < 20:
         return 0.0
     return 1 / s if 0.1 < robot.reach / s < 20 else 0.0
 
 
-def left_mm(fit: Fit, robot: Robot) -> str:
-    """What an explanation leaves [mm], in millimetres of the robot as it is meant."""
+def error_in_mm(fit: Fit, robot: Robot) -> str:
+    """Return the error of a fit as a text, in millimetres of the robot as it is meant."""
     return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
 
 
 def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
+    """Yield the slips of the measured positions, in words."""
     scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
     if other := other_lengths(fit, robot):
         yield f"the lengths in the robot file are in another unit (times {other:.6g})"
@@ -139,6 +164,7 @@ def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
 
 
 def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
+    """Yield the slips of the robot's rows, in words."""
     if fit.hypothesis.rows:
         said = ("standard", "modified") if standard else ("modified", "standard")
         yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
@@ -150,24 +176,31 @@ def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
 
 
 def meant_length(value: float, departure: float) -> float:
-    """A length as it is meant: a thousand times what it was, where it departs by 5 %."""
+    """Return a departing length as it is meant [m].
+
+    It is a thousand times, or a thousandth of, the value where the departure says so within 5 %.
+    """
     for unit in (1e3, 1e-3):
         if value and abs((value + departure) / (unit * value) - 1) < 0.05:
             return unit * value
     return value + departure
 
 
-# What readings miss the prediction by, shape (n, lengths) [m], and its square in units of its covariance, shape (n,).
+# Returns the residuals of readings from their predictions, shape (n, lengths) [m], and their squares
+# in units of the covariance, shape (n,).
 Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
 def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, known: Sequence[str]) -> str:
-    """What the k-th reading looks like, in words: those slips that, undone, make it plausible.
+    """Return what the k-th reading looks like, in words: slips that make it plausible if undone.
 
-    misses : by what the others tell; limit : of the square of a plausible one; known : labels that the others have
+    robot : robot as the other readings determine it
+    misses : returns residuals and squared residuals, by the other readings
+    limit : greatest squared residual of a plausible reading
+    known : labels of points that the other readings refer to
     """
     listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, known), *_of_joints(robot, m, k)]
-    found = misses(_changed(m, k, [changed for _, changed in listed]))[1]
+    found = misses(_with_changes(m, k, [changed for _, changed in listed]))[1]
     if "orientation" in m.arrays:
         words = "its position is plausible, its orientation is not: the target turned, or its angles are others"
         listed.append((words, {}))
@@ -185,8 +218,11 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
     return f"{more}; measure it again"
 
 
-def _changed(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
-    """The k-th reading once for each change, which is arrays and columns of one reading by name."""
+def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
+    """Return the k-th reading once for each change.
+
+    changes : arrays and columns of one reading by name
+    """
     some = replace(m[np.full(len(changes), k)], separations=())
     given = {"q": some.q, **some.arrays, **some.conditions}
     made = {}
@@ -201,7 +237,10 @@ def _changed(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> M
 
 
 def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Axes swapped, signs and units of what was observed; of full poses also the inverse."""
+    """Yield slips of what was observed, in words and as changes.
+
+    They are swapped axes, signs and units; of full poses also the inverse.
+    """
     vectors_and_lengths: tuple[str, ...] = ("position", "shift", "distance", "reading")
     name = next((n for n in vectors_and_lengths if n in m.arrays), None)
     if name is None:
@@ -228,7 +267,7 @@ def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]
 
 
 def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Another target, session, touched thing or far end than the columns say."""
+    """Yield slips of the names: another target, session, touched point or anchor."""
     for kind, word in (("tool_", "target"), ("session_", "session")):
         names = [name for name in m.conditions if name.startswith(kind)]
         for other in (name for name in names if not m.conditions[name][k]):
@@ -243,7 +282,7 @@ def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[s
 
 
 def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The slips of a table's joints, at one reading; and the robot that did not move."""
+    """Yield the slips of the joints, and a robot that did not move, in words and as changes."""
     for fit in single_slips(robot, 0):
         if fit.hypothesis.slips:
             yield "; ".join(in_words(fit, robot)), {"q": fit.hypothesis.readings(m.q[[k]])[0]}
@@ -253,15 +292,18 @@ def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dic
 
 
 def _joints_elsewhere(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
-    """Single joints that stood elsewhere than they read, in words: Gauss-Newton steps from the best of 121 places."""
+    """Return single joints that stood elsewhere than they read, in words.
+
+    The position is found by Gauss-Newton steps from the best of 121 places in the joint's range.
+    """
     n, read = robot.n, m.q[k]
     lower, upper = np.maximum(robot.limits[0], -2 * np.pi), np.minimum(robot.limits[1], 2 * np.pi)
 
     def missed(stood: Array) -> tuple[Array, Array]:
-        """Misses where joint i stands at stood[i], shape (n, places), and all others as they read."""
+        """Return residuals (n, places, lengths) [m] and squares with one joint moved."""
         q = np.tile(read, (*stood.shape, 1))
         q[np.arange(n), :, np.arange(n)] = stood
-        off, square = misses(_changed(m, k, [{"q": each} for each in q.reshape(-1, n)]))
+        off, square = misses(_with_changes(m, k, [{"q": each} for each in q.reshape(-1, n)]))
         return off.reshape(*stood.shape, -1), square.reshape(stood.shape)
 
     places = np.linspace(lower, upper, 121).T

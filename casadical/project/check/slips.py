@@ -1,7 +1,7 @@
-"""Slips of a table, several at once: a beam search over what may be wrong, on the fast fit of `slip_fit`.
+"""Slips of a table, several at once: a beam search over hypotheses, on the fast fit of `slip_fit`.
 
-A further slip must halve the error at least, so that of two explanations the simpler one comes first. What calibration
-finds itself (zeros and lengths that are off by little) is no slip.
+One more slip must at least halve the error, so that of two explanations the simpler one comes
+first. Small errors of zeros and lengths, which the calibration finds itself, are no slips.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,19 +14,25 @@ from casadical.core.basics import Array, Show, silent
 from casadical.core.statistics import ranked
 from casadical.measurements.measurements import Measurements
 from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
-from casadical.project.check.slip_list import QUARTERS, inner, moves
+from casadical.project.check.slip_list import QUARTER_TURNS, further_slips, inner
 from casadical.robot.robot import Robot
 
-MOST_SLIPS = 4
-# Of the reach: errors below it are the nominal model's own; departures of a length below it are calibration's.
-OWN = 0.001
-# What a further slip must at least reduce the error by.
-WORTH = 2.0
+# More slips of one table at once are not searched for.
+MAX_SLIPS = 4
+# Errors below this share of the reach are those of a nominal robot without slips.
+NOMINAL_ERROR_OF_REACH = 0.001
+# One more slip is accepted only if it reduces the error by this factor.
+MIN_ERROR_REDUCTION = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Slips:
-    """The best explanation and its rivals, with the errors [m] before and after."""
+    """The best explanation of a table by slips, and its rivals.
+
+    before : fit of the table as it is
+    best : best fit
+    rivals : other fits that are nearly as good
+    """
 
     before: Fit
     best: Fit
@@ -34,14 +40,19 @@ class Slips:
 
     @property
     def explains(self) -> bool:
-        """Whether the best explanation leaves far less than the table as it stands."""
+        """Return whether the best fit leaves far less error than the table as it is."""
         return self.best.slips > 0 and self.best.error < 0.25 * self.before.error
 
 
 def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), show: Show = silent) -> Slips | None:
-    """What is wrong with a table; None where it is not known (see `slip_fit`). others : with rows read otherwise"""
+    """Return what is wrong with a table; None where it cannot be fitted (see `slip_fit`).
+
+    robot : nominal robot
+    others : robots that the file may have meant
+    show : called with each line of progress
+    """
     order = np.argsort(m.row)
-    # Whole stretches of rows, so that shifted ones still belong together.
+    # The first rows without gaps, so that shifted rows still correspond.
     fit = slip_fit(robot, m[order[:60]], others)
     if fit is None:
         return None
@@ -49,21 +60,28 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
     shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
     fits = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
-    errors = np.log([max(f.error, OWN * robot.reach) for f in fits])
-    # Orientations that differ by more than 0.1 rad speak against an explanation, as much as a slip.
+    errors = np.log([max(f.error, NOMINAL_ERROR_OF_REACH * robot.reach) for f in fits])
+    # Orientations that differ by more than 0.1 rad count as one more slip.
     slips = [f.cost + (f.turn > 0.1) for f in fits]
-    # Readings outside of the joints' ranges cost as much as half a slip.
-    costs = errors + np.log(WORTH) * np.array(slips) + [0.35 * outside(f.hypothesis, robot, fit.q) for f in fits]
+    # Readings outside of the joint ranges count as half a slip.
+    costs = (
+        errors
+        + np.log(MIN_ERROR_REDUCTION) * np.array(slips)
+        + [0.35 * outside(f.hypothesis, robot, fit.q) for f in fits]
+    )
     first, *behind = ranked(-costs)
     best = fits[first]
-    near = [fits[k] for k in behind if fits[k].slips and costs[k] < costs[first] + np.log(WORTH)]
-    # What leaves the same is the same robot, or its mirror image: no pose would distinguish them.
+    near = [fits[k] for k in behind if fits[k].slips and costs[k] < costs[first] + np.log(MIN_ERROR_REDUCTION)]
+    # Explanations with equal errors are one robot, or its mirror image: no pose distinguishes them.
     rivals = [f for f in near if abs(f.error - best.error) > 1e-6 * best.error]
     return Slips(before, best, tuple(rivals[:2]))
 
 
 def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> SlipFit | None:
-    """The fast fit to positions, or to lengths to a few places; None of other kinds, of loops, and of too few rows."""
+    """Return the fast fit to positions, or to lengths to a few points.
+
+    Returns None for other kinds, for robots with loops, and for too few rows.
+    """
     rows = [robot.joints, *(o.joints for o in others if not o.loops)]
     if robot.loops or m.q.shape[1] != robot.n or len(m) < 15:
         return None
@@ -78,36 +96,37 @@ def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Sli
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
+    """Return whether more than a few readings, as they are meant, are out of the joint ranges."""
     lower, upper = robot.limits
     meant = h.readings(q)
-    # A few rows outside of the ranges are bad rows.
+    # A few rows outside of the ranges are outliers.
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > 0.05)
 
 
 def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
-    """The states that were best on each level, with base and tool placed."""
+    """Return the fits of the best hypotheses on each level, base and tool placed."""
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
-    # A reading may be in radians whose column moves as little as that.
+    # A column whose range is this small compared with the others may be in radians.
     move = np.ptp(fit.q, axis=0)
     turn = np.deg2rad(2 * np.pi)
     little = (move > np.deg2rad(0.3)) & (move < turn) & (np.median(move) > turn) & turning
     level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
     seen, fits = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
-    for depth in range(MOST_SLIPS + 1):
-        show(f"slips, search {depth + 1} of {MOST_SLIPS + 1}")
-        kept = _kept(level, share, fit.beam)
+    for depth in range(MAX_SLIPS + 1):
+        show(f"slips, search {depth + 1} of {MAX_SLIPS + 1}")
+        kept = _best_of_level(level, share, fit.beam)
         for k in kept[:20]:
             h = _refined(fit, level[k])
             fits.setdefault(h, fit.placed(h))
         least = min(f.error for f in fits.values())
-        if depth == MOST_SLIPS or least < 2 * OWN * robot.reach:
+        if depth == MAX_SLIPS or least < 2 * NOMINAL_ERROR_OF_REACH * robot.reach:
             break
         parents = [level[k] for k in kept]
-        first = [] if depth else _turned(parents, len(fit.rows))
+        first = [] if depth else _reversed_joints(parents, len(fit.rows))
         moves = dict.fromkeys((*first, *_all_moves(fit, parents, robot, turning, shifts)))
-        level = [h for h in moves if h not in seen and h.cost <= MOST_SLIPS]
+        level = [h for h in moves if h not in seen and h.cost <= MAX_SLIPS]
         seen.update(level)
         if not level:
             break
@@ -115,8 +134,11 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     return list(fits.values())
 
 
-def _turned(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:
-    """Every choice of joints that count the other way; and with the third one's reading coupled to the second."""
+def _reversed_joints(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:
+    """Yield every choice of joints that count the other way, for each of the robots.
+
+    The third joint's reading is also coupled to the second's, as parallelogram arms have it.
+    """
     for h in starts:
         for sign, k in product(product((1, -1), repeat=len(h.sign)), range(rows)):
             turned = h._replace(sign=sign, rows=k)
@@ -126,28 +148,34 @@ def _turned(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:
 def _all_moves(
     fit: SlipFit, parents: Sequence[Hypothesis], robot: Robot, turning: Sequence[bool], shifts: Sequence[int]
 ) -> Iterator[Hypothesis]:
+    """Yield all hypotheses with one slip more than these: readings, rows, lengths and zeros."""
     lengths = fit.departures(parents)
     for h, of_each in zip(parents, lengths, strict=True):
-        yield from moves(h, turning, shifts, len(fit.rows))
+        yield from further_slips(h, turning, shifts, len(fit.rows))
         yield from _length_moves(h, of_each, robot)
     for i in inner(turning):
         for sign in (1, -1):
             turned = [h.at("sign", i, sign * h.sign[i]) for h in parents]
             for h, more in zip(turned, fit.zeros(turned, i), strict=True):
-                yield h.at("zero", i, _zero(h.zero[i] + more))
+                yield h.at("zero", i, _rounded_zero(h.zero[i] + more))
 
 
-def _zero(angle: float) -> float:
-    """An angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
-    away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTERS]
+def _rounded_zero(angle: float) -> float:
+    """Return an angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
+    away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTER_TURNS]
     nearest = int(np.argmin(away))
-    # Zeros that are off by less are calibration's.
+    # Smaller errors of zeros are found by the calibration.
     if away[nearest] < np.deg2rad(4.0):
-        return float(QUARTERS[nearest])
+        return float(QUARTER_TURNS[nearest])
     return round(float(np.arctan2(np.sin(angle), np.cos(angle))), 4)
 
 
-def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
+def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
+    """Return the indices of the best hypotheses, and of the best for each shift and robot.
+
+    share : share of the motion that each leaves unexplained, shape (k,)
+    beam : number of hypotheses that are kept
+    """
     order = ranked(np.negative(share))
     kept, of_each = order[:beam], dict[tuple[int, int], int]()
     for k in order:
@@ -159,25 +187,26 @@ def _kept(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:
-    """The lengths whose departure explains most."""
+    """Yield the hypotheses with one of the three lengths whose departure explains most."""
     n = robot.n
     order = ranked(-lengths[:, 0])[:3]
     for k in order:
         rest, departure = lengths[k]
         name, i = ("a", k) if k < n else ("d", k - n)
         known = any((name, i) == (other, j) for other, j, _ in h.lengths)
-        # A length that departs by less of the reach is calibration's.
+        # Smaller errors of lengths are found by the calibration.
         if rest < 0.9 and abs(departure) > 0.02 * robot.reach and not known:
             yield h._replace(lengths=(*h.lengths, (name, i, float(departure))))
 
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
+    """Return the hypothesis with its free zeros and lengths refined."""
     n = len(h.zero)
-    free = [i for i, z in enumerate(h.zero) if z and z not in QUARTERS]
-    for _ in range(8 * (len(free) + len(h.lengths) > 0)):  # one after the other: they depend on each other
+    free = [i for i, z in enumerate(h.zero) if z and z not in QUARTER_TURNS]
+    for _ in range(8 * (len(free) + len(h.lengths) > 0)):  # in turns, as they depend on each other
         before = h
         for i in free:
-            h = h.at("zero", i, _zero(h.zero[i] + float(fit.zeros([h], i)[0])))
+            h = h.at("zero", i, _rounded_zero(h.zero[i] + float(fit.zeros([h], i)[0])))
         for k, (name, i, departure) in enumerate(h.lengths):
             size = float(fit.departures([h])[0, i + (name == "d") * n, 1])
             h = h._replace(lengths=(*h.lengths[:k], (name, i, departure + size), *h.lengths[k + 1 :]))

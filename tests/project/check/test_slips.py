@@ -18,7 +18,7 @@ from casadical import Measurements, calibrate
 from casadical.project.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
-from casadical.project.check.slip_list import MIRRORED, OF_LENGTHS
+from casadical.project.check.slip_list import MIRROR_WARNING, LENGTHS_MIRROR_WARNING
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 from casadical.project.targets import recognised
@@ -113,7 +113,7 @@ def test_a_slip_of_the_positions_alone_is_repaired(slip, tmp_path, monkeypatch):
     assert main(monkeypatch, "check", folder, "--repair", "-q") == 0
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
     warned = [f.text for f in precheck(folder).of_level("warning") if f.topic == "units"]
-    assert warned == ([f"problem.toml turns the sign of y: {MIRRORED}"] if slip is mirrored else [])
+    assert warned == ([f"problem.toml turns the sign of y: {MIRROR_WARNING}"] if slip is mirrored else [])
 
 
 def test_a_robot_with_a_four_bar_is_repaired_of_one_slip(tmp_path: Path, monkeypatch, capfd) -> None:
@@ -229,7 +229,7 @@ def test_slips_of_a_table_of_lengths_are_found_and_repaired(tmp_path):
     found = precheck(arm)
     said = " ".join(f.text for f in found.findings if f.level == "error")
     assert "joint 2 counts the other way (turn the sign of q2); the zero of joint 4 is 90 deg off" in said
-    assert OF_LENGTHS in said
+    assert LENGTHS_MIRROR_WARNING in said
     assert "Rival" not in said
     repaired(found)
     assert calibrate(arm).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
