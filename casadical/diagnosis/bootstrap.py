@@ -1,8 +1,9 @@
-"""A p-value for "nothing": how often noise alone, through the same base model, would look as much like some cause.
+"""Parametric bootstrap p-value of "no cause": how often noise alone looks as much like one.
 
-Parametric bootstrap in the linearised form: noise of instrument and joints is drawn as the base model's own likelihood
-has it, freed of what the base parameters take up, and judged by the statistic that detects: the log odds of any cause,
-listed or not, against none. (Davison and Hinkley, Bootstrap Methods and their Application, 1997, ch. 4.)
+Noise of instrument and joints is drawn from the base model's own likelihood, projected on what the
+base parameters do not absorb, and evaluated by the detection statistic: the log odds of any cause,
+listed or not, against none (Davison and Hinkley, Bootstrap Methods and their Application, 1997, ch.
+4).
 """
 
 from collections.abc import Iterator
@@ -15,12 +16,17 @@ from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, RHO_GRID, Ev
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
+# Draws that are evaluated at once, which bounds memory.
 DRAWS_PER_BATCH = 500
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Columns of one setting of a cause: weight of its cause, eigenvalues and vectors of its columns at one rho."""
+    """Columns of one setting of a cause, decomposed at one repeatability ratio.
+
+    columns : indices, shape (k,); log_weight : log prior of the setting
+    value, vector : eigenvalues and eigenvectors of the columns' Gram matrix, shapes (k,) and (k, k)
+    """
 
     columns: Array
     log_weight: float
@@ -29,9 +35,10 @@ class Group:
 
 
 def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> float:
-    """Share of draws of noise alone whose odds of some cause are those of the data or higher, plus one draw's.
+    """Return the p-value: share of draws of pure noise with odds of a cause as high as the data's.
 
-    ranking : of the data, without any cause chosen; show : called with a line of progress
+    The data count as one more draw. ranking : of the data, without a cause in the model
+    draws : number of draws; show : called with a line of progress
     """
     ranking = ranking.among({c.label for c in case.candidates})
     seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
@@ -45,12 +52,12 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> 
 
 
 def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Log odds of any cause against none, of draws of noise alone, batch by batch."""
+    """Yield the log odds of any cause against none for draws of pure noise, batch by batch."""
     e = case.evidence
     share = np.exp(e.log_base() - np.logaddexp.reduce(e.log_base(), axis=None))
-    # Noise less probable than this, given the data, is not drawn and not summed over.
+    # Grid points of the noise with a posterior below 0.01 are not drawn and not summed over.
     rhos, sigmas = (np.flatnonzero(share.sum(axis=a) > 0.01) for a in (1, 0))
-    # A draw's own best sigma may lie one step aside.
+    # The most likely sigma of a draw may lie one grid step away.
     sigmas = np.arange(max(sigmas[0] - 1, 0), min(sigmas[-1] + 2, len(e.sigmas)))
     E = e.take(np.arange(e.width))
     projections = [e.projected(float(RHO_GRID[k])) for k in rhos]
@@ -67,7 +74,10 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
 
 
 def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
-    """Noise alone as columns, shape (n, 3, count) [m]; its size by chance as probable as the data make it."""
+    """Return draws of pure noise, shape (n, 3, count) [m].
+
+    share : posterior of the noise, shape (rhos, sigmas), from which its size is drawn
+    """
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHO_GRID[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
     white = rng.standard_normal((*e.r.shape, count))
@@ -77,7 +87,10 @@ def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator)
 
 
 def _groups(case: Case, white: Array) -> list[Group]:
-    """Every setting of every cause; the settings of a cause share its prior."""
+    """Return the decomposed columns of every variant of every candidate; variants share the prior.
+
+    white : columns of all candidates, white and orthogonal to the base model, shape (rows, columns)
+    """
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
     groups = []
     for (c, _), columns in zip(case.variants, case.groups, strict=True):
@@ -92,10 +105,12 @@ def _groups(case: Case, white: Array) -> list[Group]:
 def log_likelihoods(
     E: Array, Y: Array, groups: list[Group], sigma: Array, log_norm: float, numbers: float
 ) -> tuple[Array, Array]:
-    """Of each column of Y, shape (rows, draws): without any cause, and with some cause, shapes (draws,).
+    """Return the log likelihoods of each draw without and with a cause, shapes (draws,).
 
     E : columns of all candidates, white and orthogonal to the base model, shape (rows, columns)
-    log_norm : what does not depend on sigma or cause; numbers : how many tell of the noise
+    Y : draws, treated likewise, shape (rows, draws); sigma : grid of the noise, shape (sigmas,) [m]
+    log_norm : term that does not depend on sigma or cause; numbers : degrees of freedom of the
+        noise
     """
     base = log_norm - numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = E.T @ Y

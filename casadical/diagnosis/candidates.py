@@ -1,4 +1,4 @@
-"""The candidates: every listed effect, whole and per joint, with its settings on a grid; and the unknown."""
+"""Candidate causes: listed effects, whole and per joint, on a grid of settings; unlisted forms."""
 
 import re
 from collections.abc import Container, Iterable, Mapping, Sequence
@@ -17,9 +17,9 @@ from casadical.robot.robot import Robot
 class Candidate:
     """One possible cause.
 
-    label : name, or name@joint; name : word by which answers name it; joint : 1-based or None
-    variants : settings on a grid; each variant is one or more effects that act together
-    listed : False for the unknown
+    label : name, or name@joint; name : name of the effect in answers; joint : 1-based or None
+    variants : grid of settings; each variant is one or more effects that act together
+    listed : whether it may be named as a cause; False for unlisted forms
     """
 
     label: str
@@ -30,29 +30,33 @@ class Candidate:
 
     @property
     def together(self) -> bool:
-        """Whether it is an effect of several joints at once, each with a size of its own."""
+        """Return whether it is an effect of several joints at once, each with a size of its own."""
         return self.listed and len(_joints(self.variants[0])) > 1
 
     @property
     def covers(self) -> frozenset[str]:
-        """Names of effects that it holds; one of several joints holds each joint's."""
+        """Return the names of the effects that it includes; one of several joints has theirs."""
         first = self.variants[0][0]
         return first.covers | ({first.name} if self.together else frozenset())
 
 
 def standard_candidates(robot: Robot) -> list[Candidate]:
-    """Every effect of the standard list, for a robot; unlisted, the rarer effects and every form of the unknown."""
+    """Return the standard effects of a robot, with rarer effects and smooth forms as unlisted."""
     return [*_of_list("standard", robot), *_unlisted(robot), *_smooth(robot)]
 
 
 def extended_candidates(robot: Robot) -> list[Candidate]:
-    """The same and the rarer effects, many of which look like standard ones or like the base model."""
+    """Return the standard and extended effects of a robot, with smooth forms as unlisted.
+
+    Many effects of the extended list look like standard ones or like the base model.
+    """
     return [*_of_list("standard", robot), *_of_list("extended", robot), *_smooth(robot)]
 
 
 def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effect]]) -> list[Candidate]:
-    """Candidates of a choice of effects: "standard", "extended", or names, labels, own effects and their classes.
+    """Return the candidates of a choice of effects.
 
+    effects : "standard", "extended", or names, labels, own effects and their classes
     Raises InputError for a name that is no effect, and where the robot has all of them already.
     """
     chosen = [effects] if isinstance(effects, str) else list(effects)
@@ -61,7 +65,7 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
     standard = named(robot, [e for e in chosen if isinstance(e, str)], own_ones)
     if not robot.effects:
         return standard
-    # What the robot has already is held at its value.
+    # Parameters of effects that the robot has already are fixed.
     own = set(robot.parameters.names)
     new = {
         c.label: tuple(v for v in c.variants if own.isdisjoint([p.name for effect in v for p in effect.parameters()]))
@@ -76,10 +80,11 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
 def choose(
     candidates: Sequence[Candidate], m: Measurements, loads: Loads | None = None
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
-    """Those candidates (with those variants) whose columns were logged, and what is missing for the others.
+    """Return the candidates whose columns were logged, and what is missing for the others.
 
     loads : of the robot, see `derive`
-    Variants that stand for others where a column is missing are left out where it was logged (`Effect.only_without`).
+    Variants that replace others where a column is missing are left out if it was logged
+    (`Effect.only_without`).
     """
     _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions], loads)
     possible, without = [], {}
@@ -98,9 +103,11 @@ def choose(
 
 
 def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -> list[Candidate]:
-    """Candidates chosen by list (standard, extended), name (backlash) or label (backlash@5), and a user's own effects.
+    """Return candidates chosen by list (standard), name (backlash) or label (backlash@5).
 
-    Raises InputError for a name that is no effect, and for a user's own effect of joints that the robot has not.
+    extra : a user's own effects, which replace those of the lists with the same label
+    Raises InputError for a name that is no effect, and for a user's own effect of joints that the
+    robot has not.
     """
     standard = _of_list("standard", robot)
     extended = [*standard, *_of_list("extended", robot)]
@@ -115,18 +122,22 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
             known = ", ".join([*lists, *sorted({c.name for c in every})])
             raise InputError(f"no effect {name!r} of this robot; there are {known}; with a joint: backlash@5")
         chosen += hit
-    # An own effect stands for the list's one of the same label.
+    # A user's own effect replaces the listed one with the same label.
     unique = {c.label: c for c in reversed(chosen)}
     rivals = [c for c in _unlisted(robot) if "standard" in names and c.label not in unique]
     return [*unique.values()][::-1] + rivals + _smooth(robot)
 
 
 def _of_list(which: str, robot: Robot) -> list[Candidate]:
-    """Candidates of the effects on a list, in the order of the registry: those of neighbours there joint by joint."""
+    """Return the candidates of the effects on a list, in the order of the registry.
+
+    Neighbouring effects of single joints are ordered joint by joint.
+    """
     return _of_kinds([kind for kind in known_effects().values() if kind.on_list == which], robot)
 
 
 def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
+    """Return the candidates of some classes of effects, their variants gathered by label."""
     variants = [v for kind in kinds for v in kind.variants(robot)]
     runs = groupby(variants, key=lambda v: v[0].joint is None)
     by_label: dict[str, list[tuple[Effect, ...]]] = {}
@@ -148,9 +159,10 @@ def _joints(variant: tuple[Effect, ...]) -> set[int | None]:
 
 
 def _unlisted(robot: Robot) -> list[Candidate]:
-    """The rarer effects as rivals of the standard ones: what they explain better is unknown to the standard list.
+    """Return the rarer effects as unlisted rivals of the standard ones.
 
-    None with a setting that only a user can give.
+    If one of them explains the data better, the cause is unknown to the standard list. Effects with
+    a setting that only a user can give are left out.
     """
     return [
         replace(c, listed=False)
@@ -160,14 +172,16 @@ def _unlisted(robot: Robot) -> list[Candidate]:
 
 
 def _smooth(robot: Robot) -> list[Candidate]:
-    """Every form of the unknown."""
+    """Return the smooth forms that stand for an unknown cause."""
     return [replace(c, name="unknown", joint=None, listed=False) for c in _of_list("unknown", robot)]
 
 
 def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:
-    """Effect that cannot be judged -> columns to log for it, as a table names them.
+    """Return the columns to log, as a table names them, by label of the effect that lacks them.
 
-    missing : label -> conditions that are lacking, some of which are derived (see `derived_columns.derive`)
+    missing : label -> conditions that are lacking, some of which are derived (see
+        `derived_columns.derive`)
+    logged : names of the columns that were logged
     """
     warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
     made_of = {"progress": ("time_s",), "warmth": warmth, "heat": ("time_s",), "head": ("x_mm", "y_mm", "z_mm")}
@@ -180,7 +194,7 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
 
 
 def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Columns to log, as one word group -> the effects that lack them."""
+    """Return the effects that lack columns, by these columns as one phrase."""
     labels_of: dict[str, list[str]] = {}
     for label, columns in missing.items():
         labels_of.setdefault(" with ".join(columns), []).append(label)
@@ -188,7 +202,7 @@ def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
 
 
 def gathered(labels: Iterable[str]) -> str:
-    """Labels with the joints of each effect side by side: backlash@2,3, backlash, frame_drift."""
+    """Return labels as text with the joints of each effect together, as in "backlash@2,3"."""
     joints: dict[tuple[str, str], list[str]] = {}
     for label in map(str, labels):
         name, at, joint = label.partition("@")

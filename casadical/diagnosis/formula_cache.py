@@ -1,6 +1,7 @@
-"""What each effect does to the variables of the seams, at zero effect: a short formula, one for all its settings.
+"""Derivatives of the seam variables by the parameters of each effect, as formulas cached on disk.
 
-Those on the robots of one structure are kept in the user's cache: composing them takes a second.
+One formula, at zero effect, serves all settings of an effect. The formulas for robots of one
+structure are stored in the user's cache, because composing them takes a second.
 """
 
 from __future__ import annotations
@@ -29,13 +30,13 @@ from casadical.robot.kinematics import deflections, gravity_torques
 
 @lru_cache(maxsize=4096)
 def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """As `composed`; kept for other processes."""
+    """Return the formula of `composed` from the cache on disk where possible."""
     kept = cached_formulas(s)
     return kept.formula(template, settings) if kept.is_cacheable(template) else composed(s, template, settings)
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """The formula of an effect whose settings of these names are inputs; None where it must know their values."""
+    """Compose an effect's formula with these settings as inputs; None if it needs their values."""
     symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
     conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
     q, own, phi, constants = s.inputs
@@ -55,7 +56,10 @@ def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula |
 
 
 def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:
-    """Derivative of all seam variables by the effect's parameters at zero, shape (seams, parameters)."""
+    """Return the derivative of the seam variables by the effect's parameters.
+
+    It is taken at zero of the parameters.
+    """
     parameters = effect.parameters()
     theta = ca.SX.sym("theta", len(parameters))
     own = dict(zip((p.name for p in parameters), ca.vertsplit(theta), strict=True))
@@ -74,12 +78,15 @@ def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.S
 
 
 def _acts(effect: Effect, seam: str) -> bool:
-    """Whether the effect overrides a seam; composing what none does would cost a fifth of all formulas' time."""
+    """Return whether the effect's class overrides a seam.
+
+    Composing seams that it does not override would cost a fifth of all formulas' time.
+    """
     return getattr(type(effect), seam) is not getattr(Effect, seam)
 
 
 def screw(T: ca.SX) -> ca.SX:
-    """The six numbers of a transform near identity, to first order."""
+    """Return translation and rotation vector of a near-identity transform, shape (6,)."""
     T = ca.SX(T)
     turn = 0.5 * ca.vertcat(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])
     return ca.vertcat(T[:3, 3], turn)
@@ -89,8 +96,9 @@ def screw(T: ca.SX) -> ca.SX:
 class Part:
     """Effects that share a formula.
 
-    settings : values of each setting that is an input, one for each effect
-    starts : of each effect's columns; width : how many an effect has
+    formula : derivative of the seam variables by an effect's parameters
+    settings : values of each setting that is an input of the formula, shape (effects,) each
+    starts : first column of each effect, shape (effects,); width : number of columns of an effect
     """
 
     formula: Formula
@@ -101,7 +109,7 @@ class Part:
 
 @lru_cache(maxsize=32)
 def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
-    """How the columns of effects, one after the other, are made."""
+    """Return the formulas that make the columns of effects, grouped by common formula."""
     starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
     parts = []
     for (template, names), which in _templates(effects).items():
@@ -119,7 +127,10 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
 
 
 def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:
-    """Effects that differ only in settings which their conditions do not depend on, under their first one."""
+    """Return the indices of the effects by (template, names of settings).
+
+    Effects with one template differ only in settings on which their conditions do not depend.
+    """
     first: dict[Any, tuple[Effect, tuple[str, ...]]] = {}
     templates: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
     for k, effect in enumerate(effects):
@@ -133,16 +144,19 @@ def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]]
     return templates
 
 
+# Folder of the package, whose code is hashed.
 PACKAGE_FOLDER = Path(__file__).parents[1]
-# Rooms on whose code a formula depends.
+# Subpackages on whose code a formula depends.
 FORMULA_PACKAGES = ("core", "effects", "robot", "diagnosis")
 
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """The seam variables' derivative by one effect's parameters, its settings left open.
+    """Derivative of the seam variables by one effect's parameters, with its settings as inputs.
 
-    conditions : of the formula's input w, in order; rows, columns : seam and parameter of each nonzero
+    function : instructions that evaluate the nonzeros
+    conditions : logged columns in the order of the formula's input w
+    rows, columns : indices of seam variable and parameter of each nonzero, shape (nonzeros,)
     """
 
     function: SxInstructions
@@ -151,23 +165,24 @@ class Formula:
     columns: Array
 
     def as_data(self) -> list[Any]:
-        """Plain data."""
+        """Return the formula as data that JSON can store."""
         f = self.function
         function = [f.name, f.instructions, f.places, f.nonzeros]
         return [function, self.conditions, self.rows.tolist(), self.columns.tolist()]
 
     @classmethod
     def from_data(cls, data: list[Any]) -> Formula:
-        """What `as_data` gave."""
+        """Return the formula that `as_data` stored."""
         (name, steps, places, nonzeros), conditions, rows, columns = data
         function = SxInstructions(name, tuple(Instruction(*step) for step in steps), places, tuple(nonzeros))
         return cls(function, tuple(conditions), np.array(rows, dtype=np.int64), np.array(columns, dtype=np.int64))
 
 
 class FormulaCache:
-    """Formulas of one structure, read from one file and written to it; None is kept, too.
+    """Cache of the formulas of one structure in one file; None is cached, too.
 
-    The file's name holds the hash of the structure and of the code that composes formulas, so that it is never stale.
+    The file's name contains the hash of the structure and of the code that composes formulas, so
+    that it is never stale.
     """
 
     def __init__(self, s: Seams, code: str) -> None:
@@ -180,18 +195,22 @@ class FormulaCache:
         if self.path is not None:
             with suppress(OSError, ValueError):
                 digest, _, text = read_text(self.path, MAX_JSON_BYTES).partition("\n")
-                if digest == hashlib.sha256(text.encode()).hexdigest():  # else it was damaged, and is made again
+                # A damaged file is made again.
+                if digest == hashlib.sha256(text.encode()).hexdigest():
                     self._known = json.loads(text)
 
     def is_cacheable(self, template: Effect) -> bool:
-        """Whether formulas of an effect are kept: of those on a list, of the package's own code, with usual sizes."""
+        """Return whether formulas of an effect are cached.
+
+        They are for effects of the package's own code that are on a list and have the usual sizes.
+        """
         own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
         if not (own and template.on_list):
             return False
         return not template.parts or template in type(template).candidates(self._seams.exact.arm)
 
     def formula(self, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-        """As `composed`, from what is kept where it is."""
+        """Return the formula of `composed`, which is composed only if it is not cached."""
         key = repr((template, settings))
         if key not in self._known:
             made = composed(self._seams, template, settings)
@@ -200,7 +219,7 @@ class FormulaCache:
         return data and Formula.from_data(data)
 
     def write(self) -> None:
-        """Write the file if there are new ones; it appears whole or not at all."""
+        """Write the file if there are new formulas; the write is atomic."""
         if not self._new or self.path is None:
             return
         self._new = False
@@ -211,13 +230,13 @@ class FormulaCache:
 
 @lru_cache(maxsize=16)
 def cached_formulas(s: Seams) -> FormulaCache:
-    """Those of one structure, by the code that runs."""
+    """Return the cache of one structure's formulas for the code that runs."""
     return FormulaCache(s, code_hash(PACKAGE_FOLDER))
 
 
 @lru_cache(maxsize=1)
 def code_hash(package: Path) -> str:
-    """Hash of a package's code that composes formulas."""
+    """Return the hash of a package's code that composes formulas; package : its folder."""
     files = sorted(
         path for room in FORMULA_PACKAGES for kind in ("*.py", "*.toml") for path in (package / room).rglob(kind)
     )

@@ -1,6 +1,4 @@
-"""Columns of instruments, for effects in them: known far ends of distances, and where what cameras see lies in their
-image, made of measured full poses.
-"""
+"""Derived columns for effects of instruments: distance anchors and camera images."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,11 +17,12 @@ from casadical.measurements.measurements import Measurements
 def with_far_ends(
     m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
 ) -> Measurements:
-    """The table of all sets with columns of the instruments that read distances, where there are some.
+    """Return the joint table with columns of the distance instruments, if there are any.
 
-    far_x_m .. : the known far end, or where the base fit has it (see `Identification.unknown_points`); wire1 .. : 1
-    where the first such instrument read, else 0. Far ends of one table are those of one instrument each, up to WIRES.
-    Of further rows at a stop they are further columns (see `linearisation.condition_of_reading`).
+    far_x_m .. : anchor in the measuring frame, given or as estimated by the base fit (see
+    `Identification.unknown_points`); wire1 .. : 1 where the first such instrument was read, else 0.
+    Each distinct anchor of a table counts as one instrument, up to WIRES in all. Additional rows at
+    a stop have columns of their own (see `linearisation.condition_of_reading`).
     """
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
@@ -42,7 +41,10 @@ def with_far_ends(
 
 
 def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
-    """The table with columns of rows, shape (rows,), those of further rows at a stop with names of their own."""
+    """Return the joint table with columns that are given by row.
+
+    of_row : values by name, shape (rows,) each; additional rows at a stop get names of their own
+    """
     columns = dict(m.conditions)
     for turn in range(stops.most):
         own = np.flatnonzero(stops.turn == turn)
@@ -53,7 +55,7 @@ def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Meas
 
 
 def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
-    """The table of all sets with the columns that effects of cameras need, where orientations were measured."""
+    """Return the joint table with columns for effects of cameras, if orientations exist."""
     if not any(part.orientation is not None for part in sets):
         return m
     names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]
@@ -66,15 +68,17 @@ def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> 
 
 
 def images_of(p: Array, R: Array) -> Mapping[str, Array]:
-    """Of measured positions, shape (n, 3) [m], and orientations, shape (n, 3, 3).
+    """Return displacements by depth and radial errors of cameras, shape (n,) each, by name.
 
-    A fixed camera has its lens where the measuring frame is, one that is carried where the tool frame is and sees the
-    measuring frame's origin. What a fault adds is moved in the measuring frame.
+    p, R : measured position and orientation of the tool in the measuring frame, shapes (n, 3) [m]
+        and (n, 3, 3)
+    A fixed camera has its lens at the measuring frame; a carried one has it at the tool frame and
+    sees the measuring frame's origin. Displacements are in the measuring frame.
     """
     seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
     images: dict[str, Array] = {}
     for side, (c, turn) in seen.items():
-        # A slope against the lens's axis beyond which nothing is in an image.
+        # The slope against the lens's axis is limited to 2, beyond which no point is in an image.
         slope = np.minimum(np.hypot(c[:, 0], c[:, 1]) / np.maximum(np.abs(c[:, 2]), 1e-9), 2.0)
         parts = {"depth": c * [0, 0, 1], "radial": c * [1, 1, 0] * (slope**2)[:, None]}
         for what, part in parts.items():

@@ -1,4 +1,4 @@
-"""The robot with its causes: base model and causes identified together by Ipopt, from the data of the evidence."""
+"""Nonlinear refit: base model and causes identified together by Ipopt."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -19,14 +19,14 @@ from casadical.measurements.measurements import Measurements, Noise
 
 
 def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None = None) -> Identification:
-    """Base model and effects identified together: the evidence's model without its linearisation.
+    """Return the identification of base model and effects together, without linearisation.
 
-    The data, their noise and the priors are the evidence's: positions of the poses that are no outliers, the sigma
-    that the diagnosis found, base parameters that depart from the robot that was given. It starts from the base model
-    calibrated on all poses, whichever are used: what loads a joint shows nothing while the joint's compliance is zero,
-    and the optimum does not depend on the start.
-    effects : with their settings (knee, lag, cycles), which stay; their parameters are free
-    use : mask over the kept poses of those to identify from, all by default
+    Data, noise and priors are those of the case's linear model: inlier poses, the noise that the
+    diagnosis found, priors of the base parameters centred at the given robot. It starts from the
+    base model calibrated on all poses, whichever are used: loads on a joint are unobservable while
+    its compliance is zero, and the optimum does not depend on the start.
+    effects : with fixed settings (knee, lag, cycles) and free parameters
+    use : mask over the inlier poses of those to identify from, all by default
     """
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else chosen_of(sets, use[case.rows])
@@ -35,9 +35,10 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
 
 
 def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, float]]:
-    """Mean and one sigma of the evidence's prior of each base parameter, and of effects that are larger than usual.
+    """Return mean and standard deviation of the prior of each parameter by name [SI].
 
-    The base frame stays where it was placed, and the tool as it was turned.
+    They cover base parameters, except placement of the base and rotation of the tool, and effects
+    whose sizes exceed the usual ones.
     """
     base = case.given.parameters
     each = zip(base.names, base.values.tolist(), case.base.prior[: len(base.names)].tolist(), strict=True)
@@ -54,16 +55,16 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
 
 
 def chosen_of(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
-    """Those rows of the sets that a mask over all of them chooses; sets without any are left out."""
+    """Return the sets' rows in a mask over all rows; sets without any are left out."""
     parts = [(m, use[at]) for m, at in zip(sets, edges_of(sets), strict=True)]
     return tuple(m[own] for m, own in parts if own.any())
 
 
 def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> tuple[Measurements, ...]:
-    """Kept poses, of positions with every column that the effects need, and the noise that was found.
+    """Return the inlier rows with the columns that the effects need and the estimated noise.
 
-    Instrument and joint repeatability together are a covariance at each pose of positions; of other kinds, the sigmas
-    of the sets have the mean of both.
+    For positions, instrument and joint repeatability together make a covariance at each pose; for
+    other kinds each set's sigma is the mean of both.
     """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions], case.robot.loads)
     seen = case.observations
@@ -75,9 +76,9 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
 
 
 def left_by(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
-    """Error of each row that a mask over all sets chooses, shape (k,) [m], as the identification has it.
+    """Return the error of each row in a mask over all sets under an identification, shape (k,) [m].
 
-    A point that it identified too is where it has it, not where these poses would have it.
+    Unknown points are at the identification's estimates, not refitted to these rows.
     """
     where = found.unknown_points
     parts = [(k, m[test[at]]) for k, (m, at) in enumerate(zip(sets, edges_of(sets), strict=True)) if test[at].any()]
@@ -85,7 +86,7 @@ def left_by(found: Identification, sets: Sequence[Measurements], test: Array) ->
 
 
 def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
-    """What is left of each row's lengths, as the evidence counts them."""
+    """Return the norm of each row's length residuals, shape (n,) [m]; k : index of the set."""
     kind = find_kind(m.kind)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
     points = np.array([where[name] for name in names]).reshape(-1, 3)
@@ -95,7 +96,7 @@ def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Ar
 
 
 def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:
-    """The sets with the noise that was found."""
+    """Return the sets with their sigmas set to the estimated noise."""
     seen = case.observations
     square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
     given = []

@@ -1,6 +1,6 @@
-"""The model at its seams: derivatives by every variable at which an effect may enter it.
+"""Derivatives of the model at its seams, the insertion points at which an effect may enter it.
 
-They are those of the position, or of what another kind of measurement observes, by that kind's own residual.
+They are derivatives of the measured position, or of the residual of another kind of measurement.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ from casadical.robot.kinematics import gravity_torques
 from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
 
-# Poses that are evaluated in one call.
+# Number of poses that are evaluated in one call.
 POSES_PER_CALL = 512
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class _Probe(Effect):
-    """An effect with every variable of every seam as a parameter."""
+    """Probe effect whose parameters are all variables of all seams."""
 
     name: ClassVar[str] = "probe"
 
@@ -61,11 +61,14 @@ class _Probe(Effect):
 
 @dataclass(frozen=True, eq=False)
 class Seams:
-    """Robots of one structure at their seams, nothing under judgement in them.
+    """Derivatives at the seams of robots of one structure, without candidate effects.
 
-    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen), the last what effects look at, one number each
-    exact : a context of the model's own expressions; free : the same with `seen` as symbols
-    key : of the structure, in words; inputs : q, w, phi and the constants; point : the measured one, as a symbol
+    key : identifies the structure, in words
+    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen); seen are the numbers that
+        effects depend on
+    exact : context of the model's own expressions; free : the same with `seen` as symbols
+    inputs : symbols q, w, phi and constants; seen : symbols of what effects depend on
+    point : the measured point among these, in the measuring frame
     """
 
     key: str
@@ -78,17 +81,19 @@ class Seams:
 
 
 def seams_of(robot: Robot) -> Seams:
-    """The seams of a robot, composed once for all robots of its structure."""
+    """Return the derivatives at a robot's seams, composed once for all robots of its structure."""
     return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
 
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """One kind of measurement at the seams of robots of one structure.
+    """Residual and derivatives of one kind of measurement at the seams of robots of one structure.
 
-    function : (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end], U[numbers, 3 or 0], seen
-        and q of each end); r is model less measurement, U its derivative by the unknown point
-    data : names of what is observed, in their order; ends : how many poses a measurement is between, one or two
+    function : (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end],
+        U[numbers, 3 or 0], seen and q of each end); r is model minus measurement, U its derivative
+        by the unknown point
+    data : names of the observed quantities in the order of the function's data
+    ends : number of poses that a measurement involves, one or two
     """
 
     function: ca.Function
@@ -97,32 +102,33 @@ class Observed:
 
 
 def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> Observed:
-    """A kind of measurement at the seams of a robot; point : whether its far end is an unknown point."""
+    """Return a kind of measurement at the seams; point : whether its target is unknown."""
     return _observed(robot.with_effect(_Probe(robot)).structure, len(robot.parameters), kind, point)
 
 
 def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *data: Array) -> list[Array]:
-    """Outputs of a function of seams at poses, shape (n, rows, columns) each, some poses at a time.
+    """Return the outputs of a function at all poses, shape (n, rows, columns) each.
 
-    q, w, data : shape (n, numbers) each; shared : parameters and constants, alike at all poses
+    q, w, data : shape (n, numbers) each; shared : parameters and constants, equal at all poses
     """
     parts = []
     for first in range(0, len(q), POSES_PER_CALL):
         own, conditions, *rest = (values[first : first + POSES_PER_CALL].T for values in (q, w, *data))
         outputs, n = call(_mapped(f, own.shape[1]), own, conditions, *shared, *rest), own.shape[1]
         parts.append([out.reshape(len(out), n, out.shape[1] // n).transpose(1, 0, 2) for out in outputs])
-    # Pose by pose in memory.
+    # The results are contiguous in memory pose by pose.
     return [np.concatenate(some, out=np.empty((len(q), *some[0].shape[1:]))) for some in zip(*parts, strict=True)]
 
 
 @lru_cache(maxsize=128)
 def _mapped(f: ca.Function, n: int) -> ca.Function:
-    """A function of seams over n poses, parameters and constants shared."""
+    """Return a function mapped over n poses, with shared parameters and constants."""
     return f.map("poses", "serial", n, [2, 3], [])
 
 
 @lru_cache(maxsize=16)
 def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bool) -> Observed:
+    """Compose a kind's residual and derivatives; count : number of base parameters."""
     model, own = expressions(structure), _seams(structure, count)
     phi, probes = model.phi[:count], model.phi.numel() - count
     position = model.function("p", "R")
@@ -151,12 +157,15 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
 
 @lru_cache(maxsize=16)
 def _seams(structure: Structure, count: int) -> Seams:
-    """Derivatives of the position by the first `count` parameters and by every seam's variables, at zero of these."""
+    """Compose the position's derivatives by the first `count` parameters and by the seam variables.
+
+    They are taken at zero of the seam variables.
+    """
     model, arm = expressions(structure), structure.arm
     phi, seams = model.phi[:count], model.phi[count:]
     zero = ca.SX.zeros(seams.numel())
     parts = ca.substitute([model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)], [seams], [zero])
-    # At its own parameters the loads are those of the robot as it is.
+    # The loads are those at the robot's own parameters.
     point, J, S = ca.substitute(parts, [model.loaded], [ca.vertcat(phi, zero)])
     conditions = dict(zip(structure.conditions, ca.vertsplit(model.w) if structure.conditions else [], strict=True))
     values = dict(zip(structure.parameters.names[:count], ca.vertsplit(phi), strict=True))

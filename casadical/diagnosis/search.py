@@ -207,7 +207,7 @@ class State:
         return replace(self, case=screened)
 
     def revisited(self) -> State:
-        """Return the state with each cause replaced if another is more probable given the others."""
+        """Return the state with each cause replaced where another one is more probable."""
         state = self
         for k in range(len(self.steps) if len(self.steps) > 1 else 0):
             others = (*state.steps[:k], *state.steps[k + 1 :])

@@ -1,7 +1,8 @@
-"""The unknown described: its most probable forms in the model, and how far the gap shrinks with them.
+"""Description of an unlisted cause by its most probable smooth forms, with the gap left.
 
-A form on no list (any function of a joint's own angle, smooth in time, ...) names no cause, nor does a listed effect
-beside it. Together they are a description all the same, and where it predicts poses held out it can be corrected.
+An unlisted form (any function of a joint's own angle, smooth in time, ...) names no cause, nor does
+a listed effect in addition to it. Together they still describe the error; where the description
+predicts held-out poses, it can be corrected.
 """
 
 import numpy as np
@@ -12,18 +13,20 @@ from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
+# Largest number of forms in a description.
 MAX_SMOOTH_FORMS = 4
 
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
-    """What the rest is most like, and the gap with that in the model; None unless the verdict is unknown.
+    """Return the forms that best describe the remaining error, and the gap with them, or None.
 
-    Forms are added one by one, the first of them on no list, each compared again with the others; None without one.
+    There is a description only if the verdict is unknown and the most probable form is unlisted.
+    Forms are added one by one; each is then compared again given the others.
     """
     if found.verdict != "unknown":
         return None
     case, seed = found.case, found.seed
-    # Of a cause at several joints each joint's effect is in the model, too.
+    # Effects at single joints of a cause at several joints are in the model, too.
     named = frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
     by_label = {c.label: c for c in case.candidates}
     ranking = found.rankings[-1].among(by_label)

@@ -274,7 +274,7 @@ class _WhitenedResidual:
 
     @cached_property
     def _frames(self) -> Mapping[str, Array]:
-        """Return the axes of each frame as columns, shape (n, numbers, 3); empty without positions."""
+        """Return each frame's axes as columns, shape (n, numbers, 3); none without positions."""
         if self.case.vectors is None:
             return {}
         p, n = self.case.positions[self.at], len(self.at)
@@ -304,7 +304,7 @@ class _WhitenedResidual:
 
 
 def _nearest(q: Array) -> Array:
-    """Return the index of the row nearest to each row, shape (n,); the first of equally near ones."""
+    """Return the index of the row nearest to each row, shape (n,); the first among equals."""
     square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
     for first in range(0, len(q), ROWS_PER_BLOCK):
         some = slice(first, first + ROWS_PER_BLOCK)
