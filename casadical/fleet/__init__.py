@@ -1,1 +1,1 @@
-"""Many campaigns and many robots: what changed since last time, and what robots of one type share."""
+"""Changes of robots between campaigns, and what the robots of a fleet have in common."""

@@ -1,4 +1,7 @@
-"""Campaigns of one robot as they lie in files: robot files, results, problem folders, tables; and their order."""
+"""Campaigns of one robot in files, and their order in time.
+
+A campaign is a robot file, a folder of results, a problem folder or a table of measurements.
+"""
 
 import os
 import re
@@ -24,11 +27,13 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03; 1970 is that of a clock that was never set.
+# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03. 1970 comes from a clock that was not
+# set.
 _DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
-# Folder of a problem's later campaigns.
-CAMPAIGNS = "campaigns"
-EPOCH = date(1970, 1, 1).toordinal()
+# Name of the folder of a problem's later campaigns.
+CAMPAIGNS_FOLDER = "campaigns"
+# Ordinal number of 1970-01-01, from which days are counted [d].
+EPOCH_ORDINAL = date(1970, 1, 1).toordinal()
 Item = TypeVar("Item")
 
 
@@ -40,7 +45,9 @@ def compare_files(
     same_frame: bool = False,
     show: Show = silent,
 ) -> Comparison:
-    """What changed in a robot over campaigns in files, in the order of their days or else as they are given.
+    """Return what changed in a robot between campaigns in files.
+
+    They are ordered by their dates, or else as they are given.
 
     paths : robot files with a covariance, folders of results, problem folders, or tables of measurements; or one
         problem folder, whose later campaigns are the tables in its folder `campaigns`
@@ -57,7 +64,7 @@ def compare_files(
     False
     """
     files, begun, day = [Path(path) for path in paths], None, None
-    if len(files) == 1 and (files[0] / CAMPAIGNS).is_dir():
+    if len(files) == 1 and (files[0] / CAMPAIGNS_FOLDER).is_dir():
         begun = files[0]
         later, day = later_tables(begun)
         files = [begun, *later]
@@ -71,7 +78,9 @@ def compare_files(
         raise errors[0][1]
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(usable) < 2:
-        where = "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS}."
+        where = (
+            "; ".join(faults) or f"Give more, or a problem folder with later tables in its folder {CAMPAIGNS_FOLDER}."
+        )
         raise InputError(f"{len(usable)} of {len(files)} campaigns can be used; two are needed. {where}")
     if day is not None and isinstance(estimates[0], Estimate):
         usable[0] = replace(usable[0], day=day)
@@ -79,14 +88,14 @@ def compare_files(
     show("what changed")
     notes = (*faults, *said, *other_regions(ordered))
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
-    told_by = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
-    last = told_by[ordered[-1].label]
+    path_of = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
+    last = path_of[ordered[-1].label]
     own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()
     return replace(compared, name=name_of(files, begun or robot), sources=own)
 
 
 def _understood_by(files: Sequence[Path]) -> Path | None:
-    """The problem folder or robot file among campaigns by which their tables are understood."""
+    """Return the problem folder or robot file, among campaigns, by which their tables are read."""
     for path in files:
         if path.suffix in (".toml", ".urdf") or (path / "problem.toml").exists():
             return path
@@ -96,9 +105,12 @@ def _understood_by(files: Sequence[Path]) -> Path | None:
 
 
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:
-    """Tables in a problem's folder `campaigns`, and the day of the problem's own where a copy of that is among them."""
+    """Return the tables in a problem's folder `campaigns`, and the day of the problem's own table.
+
+    The day is that of a copy of the own table in the folder; None if there is none.
+    """
     own = {read_bytes(table) for table in own_tables(folder)}
-    tables = sorted((folder / CAMPAIGNS).glob("*.csv"))
+    tables = sorted((folder / CAMPAIGNS_FOLDER).glob("*.csv"))
     copies = [path for path in tables if path.is_file() and read_bytes(path) in own]
     return [path for path in tables if path not in copies], next((day_of(path) for path in reversed(copies)), None)
 
@@ -106,7 +118,10 @@ def later_tables(folder: Path) -> tuple[list[Path], float | None]:
 def estimates_of(
     paths: Sequence[Path], robot: str | Path | None = None, show: Show = silent
 ) -> list[Estimate | CasadicalError]:
-    """What each campaign in files tells, or why it cannot be used; robot : by which tables are understood."""
+    """Return the estimate of each campaign, or the error because of which it cannot be used.
+
+    robot : problem folder or robot file by which tables are read
+    """
     estimates: list[Estimate | CasadicalError] = []
     for k, path in enumerate(paths, 1):
         show(f"campaign {k} of {len(paths)}")
@@ -122,9 +137,12 @@ def estimates_of(
 
 
 def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
-    """How its user calls a robot: the folder that all campaigns lie in, or that of the problem; empty: not known."""
+    """Return the user's name of a robot: that of its folder of campaigns or of its problem.
+
+    It is empty if neither is known.
+    """
     folder = Path(os.path.commonpath([(p if p.is_dir() else p.parent).resolve() for p in paths]))
-    folder = folder.parent if folder.name == CAMPAIGNS else folder
+    folder = folder.parent if folder.name == CAMPAIGNS_FOLDER else folder
     if robot is None:
         return folder.name
     problem = Path(robot).resolve()
@@ -133,7 +151,11 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
 
 
 def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot | None = None) -> Estimate:
-    """What one campaign tells; known : robot of another one, which has the targets. Raises CasadicalError."""
+    """Return the estimate of one campaign. Raises CasadicalError.
+
+    robot : problem folder or robot file by which tables are read
+    known : robot of another campaign, whose targets are used
+    """
     if not path.exists():
         raise missing(path, "file or folder")
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
@@ -161,14 +183,17 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
-    """Says which campaigns cover other regions of the joints than the first one: their models' errors differ."""
+    """Return a sentence on campaigns that cover other joint ranges than the first one, or nothing.
+
+    Where the ranges differ, errors of the model differ too and may look like a change.
+    """
     said, first = [], campaigns[0]
     for other in campaigns[1:]:
         if first.readings is None or other.readings is None:
             continue
         (a, b), (c, d) = first.readings.T, other.readings.T
         shared = (np.minimum(b, d) - np.maximum(a, c)) / np.maximum(np.maximum(b, d) - np.minimum(a, c), 1e-9)
-        # Ranges of a joint in two campaigns are other regions where they share less.
+        # A joint's range counts as another one if less than half of it is shared.
         if few := [f"joint {j + 1}" for j in np.flatnonzero(shared < 0.5)]:
             said.append(f"{other.label} ({', '.join(few)})")
     if not said:
@@ -181,16 +206,19 @@ def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
 
 
 def day_of(path: Path) -> float | None:
-    """Days since 1970 by a date in the name of a file, or of its folder; None where there is none."""
+    """Return the date in a file's or its folder's name, in days since 1970; None without one."""
     for name in (path.name, path.parent.name):
         for year, month, day in _DATE.findall(name):
             with suppress(ValueError):
-                return float(date(int(year), int(month), int(day or 1)).toordinal() - EPOCH)
+                return float(date(int(year), int(month), int(day or 1)).toordinal() - EPOCH_ORDINAL)
     return None
 
 
 def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
-    """Campaigns by their days, or as given, and what is odd; begun : whether the first is the earliest."""
+    """Return campaigns ordered by their days, or as given, and sentences on what is unusual.
+
+    begun : whether the first one is known to be the earliest
+    """
 
     def same(a: Estimate, b: Estimate) -> bool:
         return np.array_equal(a.values, b.values) and np.array_equal(a.information, b.information)
@@ -229,15 +257,14 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
     if twice:
         said.append(f"two campaigns of one day, both used: {', '.join(twice)}")
     for (a, b), step in zip(pairwise(ordered), steps, strict=True):
-        # Two campaigns so many days apart have a wrong date, more likely than that nothing was
-        # measured in between.
+        # Two campaigns more than three years [d] apart more likely have a wrong date than a pause.
         if step > 1100.0:
             said.append(
                 f"{b.label} is {step / 365.25:.1f} years after {a.label}, by their names: if a clock was wrong, rename "
                 "the file; drifts are counted in these years"
             )
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    # Between two campaigns some are missing where the gap is so many times the usual one.
+    # Campaigns seem to be missing where a gap is so many times the median one.
     far = (step > 1.75 * usual > 0 for step in steps)
     gaps = [(a.label, b.label) for (a, b), gap in zip(pairwise(ordered), far, strict=True) if gap]
     if len(ordered) > 3 and gaps:
@@ -249,7 +276,7 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
 def without_copies(
     items: Iterable[Item], same: Callable[[Item, Item], bool]
 ) -> tuple[list[Item], list[tuple[Item, Item]]]:
-    """The first of all that are the same, and each further one with the one that it is a copy of."""
+    """Return the items without copies, and each copy with the item that it repeats."""
     kept: list[Item] = []
     copies: list[tuple[Item, Item]] = []
     for item in items:

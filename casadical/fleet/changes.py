@@ -1,4 +1,4 @@
-"""What a comparison of campaigns found, and its words, tables and plain data."""
+"""Result of a comparison of campaigns: the changes found, and their words, tables and figures."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -15,51 +15,66 @@ from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.plain import WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
 from casadical.fleet.estimates import Estimate
-from casadical.fleet.evidence import ROBOT, Candidate, Course
+from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
-# A change is said to be there where the data are so many times more probable with one; by chance that happens once in
-# so many lives at most.
-SURE = 100.0
-# Of another robot those parameters are counted that differ by more than so many standard errors.
-CLEAR = 3
-HOW: dict[Course, str] = {
+# A change is reported if the data are so many times more probable with one. For a robot that does
+# not change this happens with a probability of 1/100 at most over its whole life (Ville 1939).
+MIN_ODDS_OF_CHANGE = 100.0
+# A parameter of another robot counts as different from so many standard errors on.
+MIN_CLEAR_SIGMAS = 3
+# Words for each course of a change, followed by the campaign.
+COURSE_WORDS: dict[Course, str] = {
     "jump": "a jump since",
     "drift": "a drift that shows since",
     "season": "comes again every year since",
     "once": "only in",
 }
-AXES = {
+# Titles of the axis of a change's size, by the kind of its cause.
+AXIS_TITLES = {
     "joint_zero": "zero of joint {joint}",
     "joint_stiffness": "compliance of joint {joint}",
     "lengths": "all lengths",
 }
-_COURSE = (
+_COURSE_CAPTION = (
     "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
     "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
 )
-_LEFT = "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
-# So many rivals and parameters are shown of a change.
-RIVALS, AMOUNTS = 4, 8
-# What a campaign leaves may differ so many times from day to day; more is named, by chance in so many cases at most.
-USUAL, ALARMS = 1.2, 0.01
-# Share of the reach that no calibrated robot is off by.
-GAP = 0.003
-UNKNOWN = "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
-# Degrees of freedom from which on a campaign tells its own noise.
-FEWEST = 6
-# Rivals below this probability are not shown.
-SMALL = 0.005
-# Data are said to be so many times more probable, as a power of ten, at most.
-MOST = 100
-_SEEN = ("cause", "size", "unit")
-# In place of a size, see `casadical.fleet.comparison._seen_from`.
-NOT_SEEN = "not below 30 times its usual size"
+_RESIDUALS_CAPTION = (
+    "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
+)
+# Number of possible causes in the table of a change.
+MAX_RIVALS_SHOWN = 4
+# Number of parameters in the table of a change.
+MAX_AMOUNTS_SHOWN = 8
+# Ratio by which residuals of campaigns differ from day to day without a cause.
+MAX_USUAL_RATIO = 1.2
+# Probability that a greater ratio is reported by chance, over all campaigns together.
+FALSE_ALARM_PROBABILITY = 0.01
+# Residual sigma of a coordinate, as a share of the reach, that no calibrated robot exceeds.
+MAX_SIGMA_OF_REACH = 0.003
+NO_KNOWN_CAUSE = (
+    "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
+)
+# A campaign with fewer degrees of freedom does not determine its own noise.
+MIN_DEGREES_OF_FREEDOM = 6
+# Possible causes below this probability are not shown.
+MIN_PROBABILITY_SHOWN = 0.005
+# Odds above this power of ten are reported as "more than" it.
+MAX_ODDS_EXPONENT = 100
+# JSON keys of the smallest change of each cause that would be detected.
+_DETECTABLE_KEYS = ("cause", "size", "unit")
+# Text for a size that is not detectable (see `casadical.fleet.comparison._detectable_sizes`).
+NOT_DETECTABLE = "not below 30 times its usual size"
 
 
 @dataclass(frozen=True, eq=False)
 class Amount:
-    """How far one parameter moved, with its standard error; of a drift, in a year or in 12 campaigns [unit]."""
+    """Change of one parameter, with its standard error; for a drift, per year or per 12 campaigns.
+
+    name : of the parameter
+    value, std_error : in `unit`
+    """
 
     name: str = field(metadata=written("parameter"))
     value: float = field(metadata=written("change"))
@@ -69,7 +84,13 @@ class Amount:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """One cause that explains a change, as joint_zero@2: its most probable course, first campaign and probability."""
+    """One possible cause of a change.
+
+    label : of the cause, such as joint_zero@2
+    course : its most probable course
+    since : first campaign that shows it, from 0
+    probability : of the cause
+    """
 
     label: str = field(metadata=written("cause"))
     course: Course = field(metadata=WRITTEN)
@@ -79,14 +100,18 @@ class Rival:
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change between campaigns; cause, course : the most probable ones.
+    """One change between campaigns.
 
-    since : first campaign that shows it, from 0; between : those at which it may have begun, with 95 % probability
-    probability : of the cause, if something changed; p_course : of the course, given the cause
-    log_odds : of the data with some change against none
-    rivals : causes in the order of their probability, the first one included; amounts : how far each parameter moved
-    course_of : Array, shape (n, 2): what each campaign alone says of the size, in units of the whole change, with
-        standard error
+    cause, course : the most probable ones
+    since : first campaign that shows it, from 0
+    between : campaigns between which it began, with 95 % probability
+    probability : of the cause, given that something changed
+    p_course : of the course, given the cause
+    log_odds : natural logarithm of the odds of some change against none
+    rivals : possible causes in the order of their probability, the first one included
+    amounts : change of each parameter
+    course_of : size in each campaign alone, as a share of the whole change, with standard error,
+        shape (n, 2)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("cause", "cause.label"), Key("named"), Key("words"))
@@ -104,18 +129,20 @@ class Change:
 
     @property
     def words(self) -> str:
-        """What it means, with its likely cause."""
-        return MEANT[self.course][self.cause.kind].format(joint=self.cause.joint, label=self.cause.effect)
+        """The technical meaning of the change, in words."""
+        return MEANINGS[self.course][self.cause.kind].format(joint=self.cause.joint, label=self.cause.effect)
 
     @property
     def main(self) -> int:
-        """Place of the parameter in `amounts` that moved most surely, of a season in its first wave."""
+        """Index of the parameter in `amounts` with the greatest ratio of change to standard error.
+
+        For a season it is taken from the first wave.
+        """
         return best_of(range(len(self.cause.sizes)), lambda k: _sureness(self.amounts[k]))
 
     @property
     def named(self) -> bool:
-        """Whether the data distinguish this cause from all others."""
-        # One cause is named where it is so probable among all.
+        """Whether the data distinguish this cause from all others (probability 0.95 or more)."""
         return self.probability >= 0.95
 
 
@@ -124,11 +151,11 @@ class Comparison(Result):
     """Several campaigns of one robot, and what changed between them.
 
     campaigns : in the order of time
-    names : parameters that they share
-    changes : what changed, the surest first
-    log_odds : how much more probable the data are with one change more than with these; of the first change if there is
-        none
-    seen_from : (cause, size, unit): what a change between the last two campaigns would have to be to be seen
+    names : parameters that all campaigns determine and that may change
+    changes : what changed, in the order in which the changes were found
+    log_odds : natural logarithm of the odds of one change more than these
+    seen_from : (cause, size, unit): smallest change between the last two campaigns that would be
+        detected
     placements : (what, how) of base and tool, which were fitted again
     notes : what was assumed of the campaigns
     name : of the robot as its user knows it; empty: that of its type
@@ -155,10 +182,10 @@ class Comparison(Result):
         Key("changed"),
         Key("unexplained"),
         Key("next", "commands"),
-        Key("sure_from_log_odds", lambda _: np.log(SURE), digits=3),
+        Key("sure_from_log_odds", lambda _: np.log(MIN_ODDS_OF_CHANGE), digits=3),
         Key("changes", lambda found: [_as_plain(c, [e.label for e in found.campaigns]) for c in found.changes]),
         Key("placements", lambda found: dict(found.placements)),
-        Key("seen_from", lambda found: [dict(zip(_SEEN, row, strict=True)) for row in found.seen_from]),
+        Key("seen_from", lambda found: [dict(zip(_DETECTABLE_KEYS, row, strict=True)) for row in found.seen_from]),
     )
 
     campaigns: tuple[Estimate, ...] = field(metadata=WRITTEN)
@@ -173,22 +200,25 @@ class Comparison(Result):
 
     @property
     def changed(self) -> bool:
-        """Whether anything changed that has a name."""
+        """Whether any change was found."""
         return bool(self.changes)
 
     @property
     def unexplained(self) -> tuple[str, ...]:
-        """Sentences of campaigns that leave more than the others, or than any calibrated robot does, or too little."""
+        """Sentences on campaigns whose residuals are unusual, or whose poses are too few.
+
+        Residuals are unusual if they exceed those of the others, or those of any calibrated robot.
+        """
         left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
         said = []
         for k, (c, sigma, freedom) in enumerate(left):
             others = [(s, f) for _, s, f in left[:k] + left[k + 1 :]]
-            if sigma > GAP * c.robot.reach:
+            if sigma > MAX_SIGMA_OF_REACH * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {UNKNOWN}")
-            elif usual := leaves_more((sigma, freedom), others, ALARMS / len(left)):
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {UNKNOWN}")
-            elif freedom < FEWEST and not others:
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {NO_KNOWN_CAUSE}")
+            elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(left)):
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {NO_KNOWN_CAUSE}")
+            elif freedom < MIN_DEGREES_OF_FREEDOM and not others:
                 said.append(
                     f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem folder of the "
                     "calibration, or measure more poses"
@@ -197,17 +227,17 @@ class Comparison(Result):
 
     @property
     def dated(self) -> bool:
-        """Whether all campaigns have a day; else they are counted."""
+        """Whether all campaigns have a day; if not, they are counted."""
         return all(c.date for c in self.campaigns)
 
     @property
     def span(self) -> str:
-        """How many campaigns, and from when to when."""
+        """The number of campaigns, and the first and the last day or label."""
         first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
     def blocks(self) -> list[Block]:
-        rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_SEEN) for name, v, unit in self.seen_from]
+        rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_DETECTABLE) for name, v, unit in self.seen_from]
         seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
         functions = (in_words, times_in_words, probability_of_change)
         named = {function.__name__: function for function in functions}
@@ -215,7 +245,7 @@ class Comparison(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now, where the last campaign is a table, or nothing changed."""
+        """The suggested next command, where the last campaign is a table."""
         if self.sources and self.changed:
             return (next_step("to calibrate it as it is now", "calibrate", *self.sources, "--out", "results"),)
         if self.sources and self.unexplained:
@@ -223,17 +253,17 @@ class Comparison(Result):
         return ()
 
     def figures(self) -> dict[str, Figure]:
-        """By name: change/CAUSE for each change, and left, the scatter of each campaign."""
+        """Return the figures by name: change/CAUSE for each change, and left, the residuals."""
         step = None if self.dated else 1 + len(self.campaigns) // 12  # between the ticks
         figures = [_course(self, change, step) for change in self.changes]
         if any(c.sigma is not None for c in self.campaigns):
             left = [None if c.sigma is None else 1e3 * c.sigma for c in self.campaigns]
             life = (self.campaigns[0].robot.name, _places(self), left, False)
-            figures.append(left_figure("left", [life], step, height=260, caption=_LEFT))
+            figures.append(residuals_figure("left", [life], step, height=260, caption=_RESIDUALS_CAPTION))
         return {figure.name: figure for figure in figures}
 
     def page(self, files: Sequence[Path] = ()) -> Page:
-        """Words, tables and figures as `casadical compare --report` writes them; files : what was read."""
+        """Return the report of `casadical compare --report` as a page; files : what was read."""
         figures, blocks = self.figures(), self.blocks()
         end = next(k for k, b in enumerate(blocks) if isinstance(b, Table) and b.title == "Campaigns")
         sections = [
@@ -249,64 +279,73 @@ class Comparison(Result):
         return Page(f"{name}: what changed", name, f"{kind}: {self.span}", sections, tiles, files=read)
 
 
-def leaves_more(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
-    """What other campaigns leave, where one leaves more than that and `USUAL` and chance explain; else 0.
+def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
+    """Return the pooled residual of other campaigns if one significantly exceeds it; else 0.
 
-    own, others : scatter and its degrees of freedom; alarms : how often that is to be said of one where nothing changed
+    The ratio is tested against `MAX_USUAL_RATIO` by an F test.
+
+    own, others : residual of a coordinate and its degrees of freedom
+    alarms : probability of a false alarm
     """
     if not others:
         return 0.0
     left, free = np.array(others).T
     usual = float(np.sqrt(np.average(left**2, weights=free)))
-    chance = fdtrc(own[1], free.sum(), (own[0] / (USUAL * usual)) ** 2)
+    chance = fdtrc(own[1], free.sum(), (own[0] / (MAX_USUAL_RATIO * usual)) ** 2)
     return usual if chance <= alarms else 0.0
 
 
 def in_words(found: Comparison, change: Change) -> str:
-    """What changed, how, since when, and by how much where it has one name."""
+    """Return a sentence on a change: cause, course, beginning and, for a named cause, size."""
     since = found.campaigns[change.since].label
     if not change.named:
         held = np.cumsum([r.probability for r in change.rivals])
         rivals = " or ".join(r.label for r in change.rivals[: 1 + int(np.searchsorted(held, 0.95))])
-        return f"{rivals}, which these poses do not distinguish, {HOW[change.course]} {since}"
-    if change.cause.kind == ROBOT:
-        moved = sum(abs(a.value) > CLEAR * a.std_error for a in change.amounts)
-        of = f"{moved} of {len(change.amounts)} parameters differ by more than {CLEAR} standard errors"
-        return f"{change.cause.label}, {HOW[change.course]} {since}: {of}"
+        return f"{rivals}, which these poses do not distinguish, {COURSE_WORDS[change.course]} {since}"
+    if change.cause.kind == ANOTHER_ROBOT:
+        moved = sum(abs(a.value) > MIN_CLEAR_SIGMAS * a.std_error for a in change.amounts)
+        of = f"{moved} of {len(change.amounts)} parameters differ by more than {MIN_CLEAR_SIGMAS} standard errors"
+        return f"{change.cause.label}, {COURSE_WORDS[change.course]} {since}: {of}"
     main = best_of(change.amounts, _sureness)
     size = f"{main.name} {main.value:+.3g} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
-    return f"{change.cause.label}, {HOW[change.course]} {since}: {size}"
+    return f"{change.cause.label}, {COURSE_WORDS[change.course]} {since}: {size}"
 
 
 def _sureness(amount: Amount) -> float:
+    """Return the ratio of a parameter's change to its standard error."""
     return abs(amount.value) / max(amount.std_error, 1e-300)
 
 
 def _per(found: Comparison, change: Change) -> str:
-    """What time a change is counted by."""
+    """Return the unit of time of a drift in words; empty for other courses."""
     return "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
 
 
 def _tables_of(found: Comparison, change: Change) -> list[Table]:
-    """Return the causes that explain a change, and by how much each parameter moved."""
-    rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:RIVALS]]
-    rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= SMALL]
+    """Return the tables of the possible causes of a change and of the changes of its parameters."""
+    rows = [
+        (r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}")
+        for r in change.rivals[:MAX_RIVALS_SHOWN]
+    ]
+    rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= MIN_PROBABILITY_SHOWN]
     causes = Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
     amounts: Sequence[Amount] = change.amounts
-    if len(amounts) > AMOUNTS:
-        amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:AMOUNTS]]
+    if len(amounts) > MAX_AMOUNTS_SHOWN:
+        amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:MAX_AMOUNTS_SHOWN]]
     per = _per(found, change)
     cells = [(a.name, f"{a.value:+.3g}", f"{a.std_error:.2g}", a.unit + per) for a in amounts]
     return [causes, Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))]
 
 
 def times_in_words(log_odds: float) -> str:
-    if log_odds > MOST * np.log(10):
-        return f"more than 1e{MOST}"
+    """Return the odds of a change as text, such as 1e12."""
+    if log_odds > MAX_ODDS_EXPONENT * np.log(10):
+        return f"more than 1e{MAX_ODDS_EXPONENT}"
     return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"
 
 
 def _campaigns(found: Comparison) -> Table:
+    """Return the table of the campaigns with their poses, residuals and notes."""
     rows = [
         (c.label, str(at), str(c.poses), "" if c.sigma is None else mm(c.sigma), f"{c.misfit:.2f}", "; ".join(c.notes))
         for c, at in zip(found.campaigns, _places(found), strict=True)
@@ -316,14 +355,18 @@ def _campaigns(found: Comparison) -> Table:
 
 
 def _places(found: Comparison) -> list[Any]:
-    """Where each campaign stands on the axis: its day, or its number, from 1, where not all have a day."""
+    """Return the place of each campaign on the axis: its day, or its number from 1.
+
+    Days are used only if all campaigns have one.
+    """
     return [c.date if found.dated else k for k, c in enumerate(found.campaigns, 1)]
 
 
 def _course(found: Comparison, change: Change, step: int | None) -> Figure:
+    """Return the figure of a change's size over the campaigns."""
     x, main = _places(found), change.amounts[change.main]
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
-    what = AXES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
+    what = AXIS_TITLES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
     sizes = Series(
         "linked",
         x,
@@ -339,22 +382,26 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
     spans = [] if change.course == "season" else [Span(x[max(first - 1, 0)], x[last])]
     return Figure(
         f"change/{change.cause.label}",
-        f"{change.cause.label}: {HOW[change.course]} {found.campaigns[change.since].label}",
+        f"{change.cause.label}: {COURSE_WORDS[change.course]} {found.campaigns[change.since].label}",
         [sizes],
         Axis("campaign", step=step),
         Axis(f"{what} [{main.unit}]"),
-        caption=_COURSE,
+        caption=_COURSE_CAPTION,
         marks=spans,
     )
 
 
-def left_figure(
+def residuals_figure(
     name: str,
     lives: Iterable[tuple[str, Sequence[Any], Sequence[float | None], bool]],
     step: int | None = None,
     **figure: Any,
 ) -> Figure:
-    """What nothing explains in each campaign; lives : (name, places on the axis, left [mm], changed) of robots."""
+    """Return the figure of each campaign's residuals, one line a robot.
+
+    lives : (name, places on the axis, residuals [mm], whether it changed) of each robot
+    step : between ticks of the axis; None: automatic
+    """
     series = [
         Series(
             "linked",
@@ -374,12 +421,13 @@ def left_figure(
 def _as_plain(c: Change, labels: list[str]) -> dict[str, Any]:
     """Return a change as plain data, campaigns by their labels."""
     course = [{"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)]
-    rivals = [{**plain(r), "since": labels[r.since]} for r in c.rivals if r.probability >= SMALL]
+    rivals = [{**plain(r), "since": labels[r.since]} for r in c.rivals if r.probability >= MIN_PROBABILITY_SHOWN]
     between = [labels[k] for k in c.between]
     return {**plain(c), "since": labels[c.since], "between": between, "rivals": rivals, "course_of": course}
 
 
-MEANT: dict[Course, dict[str, str]] = {
+# Technical meaning of a change, by course and kind of cause.
+MEANINGS: dict[Course, dict[str, str]] = {
     "jump": {
         "joint_zero": "the zero of joint {joint} is another: a crash, a slipped belt or a lost reference",
         "joint_stiffness": "joint {joint} bends by another amount under load: a belt or screws that came loose or were "
@@ -393,8 +441,8 @@ MEANT: dict[Course, dict[str, str]] = {
         "tool": "the measured point on the flange is elsewhere: another tool, or the same one mounted again",
         "foot": "the robot's foot moved in the measuring frame: a crash, or the robot was mounted again",
         "effect": "{label} has other values",
-        ROBOT: "this looks like another robot than before: its parameters of all kinds differ, by as much as robots of "
-        "one type do; look at the serial numbers and at the names of the tables",
+        ANOTHER_ROBOT: "this looks like another robot than before: its parameters of all kinds differ, "
+        "by as much as robots of one type do; look at the serial numbers and at the names of the tables",
     },
     "drift": {
         "joint_zero": "the zero of joint {joint} moves little by little: a belt that stretches, wear of the gear, or "
@@ -407,7 +455,7 @@ MEANT: dict[Course, dict[str, str]] = {
     },
     "season": {"lengths": "all lengths grow and shrink by one share over the year: the temperature of the hall"},
     "once": {
-        ROBOT: "this looks like another robot than before and after: its parameters of all kinds differ, by as much as "
-        "robots of one type do; look at its serial number and at the name of the table",
+        ANOTHER_ROBOT: "this looks like another robot than before and after: its parameters of all kinds differ, "
+        "by as much as robots of one type do; look at its serial number and at the name of the table",
     },
 }

@@ -1,6 +1,7 @@
-"""What changed in a robot between campaigns: which parameter or effect, when, by how much, and how sure that is.
+"""Comparison of campaigns: which parameter or effect changed, when, by how much, how surely.
 
-Base and tool are fitted again in each campaign; how they differ, and how large a change must be to be seen.
+Base and tool are fitted again in each campaign; how they differ, and the smallest change that would
+be detected, are reported too. The evidence of a change is computed in `casadical.fleet.evidence`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,26 +13,36 @@ from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best, ranked
 from casadical.core.transforms import small_frame, to_xyz
 from casadical.fleet import evidence
-from casadical.fleet.changes import SURE, Amount, Change, Comparison, Rival
+from casadical.fleet.changes import MIN_ODDS_OF_CHANGE, Amount, Change, Comparison, Rival
 from casadical.fleet.estimates import Estimate, with_common_noise
-from casadical.fleet.evidence import ROBOT, Candidate, Course
+from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import refuse_another
 from casadical.robot.axes import row_matrix
 from casadical.robot.parameter_list import SIX
 
-# Before the data: how the change goes on; how probable it begins at each campaign (see `_onsets`).
-COURSES: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
-HAZARD = 0.03
-# A drift's unit of time: a year, or so many campaigns without a date.
-YEAR, CAMPAIGNS = 365.25, 12.0
-# A tool is another one from so many standard errors on, root mean square of a coordinate; beyond the smaller figure it,
-# or the base, moved further than noise makes it in one of a hundred pairs.
-OTHER_TOOL, MOVED_TOOL = 4.0, 2.0
+# Prior weights of the courses; those that a kind of change may have are normalised.
+COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
+# Prior probability that a change begins at a campaign, in the geometric half of `_onsets`.
+ONSET_HAZARD = 0.03
+# Drifts are counted in years ...
+DAYS_PER_YEAR = 365.25
+# ... and, where campaigns have no dates, a year is taken as so many campaigns.
+CAMPAIGNS_PER_YEAR = 12.0
+# From so many standard errors on (rms of the coordinates), a tool is another one or mounted again.
+OTHER_TOOL_SIGMAS = 4.0
+# From so many on, tool or base moved; noise alone exceeds this in one of a hundred pairs.
+MOVED_SIGMAS = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Hypotheses:
-    """All changes of one candidate with one course: logs : evidence x weight, shape (onsets, kappas)."""
+    """All changes of one candidate with one course, one for each onset.
+
+    since : first campaign that shows it, shape (onsets,)
+    courses : factors of the change in each campaign, shape (onsets, campaigns, k)
+    H, b : information and score of its amplitudes, as of `evidence.marginal_information`
+    logs : logarithm of evidence times prior weight, shape (onsets, kappas)
+    """
 
     candidate: Candidate
     course: Course
@@ -45,8 +56,9 @@ class _Hypotheses:
 def compare(
     campaigns: Sequence[Estimate], *, same_tool: bool = False, same_frame: bool = False, notes: Iterable[str] = ()
 ) -> Comparison:
-    """What changed in a robot over two or more campaigns in the order of time: causes, times, sizes and probabilities.
+    """Return what changed in a robot over campaigns: causes, times, sizes, probabilities.
 
+    campaigns : in the order of time
     same_tool : whether the same point of the same tool was measured, so that a moved one is a change
     same_frame : whether all positions are in one frame, so that a moved foot is a change
     notes : what a reader must know of the campaigns
@@ -61,15 +73,15 @@ def compare(
     names, information, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
     accepted, left, swap = changes_in(information, candidates, times, dated=first.day is not None)
-    model = _beside(information, accepted)
+    model = _model_given(information, accepted)
     changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
 
-    def beside(c: Candidate) -> evidence.Model:
-        """A second jump of the same parameter before the last campaign is no other change."""
+    def model_before(c: Candidate) -> evidence.Model:
+        """Return the model given all changes but jumps of c in the last campaign alone."""
         others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
-        return _beside(information, others)
+        return _model_given(information, others)
 
-    seen, placements = _seen_from(beside, candidates, first), _placements(campaigns, names, model)
+    seen, placements = _detectable_sizes(model_before, candidates, first), _placements(campaigns, names, model)
     noted = tuple(dict.fromkeys(notes))
     return Comparison(tuple(campaigns), names, changes, left, tuple(seen), tuple(placements), noted)
 
@@ -77,7 +89,10 @@ def compare(
 def shared_information(
     campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
 ) -> tuple[tuple[str, ...], evidence.SharedInformation, tuple[Candidate, ...]]:
-    """Shared parameters, what the campaigns tell of them about the values of the first one, and what may change."""
+    """Return the shared parameters, the information on them, and the candidates for changes.
+
+    The information is about the values of the first campaign.
+    """
     first = campaigns[0]
     same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
     common = set.intersection(*(set(c.names) for c in campaigns))
@@ -86,7 +101,7 @@ def shared_information(
     at = [first.names.index(n) for n in names]
     values = first.values[at]
     if same_frame:
-        # Bases are departures from that of the first; small ones, else it is clear anyway.
+        # Bases are linearised about that of the first; a large deviation is obvious anyway.
         for k, c in enumerate(campaigns := list(campaigns)):
             own = dict(zip(first.robot.parameters.names, first.robot.values_of(c.robot), strict=True))
             moved = zip(c.names, c.values, strict=True)
@@ -94,10 +109,9 @@ def shared_information(
             campaigns[k] = replace(c, values=np.array(moved_values))
     H, b = (np.array(parts) for parts in zip(*(c.about(names, values) for c in campaigns), strict=True))
     spread = np.sqrt(np.mean([c.spread[[c.names.index(n) for n in names]] ** 2 for c in campaigns], axis=0))
-    # The harmonics of the robot as it is are known so many times less than the residuals of one
-    # campaign say: over a short range of a joint high harmonics look like low ones, many times
-    # greater, and a prior that the campaigns together contradict looks like a change after the
-    # first of them.
+    # The prior of the harmonics is made 100 times wider than the residuals of one campaign suggest:
+    # over a short range of a joint high harmonics look like much greater low ones, and a prior that
+    # contradicts the campaigns together would look like a change after the first of them.
     spread[[n.startswith("joint_error_curve") for n in names]] *= 100.0
     candidates = evidence.candidates_of(first.robot, names)
     information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
@@ -105,19 +119,25 @@ def shared_information(
 
 
 def times_of(campaigns: Sequence[Estimate]) -> Array:
-    """Time of each campaign in units of a drift, the first at zero; by number where a day is not known."""
+    """Return the time of each campaign [years], the first at zero.
+
+    If a day is not known, a year is taken as `CAMPAIGNS_PER_YEAR` campaigns.
+    """
     days = [c.day for c in campaigns]
     if any(d is None for d in days):
-        return np.arange(len(days)) / CAMPAIGNS
-    return np.asarray((np.array(days, dtype=float) - np.array(days[0], dtype=float)) / YEAR)
+        return np.arange(len(days)) / CAMPAIGNS_PER_YEAR
+    return np.asarray((np.array(days, dtype=float) - np.array(days[0], dtype=float)) / DAYS_PER_YEAR)
 
 
 @dataclass(frozen=True, eq=False)
 class _Accepted:
-    """A change that is taken for one.
+    """A change that was accepted.
 
-    courses : over the campaigns, shape (n, k); kappa : its size; odds : of any change there, as a logarithm
-    own : all changes of its candidate with its course; every : those of all rivals, too
+    courses : its factors in each campaign, shape (n, k)
+    kappa : its size in units of the usual one
+    own : all hypotheses of its candidate with its course
+    odds : log odds of any change, given those that were accepted before
+    every : hypotheses of all candidates
     """
 
     candidate: Candidate
@@ -129,71 +149,78 @@ class _Accepted:
 
 
 def changes_in(
-    told: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
+    information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
 ) -> tuple[list[_Accepted], float, tuple[str, float]]:
-    """Changes one by one, the log odds of one more, and what explains them instead, with its probability.
+    """Return the accepted changes, the log odds of one more, and a rival explanation.
 
-    Several changes are weighed against another robot, with what else changed then. Whether there is any change is
-    judged without it: it has so many parameters that a change which only it would explain is none that was seen.
+    Several changes are compared with another robot plus what else changed then; the rival
+    explanation is the label and probability of the one that was not taken. Whether there is any
+    change is decided without another robot: it has so many parameters that a change which only it
+    could explain would be a false one.
     """
-    accepted, left, score = _chain(told, [c for c in candidates if c.kind != ROBOT], times, dated)
+    accepted, left, score = _stepwise_changes(
+        information, [c for c in candidates if c.kind != ANOTHER_ROBOT], times, dated
+    )
     if len(accepted) < 2:
         return accepted, left, ("", 0.0)
-    swapped, more, other = _chain(told, candidates, times, dated)
+    swapped, more, other = _stepwise_changes(information, candidates, times, dated)
     labels = [a.candidate.label for a in swapped]
-    if ROBOT not in labels:
+    if ANOTHER_ROBOT not in labels:
         return accepted, left, ("", 0.0)
     chance = float(1 / (1 + np.exp(np.clip(score - other, -500, 500))))
     if chance < 0.5:
-        return accepted, left, (ROBOT, chance)
+        return accepted, left, (ANOTHER_ROBOT, chance)
     swap = [a.candidate.label for a in accepted if a.candidate.label not in labels]
     return swapped, more, (" with ".join(swap), 1 - chance)
 
 
-def _chain(
-    told: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
+def _stepwise_changes(
+    information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
 ) -> tuple[list[_Accepted], float, float]:
-    """As `changes_in`; the last number is the evidence of all changes together, weighted, as a logarithm."""
+    """Return changes found one by one, the log odds of one more, the log evidence of all."""
     accepted: list[_Accepted] = []
     score = 0.0
     while True:
-        best = _best(told, candidates, times, dated, accepted)
-        if best.odds < np.log(SURE) or len(accepted) == 4:
+        best = _most_probable_change(information, candidates, times, dated, accepted)
+        if best.odds < np.log(MIN_ODDS_OF_CHANGE) or len(accepted) == 4:
             break
         accepted.append(best)
         score += float(best.own.logs.max())
-    if len(accepted) > 1:  # each again, beside the others
+    if len(accepted) > 1:  # each is searched again, given the others
         for k in range(len(accepted)):
             others = [a for i, a in enumerate(accepted) if i != k]
-            accepted[k] = _best(told, candidates, times, dated, others)
-        accepted = [a for a in accepted if a.odds >= np.log(SURE)]
+            accepted[k] = _most_probable_change(information, candidates, times, dated, others)
+        accepted = [a for a in accepted if a.odds >= np.log(MIN_ODDS_OF_CHANGE)]
         accepted = list({a.candidate.label: a for a in accepted}.values())
     return accepted, best.odds, score
 
 
-def _beside(told: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
-    n, p = told.score.shape
+def _model_given(information: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
+    """Return the model of the campaigns with the amplitudes of accepted changes solved for."""
+    n, p = information.score.shape
     columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in accepted]
     sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in accepted]
     whole = np.concatenate([np.zeros((n, p, 0)), *columns], axis=2)
-    return evidence.solve(told, whole, np.concatenate([np.zeros(0), *sizes]))
+    return evidence.solve(information, whole, np.concatenate([np.zeros(0), *sizes]))
 
 
-def _best(
-    told: evidence.SharedInformation,
+def _most_probable_change(
+    information: evidence.SharedInformation,
     candidates: Sequence[Candidate],
     times: Array,
     dated: bool,
     known: Sequence[_Accepted],
 ) -> _Accepted:
-    """The most probable further change; another robot comes once."""
-    model = _beside(told, known)
-    if any(a.candidate.kind == ROBOT for a in known):
-        candidates = [c for c in candidates if c.kind != ROBOT]
+    """Return the most probable additional change, given known ones."""
+    model = _model_given(information, known)
+    if any(a.candidate.kind == ANOTHER_ROBOT for a in known):
+        candidates = [c for c in candidates if c.kind != ANOTHER_ROBOT]
     hypotheses: list[_Hypotheses] = []
     prior = 0.0
-    for candidate, course, weight, since, courses in weighed(candidates, evidence.FREQUENCY, times, dated=dated):
-        H, b = evidence.visible(model, candidate.columns, courses)
+    for candidate, course, weight, since, courses in weighted_hypotheses(
+        candidates, evidence.RELATIVE_FREQUENCY, times, dated=dated
+    ):
+        H, b = evidence.marginal_information(model, candidate.columns, courses)
         logs = evidence.log_evidence(H, b, np.tile(candidate.sizes, courses.shape[2])) + np.log(weight)[:, None]
         prior += float(weight.sum())
         hypotheses.append(_Hypotheses(candidate, course, since, courses, H, b, logs))
@@ -213,10 +240,14 @@ def _best(
     return _Accepted(top.candidate, top.courses[k], kappa, top, odds, hypotheses)
 
 
-def weighed(
+def weighted_hypotheses(
     candidates: Sequence[Candidate], often: Mapping[str, float], times: Array, *, dated: bool
 ) -> Iterator[tuple[Candidate, Course, Array, Array, Array]]:
-    """Each candidate with each of its courses, as of `courses_of`; weights : of all that may change, by how often."""
+    """Yield each candidate with each of its courses: candidate, course, weights, onsets, factors.
+
+    often : relative frequency of each kind of change, which the candidates of a kind share
+    The last three are as of `courses_of`, the weights multiplied by the candidate's share.
+    """
     kinds = [c.kind for c in candidates]
     whole = sum(often[kind] for kind in set(kinds))
     for c in candidates:
@@ -226,19 +257,22 @@ def weighed(
 
 
 def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
-    """Each course that a kind of change may have: its name, weights, first campaigns that show it, and factors."""
+    """Yield the courses that a kind of change may have: name, prior weights, onsets, factors.
+
+    The onsets are the first campaigns that show the change; shapes (c,), (c,) and (c, n, k).
+    """
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)
     kinds: list[Course] = ["jump"]
-    if kind in evidence.GRADUAL:
+    if kind in evidence.GRADUAL_KINDS:
         kinds.append("drift")
-    if kind in evidence.SEASONAL and dated:
+    if kind in evidence.SEASONAL_KINDS and dated:
         kinds.append("season")
-    if kind == ROBOT and n > 2:
+    if kind == ANOTHER_ROBOT and n > 2:
         kinds.append("once")
-    whole = sum(COURSES[c] for c in kinds)
+    whole = sum(COURSE_WEIGHTS[c] for c in kinds)
     for course in kinds:
-        share = COURSES[course] / whole
+        share = COURSE_WEIGHTS[course] / whole
         if course == "season":
             yield course, np.array([share]), np.array([1]), evidence.season(times)
         elif course == "once":  # in the last campaign alone it is a jump
@@ -248,18 +282,22 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
 
 
 def _onsets(n: int) -> Array:
-    """Probability that a change begins between each two campaigns, fixed whatever their number is, shape (n - 1,)."""
+    """Return the prior probability of an onset at each campaign but the first, (n - 1,).
+
+    It does not depend on the number of campaigns: half is 1 / (k (k + 1)), half geometric.
+    """
     k = np.arange(1, n)
-    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * HAZARD * (1 - HAZARD) ** (k - 1))
+    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * ONSET_HAZARD * (1 - ONSET_HAZARD) ** (k - 1))
 
 
 def _change(
-    told: evidence.SharedInformation,
+    information: evidence.SharedInformation,
     accepted: Sequence[_Accepted],
     k: int,
     first: Estimate,
     swap: tuple[str, float],
 ) -> Change:
+    """Return an accepted change as a result: its rivals, amounts and course."""
     change = accepted[k]
     candidate, top = change.candidate, change.own
     total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
@@ -278,17 +316,17 @@ def _change(
             rivals[label] = replace(old, probability=more)
         else:
             rivals[label] = Rival(label, h.course, int(h.since[best]), more)
-    other, chance = swap if ROBOT in (candidate.kind, swap[0]) else ("", 0.0)
+    other, chance = swap if ANOTHER_ROBOT in (candidate.kind, swap[0]) else ("", 0.0)
     rivals = {label: replace(r, probability=(1 - chance) * r.probability) for label, r in rivals.items()}
     if other:
         rivals[other] = Rival(other, "jump", int(top.since[at]), chance)
     m = top.courses.shape[2]
     a, C, _ = evidence.amplitude(top.H[at], top.b[at], np.tile(candidate.sizes, m), top.logs[at])
     others = [other for i, other in enumerate(accepted) if i != k]
-    # Size in each campaign along the change's own direction, 1 where it is whole.
+    # Size in each campaign along the change's own direction, relative to the whole change.
     direction = (candidate.columns @ a[: len(candidate.sizes)])[:, None]
-    n = len(told.score)
-    H, score = evidence.visible(_beside(told, others), direction, np.eye(n)[:, 1:][None])
+    n = len(information.score)
+    H, score = evidence.marginal_information(_model_given(information, others), direction, np.eye(n)[:, 1:][None])
     course = np.linalg.inv(H[0] + np.diag(np.full(n - 1, 1e-4)))
     return Change(
         candidate,
@@ -305,6 +343,10 @@ def _change(
 
 
 def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: int) -> Iterable[Amount]:
+    """Yield the change of each parameter in readable units, or of all lengths [um/m].
+
+    a, C : mean and covariance of the amplitudes; waves : number of factors of the course
+    """
     width = len(candidate.sizes)
     if candidate.kind == "lengths":
         for w in range(waves):
@@ -316,23 +358,26 @@ def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: i
         yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
 
 
-# How far parameters are apart, and its covariance.
+# Function that returns the difference of parameters of two campaigns, and its covariance.
 Between = Callable[[Sequence[str]], tuple[Array, Array]]
 
 
-def _seen_from(
-    beside: Callable[[Candidate], evidence.Model], candidates: Sequence[Candidate], first: Estimate
+def _detectable_sizes(
+    model_before: Callable[[Candidate], evidence.Model], candidates: Sequence[Candidate], first: Estimate
 ) -> Iterator[tuple[str, float, str]]:
-    """(cause, size, unit) of single parameters: the least change in the last campaign that would be seen."""
+    """Yield (cause, size, unit): the smallest change in the last campaign that would be detected.
+
+    Only candidates with a single parameter are listed.
+    """
     for c in candidates:
         if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
-            model = beside(c)
-            H, _ = evidence.visible(model, c.columns, evidence.jumps(len(model.shared.score))[-1:])
+            model = model_before(c)
+            H, _ = evidence.marginal_information(model, c.columns, evidence.jumps(len(model.shared.score))[-1:])
             p = first.robot.parameters[c.names[0]]
-            # Standard errors that a change must have to be seen, roughly: what one of a hundred
-            # candidates needs.
+            # A change is detected from roughly five standard errors on, because it competes with
+            # about a hundred candidates.
             size = 5.0 / np.sqrt(max(float(H[0, 0, 0]), 1e-30))
-            # A change that is seen only from so many times its usual size is not seen.
+            # A change that would have to be 30 times its usual size counts as not detectable.
             seen = size < 30.0 * float(c.sizes[0])
             yield c.label, p.readable(float(size) * p.scale) if seen else float("inf"), p.readable_unit
 
@@ -340,14 +385,14 @@ def _seen_from(
 def _placements(
     campaigns: Sequence[Estimate], names: Sequence[str], model: evidence.Model
 ) -> Iterator[tuple[str, str]]:
-    """How base and tool of the last campaign differ from those of the one before, where they were fitted again."""
+    """Yield how tool and base of the last campaign differ from those of the one before."""
     first, (before, after) = campaigns[0], campaigns[-2:]
 
     def between(own: Sequence[str]) -> tuple[Array, Array]:
-        # Parameters of a campaign as the solved ones make them: theta and the changes found by then.
+        # X, Y: a campaign's shared parameters from the solved ones, theta and the changes so far.
         X, Y = (np.hstack([np.eye(model.p), model.columns[k]]) for k in (-2, -1))
-        a, A, V = _given(before, own, names, first, X, model.mean)
-        b, B, W = _given(after, own, names, first, Y, model.mean)
+        a, A, V = _refitted(before, own, names, first, X, model.mean)
+        b, B, W = _refitted(after, own, names, first, Y, model.mean)
         return b - a, V + W + (B - A) @ model.inverse @ (B - A).T
 
     yield from _tool(before, after, names, between)
@@ -355,6 +400,7 @@ def _placements(
 
 
 def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
+    """Yield how the measured point of the tool moved, with its standard error."""
     own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
@@ -363,23 +409,24 @@ def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
     distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
-    if distance > OTHER_TOOL:
+    if distance > OTHER_TOOL_SIGMAS:
         words = "another tool, or mounted again"
-    elif distance > MOVED_TOOL:
+    elif distance > MOVED_SIGMAS:
         words = "more than noise alone, too little for another tool"
     else:
         words = "the same point, as far as these poses show"
     yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
 
 
-def _given(
+def _refitted(
     c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
 ) -> tuple[Array, Array, Array]:
-    """Of parameters that are fitted again: mean in units of scale given u, its slope by u, and covariance.
+    """Return mean, slope and covariance of refitted parameters, given the shared ones.
 
-    u : what is solved for; X u : the shared parameters of this campaign, about the values of the first one
+    own : names of the refitted parameters that are returned, in units of scale
+    u : solved parameters; X u : the campaign's shared parameters, about the values of the first one
     """
-    shared, rest, V = c.fitted_beside(names)
+    shared, rest, V = c.refitted_given(names)
     G = -V @ c.information[np.ix_(rest, shared)]
     from_first = np.array([first.values[first.names.index(n)] for n in names])
     departure = (from_first - c.values[shared]) / c.scale[shared] + X @ u
@@ -389,27 +436,28 @@ def _given(
 
 
 def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
+    """Yield how the base moved in the measuring frame."""
     placing = {p.name for p in after.robot.parameters if p.group == "base"}
     if not placing & set(after.names) or placing & set(names):
         return
-    T = np.linalg.solve(_placed(before), _placed(after))
-    # Within this [m, rad] a base did not move: readings that tell nothing of it leave it where the
-    # robot file has it.
+    T = np.linalg.solve(_base_pose(before), _base_pose(after))
+    # Readings that do not determine the base leave it exactly as in the robot file [m, rad].
     if np.allclose(T, np.eye(4), rtol=0, atol=1e-12):
-        return  # no reading tells where it stands
+        return
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     words = "the instrument stands elsewhere, or the robot's foot moved"
     if set(SIX["base"]) <= {*before.names} & {*after.names}:
         _, cov = between(SIX["base"])
         apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
         apart = apart / [after.robot.parameters[n].scale for n in SIX["base"]]
-        if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_TOOL**2:
+        if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_SIGMAS**2:
             words = "the same place, as far as these poses show"
     far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
     yield "base", f"{far} from where it stood in the instrument's frame: {words}"
 
 
-def _placed(c: Estimate) -> Array:
+def _base_pose(c: Estimate) -> Array:
+    """Return the pose of a campaign's base in the measuring frame, shape (4, 4)."""
     if c.robot.base.unknown == "none":  # the first row of the table places the robot
         return np.asarray(c.robot.base.T @ row_matrix(c.robot.joints[0]))
     values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in SIX["base"]]

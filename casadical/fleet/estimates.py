@@ -1,13 +1,15 @@
-"""What one campaign tells of a robot, as information on all its parameters: enough to compare it with other campaigns.
+"""Estimate of a robot from one campaign: a Gaussian log likelihood of all its parameters.
 
-The log likelihood is a parabola about the campaign's own values, with information J'J / s^2 and a score. Parameters
-that the campaign did not identify have a place in it too, so that campaigns which identified different ones can be
-compared; so have the first harmonics of each turning joint's error, which are in no base model and bend the estimates
-of two campaigns differently where their poses differ: the lowest may change, the others are fitted in each campaign.
+The log likelihood is a parabola about the campaign's own values, with the information matrix J'J /
+s^2 and a score. It includes parameters that the campaign did not identify, so that campaigns which
+identified different ones can be compared. It also includes harmonics of each revolute joint's
+error, which bend the estimates of two campaigns differently where their poses differ: the lowest
+orders may change, the others are fitted in each campaign.
 
-A campaign of 40 poses has little left after such a fit. Where its residuals are small by chance, it would be believed
-too much, and a change explained that. How well joints repeat and how large their harmonics are belongs to the robot,
-the noise of a coordinate to the instrument: all campaigns tell of these together.
+After such a fit a campaign of 40 poses has few degrees of freedom. If its residuals are small by
+chance, it would be trusted too much, and a change would be found that explains it. Joint
+repeatability and the size of the harmonics are therefore estimated from all campaigns of a robot
+together, and so is the noise of a coordinate from all campaigns of one instrument.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,29 +34,32 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
-# Poses that stand for those of a robot file, which does not say which they were.
-DRAWN = 200
+# Number of random poses that replace those of a robot file, which does not store its own.
+DRAWN_POSES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate(Shown):
-    """What one campaign tells of a robot's parameters.
+    """Information of one campaign on a robot's parameters.
 
-    robot : as the campaign found it, with harmonics of zero size
-    names : parameters that are not known exactly, base and tool among them, k of them
-    values : Array, shape (k,) [SI]: about which it is a parabola
-    information : Array, shape (k, k): in units of each parameter's scale
-    score : Array, shape (k,): slope of the log likelihood at the values
-    spread : Array, shape (k,): one sigma before the data, in units of the scale; of the harmonics as the residuals show
-        it
+    robot : as the campaign identified it, with harmonics of zero size
+    names : parameters that are not fixed, base and tool among them, k of them
+    values : point of expansion of the log likelihood, shape (k,) [SI]
+    information : matrix in units of each parameter's scale, shape (k, k)
+    score : gradient of the log likelihood at the values, shape (k,)
+    spread : prior standard deviation, shape (k,), in units of the scale; that of the harmonics is
+        estimated from the residuals
+    label : name of the campaign
     day : when it was measured [d]
     poses : how many were used
-    sigma : of a coordinate that nothing explains [m]; None of a robot file
-    misfit : how many times wider than independent noise says
+    sigma : residual standard deviation of a coordinate [m]; None for a robot file
+    misfit : factor on the variance for residuals that are correlated between similar poses, at
+        least 1
     notes : what was assumed
-    readings : Array, shape (n, 2): range of each joint in which nine of ten poses lie; of a robot file, in which all do
-        [rad or m]
-    fit : by which other campaigns may tell of its noise; None of a robot file, and of more than 1000 poses
+    readings : range of each joint that holds nine of ten poses; for a robot file that of all,
+        shape (joints, 2) [rad or m]
+    fit : by which noise is pooled over campaigns; None for a robot file, and for more than 1000
+        poses
     freedom : degrees of freedom of sigma
     """
 
@@ -81,20 +86,29 @@ class Estimate(Shown):
 
     @property
     def date(self) -> str:
+        """The day as an ISO date; empty if it is not known."""
         return date_text(self.day)
 
     @property
     def scale(self) -> Array:
+        """The unit of each parameter in the solver, shape (k,) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Information, (p, p), and score, (p,), at other values [SI], units of scale; all others are fitted again."""
-        kept, _, inverse = self.fitted_beside(names)
+        """Return information, (p, p), and score, (p,), of some parameters, all others marginalised.
+
+        values : of these parameters, at which the score is taken [SI]; the results are in units of
+            scale
+        """
+        kept, _, inverse = self.refitted_given(names)
         own, score = marginalised(self.information, self.score, kept, inverse)
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
 
-    def fitted_beside(self, names: Sequence[str]) -> tuple[Array, Array, Array]:
-        """Places of these parameters, of all others, and the covariance of the others given these, units of scale."""
+    def refitted_given(self, names: Sequence[str]) -> tuple[Array, Array, Array]:
+        """Return the indices of these parameters and of all others, and the others' covariance.
+
+        The covariance is conditional on these parameters, in units of scale.
+        """
         kept = np.array([self.names.index(n) for n in names], dtype=int)
         rest = np.setdiff1d(np.arange(len(self.names)), kept)
         H = self.information[np.ix_(rest, rest)]
@@ -102,6 +116,7 @@ class Estimate(Shown):
 
 
 def date_text(day: float | None) -> str:
+    """Return a day (since 1970) as an ISO date; empty if it is not known."""
     if day is None or not np.isfinite(day):
         return ""
     return str(np.datetime64("1970-01-01") + np.timedelta64(int(day), "D"))
@@ -112,12 +127,14 @@ def estimate(
     label: str = "",
     day: float | None = None,
 ) -> Estimate:
-    """What measurements of any kind tell of all parameters; day : when they were measured [d].
+    """Return the estimate of all parameters from measurements of any kind.
 
     campaign : an identification, or a nominal robot and measurements, by which it is identified first
     label : of the campaign; empty: the source of its measurements
-    Raises InputError: known distances between touched points, which cannot be compared; ConvergenceError: Ipopt finds
-        no optimum.
+    day : when they were measured [d]
+    Raises InputError: known distances between touched points, which cannot be compared;
+    ConvergenceError:
+        Ipopt finds no optimum.
     """
     identified = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(identified)
@@ -128,7 +145,8 @@ def estimate(
             rows = ", ".join(map(str, m.lost))
             noted.append(f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty")
         noted += [*([m.copies_in_words] if m.copies else []), *clock_faults(m)]
-    # A campaign of more poses tells its own noise.
+    # A campaign of more than 1000 poses determines its own noise, so its fit is not kept for
+    # pooling.
     return Estimate(
         fit.robot,
         fit.doubts.names,
@@ -149,6 +167,7 @@ def estimate(
 
 
 def _outliers(found: Identification) -> Iterator[str]:
+    """Yield a sentence on the poses that were left out as outliers."""
     out = found.left_out
     if not out:
         return
@@ -156,19 +175,21 @@ def _outliers(found: Identification) -> Iterator[str]:
     rows = sorted(o.row for o in out)
     (kept, *more) = found.used
     between = kept.row[(kept.row > rows[0]) & (kept.row < rows[-1])]
-    # So many outliers one after another are no slips.
+    # Five or more consecutive outliers show a change of the set-up, not single mistakes.
     if len(rows) >= 5 and not more and not len(between):
         said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"
     yield said
 
 
 def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) -> Estimate:
-    """What a robot file with a covariance of its geometry, as `calibrate --out` writes it, tells of all parameters.
+    """Return the estimate of all parameters from a robot file with a covariance of its geometry.
 
-    The file does not say which poses were measured. How parameters that were not identified bend those that were is
-    therefore computed at poses drawn from the readings on which it was learnt.
+    `calibrate --out` writes such files. They do not contain the measured poses. How unidentified
+    parameters bias the identified ones is therefore computed at poses drawn from the joint ranges
+    on which the robot was learnt.
 
-    label : of the campaign; empty: that of the file; day : when it was measured [d]
+    label : of the campaign; empty: that of the file
+    day : when it was measured [d]
     Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
@@ -184,9 +205,9 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     wide = doubted(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
-    turns = np.arange(DRAWN) % (1 + len(wide.targets))  # of several targets each pose tells one
+    turns = np.arange(DRAWN_POSES) % (1 + len(wide.targets))  # of several targets each pose tells one
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
-    J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN), measured)], doubts.names)[1]
+    J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN_POSES), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
@@ -218,38 +239,45 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
 
 
 def readings_of(robot: Robot, n: int) -> Array:
-    """Readings over the ranges on which a robot was learnt, or its limits, shape (n, joints) [rad or m]."""
+    """Return random readings over the joint ranges on which a robot was learnt, or over its limits.
+
+    Shape (n, joints) [rad or m]; the seed is fixed.
+    """
     known = robot.knowledge
     low, high = known.readings.T if known and len(known.readings) else robot.limits
     return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 
-# Instruments are others where what they leave differs more than so many times.
-OTHER = 3.0
+# If the residual sigmas of two campaigns differ by more, they were measured by different
+# instruments.
+MAX_SIGMA_RATIO = 3.0
 
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
-    """Campaigns with the noise and harmonics that those by a like instrument show together; robot files as given."""
+    """Return the campaigns with noise and harmonics pooled over those of one instrument.
+
+    Estimates of robot files are returned unchanged.
+    """
     estimates = list(campaigns)
     left = [k for k, c in enumerate(campaigns) if c.fit is not None]
     while left:
-        group = [k for k in left if _alike(campaigns[left[0]], campaigns[k])]
+        group = [k for k in left if _may_share_instrument(campaigns[left[0]], campaigns[k])]
         left = [k for k in left if k not in group]
-        for k, own in zip(group, _together([campaigns[k] for k in group]), strict=True):
+        for k, own in zip(group, _with_pooled_noise([campaigns[k] for k in group]), strict=True):
             estimates[k] = own
     return estimates
 
 
-def _alike(a: Estimate, b: Estimate) -> bool:
-    """Whether one instrument may have measured both: of few poses the scatter is known badly."""
+def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
+    """Return whether one instrument may have measured both, by an F test of their residuals."""
     (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
-    chances = fdtrc(f, g, (s / t / OTHER) ** 2), fdtrc(g, f, (t / s / OTHER) ** 2)
-    # So often it may look like that where it is one instrument.
-    return min(chances) > 0.01 and _own(a).keys() == _own(b).keys()
+    chances = fdtrc(f, g, (s / t / MAX_SIGMA_RATIO) ** 2), fdtrc(g, f, (t / s / MAX_SIGMA_RATIO) ** 2)
+    # Level of significance of the F test.
+    return min(chances) > 0.01 and _places_of_robot(a).keys() == _places_of_robot(b).keys()
 
 
-def _own(c: Estimate) -> dict[str, int]:
-    """Places of the robot's parameters in an estimate: those of the tools, which may be others, are not among them."""
+def _places_of_robot(c: Estimate) -> dict[str, int]:
+    """Return the indices of the robot's own parameters, without those of the tool."""
     return {
         n: k
         for k, n in enumerate(c.names)
@@ -257,14 +285,15 @@ def _own(c: Estimate) -> dict[str, int]:
     }
 
 
-def _together(group: Sequence[Estimate]) -> list[Estimate]:
+def _with_pooled_noise(group: Sequence[Estimate]) -> list[Estimate]:
+    """Return campaigns with the noise, repeatability and harmonics that they show together."""
     wide = [c.fit for c in group if c.fit is not None]
-    rhos = repeatability(wide)
+    rhos = pooled_repeatability(wide)
     fits = [w.at(rhos) for w in wide]
     weights = [len(w.poses) for w in wide]
     s2 = np.average([f.s2 for f in fits], weights=weights)
-    names = list(_own(group[0]))
-    at = [[_own(c)[n] for n in names] for c in group]
+    names = list(_places_of_robot(group[0]))
+    at = [[_places_of_robot(c)[n] for n in names] for c in group]
     mean = np.average([f.variance[k] for f, k in zip(fits, at, strict=True)], axis=0, weights=weights)
     estimates = []
     for c, f, k in zip(group, fits, at, strict=True):
@@ -274,10 +303,11 @@ def _together(group: Sequence[Estimate]) -> list[Estimate]:
     return estimates
 
 
-def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
-    """Return the most probable repeatability ratio of each revolute joint by all campaigns [rad/m].
+def pooled_repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
+    """Return the repeatability of each revolute joint over the noise of a coordinate [rad/m].
 
-    It is one of REPEATABILITY_RATIOS, a joint's repeatability over the noise of a coordinate.
+    It is the most probable combination of REPEATABILITY_RATIOS for all campaigns together, found by
+    coordinate search.
     """
 
     def log_likelihood(rhos: tuple[float, ...]) -> float:
@@ -291,8 +321,8 @@ def repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
             at = REPEATABILITY_RATIOS.index(own)
             for rho in REPEATABILITY_RATIOS[max(0, at - 1) : at] + REPEATABILITY_RATIOS[at + 1 : at + 2]:
                 other = (*best[:j], rho, *best[j + 1 :])
-                # A joint repeats otherwise than the rest where that makes the campaigns more
-                # probable by so much, as a logarithm.
+                # A joint gets another value than the rest only if this raises the log likelihood by
+                # 2.
                 if log_likelihood(other) > log_likelihood(best) + 2.0:
                     best, better = other, True
     return best

@@ -1,14 +1,17 @@
-"""Evidence that something changed between campaigns: Gaussian changes of realistic size, all else integrated.
+"""Evidence of changes between campaigns in a linear-Gaussian model, and their candidates.
 
-Campaign i tells of its parameters theta_i = theta + sum of s_ji E_j a_j: what the robot is, and changes of size a_j
-along columns E_j with a course s_ji over the campaigns (a jump, a drift, a season). With information H_i and score b_i
-of each campaign, all is linear and Gaussian. Integrating theta projects it out, where the data determine it, and the
-amplitudes a ~ N(0, (kappa size)^2) have closed form; kappa is on a grid.
+The parameters of campaign i are theta_i = theta + sum_j s_ij E_j a_j: the robot's theta, and
+changes of amplitude a_j along columns E_j with a course s_ij over the campaigns (a jump, a drift, a
+season). With information H_i and score b_i of each campaign, the model is linear and Gaussian.
+theta is marginalised; for amplitudes a ~ N(0, (kappa size)^2) the evidence has a closed form, with
+kappa on a grid.
 
-The evidence of a change, averaged over candidates, courses and times by weights that were fixed before the data, is a
-martingale as campaigns come in while nothing changes: it ever reaches 1 / p with probability p at most (Ville 1939).
+The evidence of a change, averaged over candidates, courses and onsets with weights that are fixed
+before the data, is a martingale over the campaigns as long as nothing changes: the probability that
+it ever reaches 1 / p is at most p (Ville 1939).
 
-What may change in a robot between two campaigns, as columns of the parameters that move together.
+A candidate is something that may change in a robot between two campaigns, as columns of the
+parameters that change together.
 """
 
 from __future__ import annotations
@@ -28,17 +31,26 @@ from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.remaining_errors import doubted
 from casadical.robot.robot import Robot
 
-# Usual sizes: of a length, of an angle, of a harmonic of a joint's error; of a compliance as a share; of all lengths.
-LENGTH, ANGLE, HARMONIC, SHARE, THERMAL = 3e-4, 3e-4, 5e-5, 0.3, 1e-4
-# Tool and foot are moved by more.
-MOVED = 1e-3
+# Prior standard deviation of a change of one length [m].
+USUAL_LENGTH_CHANGE_M = 3e-4
+# Prior standard deviation of a change of one angle [rad].
+USUAL_ANGLE_CHANGE_RAD = 3e-4
+# Prior standard deviation of a change of one harmonic of a joint's error [rad].
+USUAL_HARMONIC_CHANGE_RAD = 5e-5
+# Prior standard deviation of a change of a compliance, as a share of it.
+USUAL_COMPLIANCE_CHANGE = 0.3
+# Prior standard deviation of a common change of all lengths, as a share of them.
+USUAL_GROWTH = 1e-4
+# Prior standard deviation of a change of tool or base coordinates [m or rad].
+USUAL_MOUNTING_CHANGE = 1e-3
 # Groups of parameters of a robot without effects.
-BARE = ("geometry", "loop", "compliance", "tool", "base")
-# What differs between campaigns of a robot that does not change, one sigma: lengths, by 2 K; where the tool sits and
-# how well one frame is found again [m or rad].
-DAILY = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
-# How often each kind of change is met, relative to the others; the joints share it.
-FREQUENCY = {
+GROUPS_WITHOUT_EFFECTS = ("geometry", "loop", "compliance", "tool", "base")
+# Standard deviations between campaigns of a robot that does not change: a share of all lengths, by
+# 2 K; position of the tool on the flange, and of the base in a frame that is found again [m or
+# rad].
+DAILY_SIGMAS = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
+# Relative frequency of each kind of change; the joints share that of their kind.
+RELATIVE_FREQUENCY = {
     "joint_zero": 4,
     "joint_stiffness": 2,
     "joint_curve": 2,
@@ -51,24 +63,27 @@ FREQUENCY = {
     "effect": 1,
     "another_robot": 1,
 }
-# A table of another robot of the type: everything changes, in all later campaigns or in one alone.
-ROBOT = "another_robot"
-# How a change goes on.
+# Kind of change for measurements of another robot of the type: all parameters change.
+ANOTHER_ROBOT = "another_robot"
+# Course of a change over the campaigns.
 Course = Literal["jump", "drift", "season", "once"]
-# What a robot does gradually, and what comes and goes with the seasons; all may jump.
-GRADUAL = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
-SEASONAL = frozenset({"lengths"})
+# Kinds of change that may drift; all kinds may jump.
+GRADUAL_KINDS = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
+# Kinds of change that may follow the seasons.
+SEASONAL_KINDS = frozenset({"lengths"})
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One thing that may change in a robot.
+    """Something that may change in a robot.
 
-    kind : joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect or another_robot
-    joint : of a joint or four-bar, 1-based
+    kind : joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect
+        or another_robot
+    joint : number of a joint or four-bar, from 1; None for other kinds
     names : parameters that change
-    columns : Array, shape (p, m): how they move the p shared parameters, in units of their scale
-    sizes : Array, shape (m,): usual sizes of the columns
+    columns : directions of the change in the p shared parameters, in units of their scale, shape
+        (p, m)
+    sizes : prior standard deviations along the columns, shape (m,)
     effect : label of an effect of the robot file
     """
 
@@ -81,61 +96,69 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """kind, or kind@joint."""
+        """The label of the effect, else the kind, or kind@joint."""
         return self.effect or (self.kind if self.joint is None else f"{self.kind}@{self.joint}")
 
 
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
-    """Those parameters that two campaigns share: without high harmonics, tool and base unless these are the same."""
+    """Return the parameters that two campaigns share.
+
+    High harmonics are not among them, and tool and base only if these are the same.
+    """
     gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
     low = doubted(robot, MAX_COMPARED_HARMONIC).parameters
     return tuple(n for n in names if n in low.names and low[n].group not in gone)
 
 
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Everything that may change, by the shared parameters of a robot with harmonics as its last effect."""
+    """Return all candidates for changes in the shared parameters.
+
+    robot : with the harmonics of its joints as its last effect
+    """
     chosen = [robot.parameters[n] for n in names]
     effects = [
         _candidate("effect", effect.joint, [p.name for p in effect.parameters()], chosen, effect.label)
         for effect in robot.effects[:-1]
     ]
-    candidates = [*_joints(robot, chosen), *_whole(chosen), *effects]
+    candidates = [*_joint_candidates(robot, chosen), *_robot_candidates(chosen), *effects]
     return tuple(c for c in candidates if c.names)
 
 
 def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Columns, shape (p, m), of what differs in every campaign, and sizes, shape (m,)."""
-    own = [c for c in candidates if c.kind in DAILY]
-    usual = {"lengths": THERMAL, "tool": MOVED, "foot": MOVED}
-    sizes = [c.sizes * DAILY[c.kind] / usual[c.kind] for c in own]
+    """Return columns, (p, m), and standard deviations, (m,), of day-to-day differences."""
+    own = [c for c in candidates if c.kind in DAILY_SIGMAS]
+    usual = {"lengths": USUAL_GROWTH, "tool": USUAL_MOUNTING_CHANGE, "foot": USUAL_MOUNTING_CHANGE}
+    sizes = [c.sizes * DAILY_SIGMAS[c.kind] / usual[c.kind] for c in own]
     return np.concatenate([c.columns for c in own], axis=1), np.concatenate(sizes)
 
 
 def _candidate(
     kind: str, joint: int | None, names: Iterable[str], all_: Sequence[Parameter], effect: str = ""
 ) -> Candidate:
-    """Of parameters that change independently of each other."""
+    """Return a candidate whose parameters change independently of each other."""
     place = {p.name: k for k, p in enumerate(all_)}
     own = tuple(n for n in names if n in place)
     E = np.zeros((len(all_), len(own)))
     E[[place[n] for n in own], range(len(own))] = 1.0
-    sizes = np.array([_size(kind, all_[place[n]]) / all_[place[n]].scale for n in own])
+    sizes = np.array([_usual_size(kind, all_[place[n]]) / all_[place[n]].scale for n in own])
     return Candidate(kind, joint, own, E, sizes, effect)
 
 
-def _size(kind: str, p: Parameter) -> float:
+def _usual_size(kind: str, p: Parameter) -> float:
+    """Return the prior standard deviation of a parameter's change [unit of the parameter]."""
     if p.group == "compliance":
-        return max(SHARE * abs(p.value), 0.1 * p.prior)
+        return max(USUAL_COMPLIANCE_CHANGE * abs(p.value), 0.1 * p.prior)
     if p.group == "joint_error_curve":
-        return HARMONIC
-    if kind == "effect" or (kind == ROBOT and p.group not in BARE):
+        return USUAL_HARMONIC_CHANGE_RAD
+    if kind == "effect" or (kind == ANOTHER_ROBOT and p.group not in GROUPS_WITHOUT_EFFECTS):
         return p.prior
-    if kind in ("tool", "foot") or (kind == ROBOT and p.group in ("tool", "base")):
-        return MOVED
-    return LENGTH if p.unit == "m" else ANGLE
+    if kind in ("tool", "foot") or (kind == ANOTHER_ROBOT and p.group in ("tool", "base")):
+        return USUAL_MOUNTING_CHANGE
+    return USUAL_LENGTH_CHANGE_M if p.unit == "m" else USUAL_ANGLE_CHANGE_RAD
 
 
-def _joints(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+    """Yield the candidates of each joint and four-bar."""
     for j, joint in enumerate(robot.joints, 1):
         zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
         curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"]
@@ -153,28 +176,31 @@ def _joints(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
         yield _candidate("loop", k, [f"L{n}{tail}" for n in (3, 4, 5)], chosen)
 
 
-def _whole(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
+    """Yield the candidates of the whole robot: lengths, tool, foot, another robot."""
     lengths = [(k, p) for k, p in enumerate(chosen) if p.unit == "m" and p.group in ("geometry", "loop", "tool")]
     E = np.zeros((len(chosen), 1))
     for k, p in lengths:
         E[k] = p.value / p.scale
-    yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([THERMAL]))
+    yield Candidate("lengths", None, tuple(p.name for _, p in lengths if p.value), E, np.array([USUAL_GROWTH]))
     yield _candidate("tool", None, [p.name for p in chosen if p.group == "tool"], chosen)
     yield _candidate("foot", None, [p.name for p in chosen if p.group == "base"], chosen)
-    yield _candidate(ROBOT, None, [p.name for p in chosen], chosen)
+    yield _candidate(ANOTHER_ROBOT, None, [p.name for p in chosen], chosen)
 
 
-# Sizes of a change in units of its usual one.
+# Grid of a change's size, in units of its usual one.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
-# A change is not searched where its direction is seen less than this, in squared units of its size.
-UNSEEN = 1e-6
+# Information below which a direction counts as undetermined, in squared units of its usual size.
+MIN_INFORMATION = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class SharedInformation:
-    """Campaigns about common values, in units of the scale: what they tell of p parameters that they share.
+    """Information of n campaigns on the p parameters that they share, in units of the scale.
 
-    information : shape (n, p, p); score : shape (n, p); precision : of theta before the data, shape (p,)
+    information : matrices about common values, shape (n, p, p)
+    score : gradients of the log likelihood at these, shape (n, p)
+    precision : prior precision of theta, shape (p,)
     """
 
     information: Array
@@ -182,7 +208,10 @@ class SharedInformation:
     precision: Array
 
     def with_jitter(self, columns: Array, sizes: Array) -> SharedInformation:
-        """With what comes and goes in each campaign alone; columns : shape (p, m); sizes : one sigma of each."""
+        """Return the information with independent differences in each campaign marginalised.
+
+        columns : shape (p, m); sizes : standard deviation of each, shape (m,)
+        """
         HD = self.information @ columns
         inner = np.array([inverse_of(own) for own in columns.T @ HD + np.diag(sizes**-2.0)])
         lost = HD @ inner
@@ -192,10 +221,12 @@ class SharedInformation:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Theta and known changes, solved for: what is left for a further change.
+    """Posterior of theta and the amplitudes of known changes, before an additional change.
 
-    columns : of the known changes over all campaigns, shape (n, p, m)
-    root : R of the covariance R'R of u = (theta, known amplitudes); turned : R times the score of u
+    shared : information of the campaigns
+    columns : of the known changes in each campaign, shape (n, p, m)
+    root : R of the covariance R'R of u = (theta, known amplitudes)
+    turned : R times the score of u
     """
 
     shared: SharedInformation
@@ -205,33 +236,40 @@ class Model:
 
     @property
     def inverse(self) -> Array:
+        """The posterior covariance of u."""
         return self.root.T @ self.root
 
     @property
     def mean(self) -> Array:
-        """Of u."""
+        """The posterior mean of u."""
         return self.root.T @ self.turned
 
     @property
     def p(self) -> int:
+        """The number of shared parameters."""
         return int(self.shared.score.shape[1])
 
 
-def solve(told: SharedInformation, columns: Array, sizes: Array) -> Model:
-    """Theta and known changes, given all campaigns; columns : as of `Model`; sizes : of the changes, shape (m,)."""
-    n, p = told.score.shape
+def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
+    """Return the posterior of theta and the amplitudes of known changes, given all campaigns.
+
+    columns : as of `Model`; sizes : prior standard deviations of the amplitudes, shape (m,)
+    """
+    n, p = shared.score.shape
     X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), columns], axis=2)
-    HX = told.information @ X
+    HX = shared.information @ X
     Lambda = np.tensordot(X, HX, axes=([0, 1], [0, 1]))
-    Lambda += np.diag(np.concatenate([told.precision, sizes**-2.0]))
+    Lambda += np.diag(np.concatenate([shared.precision, sizes**-2.0]))
     root = root_of_inverse(Lambda)
-    return Model(told, columns, root, root @ np.einsum("npi,np->i", X, told.score))
+    return Model(shared, columns, root, root @ np.einsum("npi,np->i", X, shared.score))
 
 
-def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
-    """Information and score of a change along columns E with each of several courses.
+def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
+    """Return information and score of a change's amplitudes, all others marginalised.
 
-    E : shape (p, m); courses : shape (c, n, k), of each campaign k factors. Returns shapes (c, km, km) and (c, km).
+    E : directions of the change, shape (p, m)
+    courses : k factors of each of n campaigns, for each of c courses, shape (c, n, k)
+    Returns shapes (c, km, km) and (c, km).
     """
     information = model.shared
     (c, n, k), m = courses.shape, E.shape[1]
@@ -243,16 +281,16 @@ def visible(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     HEu = np.concatenate([HE, model.columns.transpose(0, 2, 1) @ HE], axis=1)
     C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
     b = (flat @ (information.score @ E)).reshape(c, k * m)
-    # A change along known ones is the small difference of large numbers: squares of the root keep twice the digits that
-    # products with the inverse do.
+    # A change along known ones is a small difference of large numbers: squares of the root keep
+    # twice the digits of products with the inverse.
     C = model.root @ C
     return H - C.transpose(0, 2, 1) @ C, b - model.turned @ C
 
 
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
-    """Log of how many times more probable the data are with changes than without, shape (c, kappas).
+    """Return the log Bayes factor of each change against none, for each size, shape (c, kappas).
 
-    H, b : as of `visible`; sizes : usual one of each column, shape (m,)
+    H, b : as of `marginal_information`; sizes : usual size of each column, shape (m,)
     """
     values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
     values = np.maximum(values, 0.0)
@@ -261,29 +299,35 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
 
 
 def averaged(logs: Array) -> Array:
-    """Mean evidence over the sizes, as a logarithm; logs : shape (..., kappas)."""
+    """Return the logarithm of the mean evidence over the sizes.
+
+    logs : log evidence, shape (..., kappas)
+    """
     return np.asarray(np.logaddexp.reduce(logs, axis=-1) - np.log(len(KAPPAS)))
 
 
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
-    """Mean, shape (m,), and covariance of one change's amplitudes, at its most probable size, which is returned too."""
+    """Return mean, covariance and size of one change's amplitudes, at its most probable size."""
     kappa = float(KAPPAS[first_of_best(logs, logs=True)])
     C = inverse_of(H + np.diag((kappa * sizes) ** -2.0))
     return C @ b, C, kappa
 
 
 def jumps(n: int) -> Array:
-    """Courses of a change at each campaign but the first, shape (n - 1, n, 1)."""
+    """Return the courses of jumps at each campaign but the first, shape (n - 1, n, 1)."""
     return (np.arange(n) >= np.arange(1, n)[:, None]).astype(float)[:, :, None]
 
 
 def drifts(times: Sequence[float] | Array) -> Array:
-    """Courses of a drift that begins after each campaign but the last, shape (n - 1, n, 1), a unit of time one."""
+    """Return the courses of drifts that begin at each campaign but the last, (n - 1, n, 1).
+
+    They grow by one in a unit of time.
+    """
     t = np.asarray(times, dtype=float)
     return np.asarray(np.maximum(0.0, t - t[:-1, None])[:, :, None])
 
 
 def season(times: Sequence[float] | Array) -> Array:
-    """Course of what comes again every unit of time, shape (1, n, 2)."""
+    """Return the course of a yearly change, sine and cosine, shape (1, n, 2)."""
     turn = 2 * np.pi * np.asarray(times, dtype=float)
     return np.stack([np.sin(turn), np.cos(turn)], axis=-1)[None]

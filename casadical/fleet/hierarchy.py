@@ -1,13 +1,16 @@
-"""What robots of one type have in common: empirical Bayes on the departures of their parameters from the drawing.
+"""Hierarchical model of the robots of one type: empirical Bayes on deviations from the drawing.
 
-Robot i departs from the drawing by theta_i ~ N(mu, diag(tau^2)), and its campaign tells of theta_i as an `Estimate`
-does. The common departure mu and the spread tau are those of greatest probability, by expectation and maximisation
-(Dempster, Laird and Rubin 1977, section 4.5; Efron and Morris 1975); lengths, angles, bars, compliances and harmonics
-have each a usual spread, which counts as a few robots (Gelman and Hill 2007, chapter 12), so that few robots do not
-make a spread of zero. A parameter with a mean far beyond its standard error is a fault of the drawing; the spread, with
-the covariance of the mean, is the prior of a robot that is still to be measured.
+Robot i deviates from the drawing by theta_i ~ N(mu, diag(tau^2)), and its campaign gives
+information on theta_i as an `Estimate` does. The mean deviation mu and the spread tau are the most
+probable ones, by expectation and maximisation (Dempster, Laird and Rubin 1977, section 4.5; Efron
+and Morris 1975). Parameters of one group (lengths, angles, bars, compliances, harmonics) have a
+usual spread, which counts as much as a few robots (Gelman and Hill 2007, chapter 12), so that few
+robots do not give a spread of zero. A parameter whose mean is far beyond its standard error is a
+fault of the drawing. The spread, with the covariance of the mean, is the prior of a robot that is
+still to be measured.
 
-Drawings: where a parameter stands in a robot file, and types whose drawings are nearly one.
+The drawings of the types are compared here too: where a parameter stands in a robot file, and which
+types have nearly the same drawing.
 """
 
 from __future__ import annotations
@@ -33,30 +36,36 @@ from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
 from casadical.robot.robot import Covariance, Knowledge, Robot
 
-# Robots of a type from which anything is learnt, and most that are used.
-LEAST, MOST = 5, 1000
-# Robots whose matrices are in memory at a time.
-BLOCK = 25
-# So many robots the usual spread of the parameters of one group counts for.
-POOLED = 4.0
-# A common fault is this many standard errors from zero, and this share of the usual size of the parameter (1 mm).
-SURE, COUNTS = 5.0, 0.05
-# Least spread, in units of the scale: what is learnt of few robots is not exact.
-NARROWEST = 1e-3
+# Number of robots of a type that are needed to learn what they have in common.
+MIN_ROBOTS_PER_TYPE = 5
+# Number of robots of a type that are used at most.
+MAX_ROBOTS_PER_TYPE = 1000
+# Number of robots whose matrices are in memory at a time.
+ROBOTS_PER_BLOCK = 25
+# Weight of the usual spread of a group of parameters, as a number of robots.
+ROBOTS_IN_USUAL_SPREAD = 4.0
+# A mean deviation from the drawing is a fault from so many standard errors on ...
+MIN_FAULT_SIGMAS = 5.0
+# ... if it is also greater than this, in units of the parameter's scale (1 mm or 1 mrad).
+MIN_FAULT_SIZE = 0.05
+# Smallest spread of a parameter, in units of its scale, because few robots do not show an exact
+# value.
+MIN_SPREAD = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Common:
-    """What robots of one type share.
+    """What the robots of one type have in common.
 
     type : word for the drawing
-    count : robots it was learnt from
+    name : of the type
+    count : number of robots from which it was learnt
     names : parameters, k of them
-    mean : Array, shape (k,): common departure from the drawing, in units of the scale
-    std_error : Array, shape (k,): of the mean
-    spread : Array, shape (k,): one sigma of single robots about the mean
-    scale : Array, shape (k,) [SI]: unit of each parameter
-    covariance : Array, shape (k, k): of the mean
+    mean : mean deviation from the drawing, in units of the scale, shape (k,)
+    std_error : of the mean, shape (k,)
+    spread : standard deviation of single robots about the mean, shape (k,)
+    scale : unit of each parameter, shape (k,) [SI]
+    covariance : of the mean, shape (k, k)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -81,12 +90,17 @@ class Common:
 
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
-        """(name, departure, standard error) in units of the scale, of what all robots have in common."""
-        far = (np.abs(self.mean) > SURE * self.std_error) & (np.abs(self.mean) > COUNTS)
+        """(name, mean deviation, standard error) of parameters in which the drawing is wrong.
+
+        The figures are in units of the scale.
+        """
+        far = (np.abs(self.mean) > MIN_FAULT_SIGMAS * self.std_error) & (np.abs(self.mean) > MIN_FAULT_SIZE)
         return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
 
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:
-        """Values of a parameter from units of its scale to those of reports, with the unit."""
+        """Return values of a parameter in the unit of reports, and that unit.
+
+        values : in units of the parameter's scale"""
         unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
         factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
         if name.startswith("c") and name[1:].isdigit():
@@ -101,55 +115,66 @@ class Common:
         return [(name, *self.readable(name, *figures)) for name, *figures in every]
 
     def prior_of(self, robot: Robot) -> Robot:
-        """A drawn robot with the common departures, their spread as covariance: for `calibrate --prior-effects all`."""
+        """Return a drawn robot with the mean deviations, and their spread as covariance.
+
+        It serves as the prior of `calibrate --prior-effects all`.
+        """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)
         scale = self.scale[own]
         mean = scale * self.mean[own]
         values = {n: robot.parameters[n].value + d for n, d in zip(names, mean, strict=True)}
         C = self.covariance[np.ix_(own, own)] + np.diag(self.spread[own] ** 2)
-        # What the fleet could not determine stays as drawn: the others carry its share.
+        # Parameters that the fleet could not determine stay as drawn: others include their effect.
         held = [p for p in robot.parameters if p.group in ("geometry", "loop", "compliance") and p.name not in names]
         blocks = [Covariance(names, (C + C.T) / 2 * np.outer(scale, scale))]
-        blocks += [Covariance((p.name,), np.array([[(NARROWEST * p.scale) ** 2]])) for p in held]
+        blocks += [Covariance((p.name,), np.array([[(MIN_SPREAD * p.scale) ** 2]])) for p in held]
         known = Knowledge(tuple(blocks), f"{self.count} robots of the fleet", robots=self.count)
         return replace(robot.with_values(values), knowledge=known)
 
 
 def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
-    """What robots of one type share, from their rows in a store. Raises InputError where they are too few."""
+    """Return what robots of one type have in common, from their rows in a store.
+
+    Raises InputError: too few robots.
+    """
     H, b = [], []
     first: dict[str, Any] = {}
     identified: Counter[str] = Counter()
-    for row in islice(rows, MOST):
+    for row in islice(rows, MAX_ROBOTS_PER_TYPE):
         first = first or {k: row[k] for k in ("type", "type_name", "names", "spread", "scale")}
         place = {n: k for k, n in enumerate(row["names"])}
         order = [place[n] for n in first["names"]]
-        lower = _numbers(len(order))[np.ix_(order, order)][np.tril_indices(len(order))]
+        lower = _packed_places(len(order))[np.ix_(order, order)][np.tril_indices(len(order))]
         H.append(np.asarray(row["information"])[lower])
         b.append(np.asarray(row["score"])[order])
         identified.update(row["identified"])
-    if len(H) < LEAST:
-        raise InputError(f"{len(H)} robots of one type; {LEAST} are needed to learn what they have in common")
-    # Of parameters that few robots identified, the drawing's value is kept: others carry their share.
+    if len(H) < MIN_ROBOTS_PER_TYPE:
+        raise InputError(
+            f"{len(H)} robots of one type; {MIN_ROBOTS_PER_TYPE} are needed to learn what they have in common"
+        )
+    # Parameters that few robots identified keep the drawing's value: others include their effect.
     kept = [k for k, n in enumerate(first["names"]) if "." in n or identified[n] > len(H) / 2]
     own = tuple(str(first["names"][k]) for k in kept)
     spread, scale = (np.asarray(first[column])[kept] for column in ("spread", "scale"))
-    at = _numbers(len(first["names"]))[np.ix_(kept, kept)]
-    mean, C, tau = learnt(H, np.array(b)[:, kept], np.minimum(spread, 3.0), at, [_group(n) for n in own])
+    at = _packed_places(len(first["names"]))[np.ix_(kept, kept)]
+    mean, C, tau = population_of(H, np.array(b)[:, kept], np.minimum(spread, 3.0), at, [_spread_group(n) for n in own])
     return Common(str(first["type"]), str(first["type_name"]), len(H), own, mean, np.sqrt(np.diag(C)), tau, scale, C)
 
 
-def _numbers(k: int) -> Array:
-    """Which number of a packed lower triangle stands where in the symmetric matrix, shape (k, k)."""
+def _packed_places(k: int) -> Array:
+    """Return the index in a packed lower triangle of each matrix entry, shape (k, k)."""
     numbers = np.zeros((k, k), dtype=int)
     rows, columns = np.tril_indices(k)
     numbers[rows, columns] = numbers[columns, rows] = np.arange(len(rows))
     return numbers
 
 
-def _group(name: str) -> str:
-    """Parameters with a common usual spread: harmonics of one order, angles, bars, compliances, lengths."""
+def _spread_group(name: str) -> str:
+    """Return the group of parameters that share a usual spread.
+
+    Groups are harmonics of one order, angles, bars, compliances and lengths.
+    """
     if "." in name:
         return f"harmonic {name.rsplit('.', 1)[1][1:].split('_')[0]}"
     if name.startswith(("alpha", "beta", "theta")):
@@ -157,51 +182,67 @@ def _group(name: str) -> str:
     return name[0] if name[0] in "cL" else "length"
 
 
-def learnt(
+def population_of(
     H: Sequence[Array], b: Array, spread: Array, at: Array | None = None, groups: Sequence[str] | None = None
 ) -> tuple[Array, Array, Array]:
-    """Mean, shape (k,), its covariance, and spread, (k,), of n robots.
+    """Return the mean, (k,), its covariance, (k, k), and the spread, (k,), of n robots' parameters.
 
-    H : information of each robot, its lower triangle packed; b : their scores, (n, k); at : which packed number stands
-    where in the matrix, (k, k); None: of the whole triangle
-    spread : to begin with, and one sigma of the mean before the data; groups : of parameters with a usual spread, else
-    each has its own
+    H : information matrix of each robot, its lower triangle packed; b : scores, shape (n, k)
+    spread : start of the iteration, and prior standard deviation of the mean, shape (k,)
+    at : index in the packed triangle of each entry of the matrix, shape (k, k); None: the whole
+        triangle
+    groups : group of each parameter with a usual spread; None: each has its own
     """
     mean, tau2 = np.zeros(len(spread)), spread**2
     wide = spread**-2.0
     C = np.zeros((len(spread), len(spread)))
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
-    at = _numbers(len(spread)) if at is None else at
+    at = _packed_places(len(spread)) if at is None else at
     for _ in range(300):
         w = 1 / tau2
         whole, informed, squares = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
-        for some in (slice(k, k + BLOCK) for k in range(0, len(H), BLOCK)):
+        for some in (slice(k, k + ROBOTS_PER_BLOCK) for k in range(0, len(H), ROBOTS_PER_BLOCK)):
             V = np.array([inverse_of(own[at] + np.diag(w)) for own in H[some]])
             whole += V.sum(axis=0)
             informed += np.einsum("nij,nj->i", V, b[some])
             m = np.einsum("nij,nj->ni", V, b[some] + mean * w)
             own = np.diagonal(V, axis1=1, axis2=2)
-            # The last term: robots move the mean towards themselves, five of them by a tenth of their spread.
+            # The last term corrects that each robot moves the mean towards itself, which shrinks
+            # the spread of five robots by a tenth.
             squares += np.sum((m - mean) ** 2 + own + (1 - own * w) ** 2 * np.diag(C), axis=0)
-        # The mean of greatest likelihood: theta_i integrated, each robot tells P - P V P of it, P = diag(w).
+        # With theta_i marginalised, each robot has the information P - P V P on the mean, P =
+        # diag(w).
         C = inverse_of(np.diag(len(H) * w + wide) - np.outer(w, w) * whole)
         mean = C @ (w * informed)
         usual = (np.bincount(group, squares) / np.bincount(group))[group]
-        before, tau2 = tau2, np.maximum((squares + POOLED * usual / len(H)) / (len(H) + POOLED), NARROWEST**2)
-        # The spread of a parameter does not change by more in the last round.
+        before, tau2 = (
+            tau2,
+            np.maximum(
+                (squares + ROBOTS_IN_USUAL_SPREAD * usual / len(H)) / (len(H) + ROBOTS_IN_USUAL_SPREAD), MIN_SPREAD**2
+            ),
+        )
+        # Iteration ends when no spread changes by more, relatively.
         if np.abs(np.log(tau2 / before)).max() < 1e-3:
             break
     return mean, C, np.sqrt(tau2)
 
 
-# Key of a number in a row of a robot file; the first four belong to the row after the number in their name.
-_KEYS = {"alpha": "alpha_deg", "a": "a_mm", "beta": "beta_deg", "b": "b_mm", "theta": "theta_deg", "d": "d_mm"}
-_BARS = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
+# Keys of DH parameters in a joint's table of a robot file. Unless the file has standard DH rows,
+# the first four belong to the row after the number in the parameter's name.
+_ROW_KEYS = {"alpha": "alpha_deg", "a": "a_mm", "beta": "beta_deg", "b": "b_mm", "theta": "theta_deg", "d": "d_mm"}
+# Keys of the lengths of a four-bar in a robot file.
+_BAR_KEYS = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
 
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A robot as drawn; standard : whether its file has standard DH rows, None where it has none (URDF)."""
+    """A robot as drawn.
+
+    name : of the type
+    count : number of robots of the type
+    robot : with nominal values
+    standard : whether its file has standard DH rows; None if it has no rows (URDF)
+    """
 
     name: str
     count: int
@@ -210,19 +251,22 @@ class Drawing:
 
     @property
     def robots(self) -> str:
-        """How many there are, in words."""
+        """The number of robots, in words."""
         return f"{self.count} robot{'s' * (self.count > 1)}"
 
     def correction(self, common: Common, name: str, near: Sequence[Drawing] = ()) -> str:
-        """What to write for a parameter, and where, as "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; or nothing.
+        """Return the corrected value of a parameter for the robot file, and where to write it.
 
-        near : drawings that are nearly this one; the value of one that would be no fault is taken, so that all are one
+        An example is "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; empty if it cannot be given.
+
+        near : nearly equal drawings; the value of one that would be no fault is taken, so that all
+            agree
         """
         if self.standard is None or name not in self.robot.parameters.names:
             return ""
         drawn, k = self.robot.parameters[name].value, common.names.index(name)
         new = drawn + common.mean[k] * common.scale[k]
-        good = max(SURE * common.std_error[k], COUNTS) * common.scale[k]
+        good = max(MIN_FAULT_SIGMAS * common.std_error[k], MIN_FAULT_SIZE) * common.scale[k]
         taken = next((other for other in near if abs(other.robot.parameters[name].value - new) <= good), None)
         new, said = (taken.robot.parameters[name].value, f"; {taken.robots} so") if taken else (new, "")
         place = re.fullmatch(r"(L[345])(?:_(\d+))?|([a-z]+)(\d+)", name)
@@ -235,9 +279,9 @@ class Drawing:
             number = f"{1 / new:.12g}" if taken else f"{float(f'{1 / new:.3g}'):.0f}"
             return f"[[joint]] {place[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
         if place[1]:
-            key, where = _BARS[place[1]], f"[[four_bar]] {place[2] or 1}"
+            key, where = _BAR_KEYS[place[1]], f"[[four_bar]] {place[2] or 1}"
         else:
-            key = _KEYS[place[3]]
+            key = _ROW_KEYS[place[3]]
             where = f"[[joint]] {int(place[4]) + (place[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
         factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
         digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))
@@ -246,9 +290,9 @@ class Drawing:
 
 
 def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
-    """Drawings by the word for their type, of the types of which there are most robots; those that can be read."""
+    """Return the drawings that can be read, by the word for their type; the largest types only."""
     drawings = {}
-    # Types whose drawings are read, the largest first.
+    # The drawings of the hundred largest types are read.
     for kind, count in good["type"].value_counts().head(100).items():
         row = good[good["type"] == kind].iloc[0]
         with suppress(CasadicalError, OSError):
@@ -261,12 +305,15 @@ def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
 
 
 def near(drawings: Mapping[str, Drawing], kind: str) -> list[Drawing]:
-    """Drawings that are nearly that of a type, of which there are most robots first."""
+    """Return the drawings that are nearly that of a type, the most frequent first."""
     return [other for other in drawings.values() if _differences(drawings[kind], other)]
 
 
 def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
-    """In words, types whose drawings differ in few values, as where they are corrected one robot at a time."""
+    """Yield a sentence for each pair of types whose drawings differ in few values.
+
+    This happens where drawings are corrected one robot at a time.
+    """
     for (first, one), (second, other) in combinations(drawings.items(), 2):
         if pairs := _differences(one, other):
             both = ((p, f"{p.readable(p.value):.9g} and {p.readable(q.value):.9g}") for p, q in pairs)
@@ -276,11 +323,11 @@ def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
 
 
 def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Parameter]]:
-    """In which parameters two drawings that are nearly one differ; none where they are others, or the same."""
+    """Return the parameters in which two nearly equal drawings differ; else none."""
     first, second = ([p for p in d.robot.parameters if p.group not in ("base", "tool")] for d in (one, other))
     if [p.name for p in first] != [p.name for p in second]:
         return []
     pairs = [(p, q) for p, q in zip(first, second, strict=True) if f"{p.value:.9g}" != f"{q.value:.9g}"]
-    # Two drawings are nearly one where so many nominal values differ at most, each by so many sigma
-    # of its prior.
+    # Drawings are nearly equal if at most three nominal values differ, each by at most five prior
+    # standard deviations.
     return pairs if len(pairs) <= 3 and all(abs(q.value - p.value) <= 5.0 * p.prior for p, q in pairs) else []

@@ -1,4 +1,4 @@
-"""The result of a fleet: a row of each robot, outliers, trends, what robots of one type share; and its figures."""
+"""Result of a fleet: a row per robot, outliers, trends, common deviations of each type."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -14,33 +14,38 @@ from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Wor
 from casadical.core.telling.figure import Axis, Figure, Note, Series
 from casadical.core.telling.plain import WRITTEN, Key, plain
 from casadical.core.telling.result import Result
-from casadical.fleet.changes import ALARMS, leaves_more, left_figure
+from casadical.fleet.changes import FALSE_ALARM_PROBABILITY, exceeded_residual, residuals_figure
 from casadical.fleet.estimates import date_text
-from casadical.fleet.hierarchy import LEAST, Common, Drawing, common_of, drawings_of, near, nearly_one
+from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, Drawing, common_of, drawings_of, near, nearly_one
 from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
-# Of a campaign that could not be used, in a robot's notes.
-LEFT_OUT = "is left out:"
-# Of fewer robots the 95 % quantile is no more than the worst of them.
-MANY = 20
-# Rows that the terminal shows, and letters of an error that a table shows.
-SHOWN, LETTERS = 12, 240
-# The same of a page.
-LISTED, FEWER_LETTERS = 2000, 60
+# Words by which a robot's notes mark a campaign that could not be used.
+LEFT_OUT_MARK = "is left out:"
+# With fewer robots the 95 % quantile is simply the worst of them.
+MIN_ROBOTS_FOR_QUANTILE = 20
+# Number of rows in a table on the terminal.
+MAX_ROWS_SHOWN = 12
+# Letters of an error message in such a table.
+MAX_ERROR_LETTERS = 240
+# Number of robots in the table of the page.
+MAX_ROWS_ON_PAGE = 2000
+# Letters of an error message in that table.
+MAX_ERROR_LETTERS_ON_PAGE = 60
 
 
 @dataclass(frozen=True, eq=False)
 class Fleet(Result):
-    """All robots of a fleet.
+    """All robots of a fleet, and what they have in common.
 
-    robots : a row of each, as the store keeps it
-    commons : what robots of one type share, of types with five robots or more
-    outliers : robots whose error stands out from that of their type
+    robots : a row per robot, as in the store
+    commons : what robots of one type have in common, for types with five robots or more
+    outliers : robots whose error is an outlier among those of their type
     notes : what was assumed
     drawings : by type, those that can be read
-    computed : robots that were computed now, the others come from the store; None where that is not known
+    computed : number of robots that were computed in this run, the others come from the store;
+        None: unknown
 
     Examples
     --------
@@ -79,26 +84,29 @@ class Fleet(Result):
 
     @property
     def good(self) -> pd.DataFrame:
-        """Rows of robots that were calibrated."""
+        """The rows of robots that were calibrated."""
         return self.robots[self.robots["status"] == "ok"]
 
     @property
     def grown(self) -> dict[str, str]:
-        """In words, by robot: its last campaign leaves more than those before, and chance does not explain it."""
+        """A sentence for each robot whose residuals grew significantly in the last campaign."""
         some = self.good[self.good["campaigns"] > 1]
-        words_of = {r["robot"]: grown(r["left_mm"], r.get("left_free"), ALARMS / len(some)) for r in records(some)}
+        words_of = {
+            r["robot"]: grown(r["left_mm"], r.get("left_free"), FALSE_ALARM_PROBABILITY / len(some))
+            for r in records(some)
+        }
         return {name: words for name, words in words_of.items() if words}
 
     def blocks(self) -> list[Block]:
         bad = self.robots[self.robots["status"] != "ok"]
-        failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(SHOWN))]
+        failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(MAX_ROWS_SHOWN))]
         title = f"Not calibrated ({len(bad)})"
         others = [Table(title, ("robot", "status", "why"), failed)] if failed else []
         return self._report_blocks(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """What to do now: of the robots to check first the one with the greatest error."""
+        """The suggested next command, for the robot to check with the greatest error."""
         return tuple(
             next_step(f"for {r['robot']}", "compare" if r["changes"] else "diagnose", r["folder"])
             for r in records(self._first().head(1))
@@ -106,13 +114,13 @@ class Fleet(Result):
         )
 
     def figures(self) -> dict[str, Figure]:
-        """By name: map of accuracies, trends, and common/TYPE."""
+        """Return the figures by name: map of accuracies, trends, and common/TYPE."""
         figures = [accuracy_map(self.good, self.outliers)] if len(self.good) else []
         figures += [trends(self.good, self.grown)] if (self.good["campaigns"] > 1).any() else []
         return {figure.name: figure for figure in (*figures, *map(common_departures, self.commons))}
 
     def page(self) -> Page:
-        """Words, tables and figures as `casadical fleet --report` writes them."""
+        """Return the report of `casadical fleet --report` as a page."""
         figures = self.figures()
         few = Words("Five robots of one type are needed to learn what they have in common.", "note")
         alike: list[Block] = [b for c in self.commons for b in (figures[f"common/{c.type}"], common_table(c))]
@@ -126,6 +134,7 @@ class Fleet(Result):
         return Page("Fleet", "Fleet", f"{len(self.robots)} robots", sections, [*self._tiles()])
 
     def _tiles(self) -> Iterator[Tile]:
+        """Yield the main figures of the fleet."""
         good = self.good
         yield Tile("Calibrated", str(len(good)), "", f"of {len(self.robots)} robots")
         if len(good):
@@ -135,17 +144,24 @@ class Fleet(Result):
         yield Tile("Stand out", str(len(self.outliers)), "", "robots")
 
     def _all(self) -> Table:
+        """Return the table of all robots."""
         rows = []
-        for r in records(self.robots.head(LISTED)):
+        for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
-            figures = (short(r["error"], FEWER_LETTERS), *errors, str(r["poses"]), str(r["campaigns"]))
+            figures = (short(r["error"], MAX_ERROR_LETTERS_ON_PAGE), *errors, str(r["poses"]), str(r["campaigns"]))
             rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
-        title = f"Mean errors of held-out poses [mm]{f'; the first {LISTED}' if len(self.robots) > LISTED else ''}"
+        title = (
+            f"Mean errors of held-out poses [mm]"
+            f"{f'; the first {MAX_ROWS_ON_PAGE}' if len(self.robots) > MAX_ROWS_ON_PAGE else ''}"
+        )
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
-        """Robot files with what is learnt of each type, in a folder: the prior of a robot that will be measured."""
+        """Return a robot file for each type with its mean and spread, by its path in a folder.
+
+        Such a file is the prior of a robot that is still to be measured.
+        """
         texts = {}
         for c in self.commons:
             drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])
@@ -158,12 +174,16 @@ class Fleet(Result):
         return texts
 
     def _correction(self, common: Common, name: str) -> str:
-        """What to write into the robot files of a type for a parameter, and where; empty where no file was read."""
+        """Return the correction of a parameter in the robot files of a type, and where to write it.
+
+        It is empty if no file was read.
+        """
         if common.type not in self.drawings:
             return ""
         return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
 
     def _faults(self) -> Iterator[Words]:
+        """Yield a warning for each type whose drawing deviates from all its robots."""
         remedies = {
             False: "correct the drawing, or the set-up of the instrument",
             True: "their joints yield otherwise than it says; correct the compliances in the robot file",
@@ -181,31 +201,33 @@ class Fleet(Result):
                     yield Words(words, "warning", "\n".join(places))
 
     def _types(self) -> Iterator[Table]:
+        """Yield a table of the types with the median errors of their robots."""
         rows, types = [], self.good.groupby("type", sort=False)
-        large = bool((types.size() >= MANY).any())
+        large = bool((types.size() >= MIN_ROBOTS_FOR_QUANTILE).any())
         for kind, some in types:
             after = some["after_mm"]
             figures = [f"{v:.4f}" for v in (some["before_mm"].median(), after.median())]
-            figures += [f"{after.quantile(0.95):.4f}" if len(some) >= MANY else ""] if large else []
+            figures += [f"{after.quantile(0.95):.4f}" if len(some) >= MIN_ROBOTS_FOR_QUANTILE else ""] if large else []
             rows.append((some["type_name"].iloc[0], str(kind), str(len(some)), *figures))
         head = ("type", "drawing", "robots", "before", "after", *(["95 % below"] if large else []))
         if rows:
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 
     def _first(self) -> pd.DataFrame:
-        """Rows of robots to check, the greatest error first."""
+        """Return the rows of robots to check, the greatest error first."""
         some = self.robots[
             self.robots["robot"].isin([*self.outliers, *self.grown])
             | (self.robots["changes"] != "")
             | (self.robots["at_bounds"] != "")
-            | self.robots["notes"].str.contains(LEFT_OUT, regex=False)
+            | self.robots["notes"].str.contains(LEFT_OUT_MARK, regex=False)
             | ~self.robots["verdict"].isin(["", "none"])
         ]
         return some.sort_values("after_mm", ascending=False)
 
     def _to_look_at(self) -> Iterator[Table]:
+        """Yield the tables of robots to check first and of unusual campaigns of others."""
         more, some, rows = self.grown, self._first(), []
-        for r in records(some.head(SHOWN)):
+        for r in records(some.head(MAX_ROWS_SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
             said += [more[r["robot"]]] if r["robot"] in more else []
             said += [f"at bounds: {r['at_bounds']}"] if r["at_bounds"] else []
@@ -217,44 +239,49 @@ class Fleet(Result):
         others = self.good[~self.good["robot"].isin(some["robot"])]
         noted = [(r["robot"], short(words)) for r in records(others) if (words := odd(r["notes"]))]
         if noted:
-            yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:SHOWN])
+            yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:MAX_ROWS_SHOWN])
 
     @property
     def _listed(self) -> list[dict[str, Any]]:
-        """Return a row of each robot as plain data."""
+        """A row of each robot as plain data, for the JSON."""
         told = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*told.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
 
     @property
     def _shared_by_type(self) -> list[dict[str, Any]]:
-        """Return what robots of each type share, and how its drawing would be corrected."""
+        """What robots of each type have in common, and its drawing's corrections, for the JSON."""
         own = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
         return [{**plain(c), "corrections": each} for c, each in zip(self.commons, own, strict=True)]
 
 
 def _found_in(row: Mapping[str, Any]) -> str:
-    """Verdict and causes of a robot's diagnosis."""
+    """Return verdict and causes of a robot's diagnosis."""
     return " ".join(filter(None, (row["verdict"], row["causes"])))
 
 
-def short(error: str, letters: int = LETTERS) -> str:
-    """Last line of an error, cut where it is long; all of it is in the JSON."""
+def short(error: str, letters: int = MAX_ERROR_LETTERS) -> str:
+    """Return the last line of an error message, cut to a number of letters."""
     line = (error.strip().splitlines() or [""])[-1]
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
 
 
 def odd(notes: str) -> str:
-    """Notes of a row without those of single outliers, which many campaigns have."""
+    """Return the notes of a row without those on outliers, which many campaigns have."""
     return "; ".join(note for note in notes.split("; ") if not note.endswith("left out as outliers"))
 
 
 def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
-    """In words, where the last campaign leaves more [mm] than those before; freedom : of each, None: not known."""
+    """Return a sentence if the last campaign has significantly greater residuals than those before.
+
+    left : residual of a coordinate in each campaign [mm]
+    freedom : its degrees of freedom, None: unknown
+    alarms : probability of a false alarm
+    """
     both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
     pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
-    before = leaves_more(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
+    before = exceeded_residual(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
     return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}" if before else ""
 
 
@@ -263,11 +290,11 @@ def fleet_of(
     notes: Sequence[str] = (),
     computed: int | None = None,
 ) -> Fleet:
-    """The result of the rows of a store."""
+    """Return the result of a fleet from the rows of a store."""
     names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
     robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]
-    types = [some for _, some in good.groupby("type", sort=False) if len(some) >= LEAST]
+    types = [some for _, some in good.groupby("type", sort=False) if len(some) >= MIN_ROBOTS_PER_TYPE]
     outliers = [name for some in types for name in _outliers(some)]
     commons = [replace(common_of(records(some)), name=some["type_name"].iloc[0]) for some in types]
     drawings = drawings_of(good)
@@ -276,7 +303,10 @@ def fleet_of(
 
 
 def name_of_type(names: Sequence[str]) -> str:
-    """One name of robots of one type: the most frequent; at a tie the words these begin with, or the first of them."""
+    """Return one name for robots of one type: the most frequent one.
+
+    At a tie it is the words with which these begin, or the first of them.
+    """
     times = Counter(names)
     most = sorted(name for name, count in times.items() if count == max(times.values()))
     words = zip(*(name.split() for name in most), strict=False)
@@ -284,26 +314,28 @@ def name_of_type(names: Sequence[str]) -> str:
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:
+    """Return the robots of one type whose log error is an outlier."""
     logs = np.log(some["after_mm"].to_numpy())
     middle = np.median(logs)
     spread = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.02)
-    # A robot stands out from its type by so many scaled median absolute deviations of the logarithm
-    # of its error.
+    # An outlier is more than four scaled median absolute deviations above the median.
     return [str(name) for name in some["robot"][logs > middle + 4.0 * spread]]
 
 
-# Names in a figure, and how far apart they are, as a share of its height.
-LABELS, APART = 12, 0.07
-_MAP = (
+# Number of robots that a figure names.
+MAX_LABELS = 12
+# Distance between two names, as a share of the figure's height.
+MIN_LABEL_DISTANCE = 0.07
+_MAP_CAPTION = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
     "where it stands out from its type (four scaled median absolute deviations); the worst of these are named."
 )
-_TREND = (
+_TREND_CAPTION = (
     "What nothing explains in each campaign of a robot, of one coordinate; orange where something changed. Of many "
     "robots those are named that changed or whose last campaign leaves more than those before; point at a line to see "
     "which it is. Beside campaigns with a day, one without is not drawn."
 )
-_COMMON = (
+_COMMON_CAPTION = (
     "How far all robots of the type are from the drawing, in standard errors, over the size of the departure; of "
     "compliances, what they yield under the joint's greatest torque. Red: a fault of the drawing, or of the "
     "instrument's set-up; the surest are named."
@@ -311,7 +343,10 @@ _COMMON = (
 
 
 def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
-    """Mean errors before and after of every robot, by type; good : rows of robots that were calibrated."""
+    """Return the figure of the mean errors before and after calibration of every robot, by type.
+
+    good : rows of robots that were calibrated
+    """
     good = good.sort_values(["type_name", "after_mm"])
     x, names = np.arange(len(good)), [str(name) for name in good["robot"]]
     after = ["orange" if name in outliers else "blue" for name in names]
@@ -329,18 +364,21 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
         for state, colour, size in (("before", "grey", 4), ("after", after, 7))
     ]
     axis, marks = Axis("robot, by type and error"), []
-    # Robots whose course is drawn; robots whose names stand on the axis of the map.
     if len(good) <= 30:
         axis = Axis("robot, by type and error", ticks=x, labels=names)
     else:  # names do not fit on the axis
-        far = good.assign(x=x)[good["robot"].isin(outliers).to_numpy()].nlargest(LABELS, "after_mm")
+        far = good.assign(x=x)[good["robot"].isin(outliers).to_numpy()].nlargest(MAX_LABELS, "after_mm")
         rows = zip(far["robot"], far["x"], far["after_mm"], strict=True)
         marks = [Note(name, at, error, side="left", gap=8, colour="muted", size=12.5) for name, at, error in rows]
-    return Figure("map", "Every robot", series, axis, Axis("mean error [mm]", log=True), 380, _MAP, marks=marks)
+    return Figure("map", "Every robot", series, axis, Axis("mean error [mm]", log=True), 380, _MAP_CAPTION, marks=marks)
 
 
 def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
-    """What each campaign of each robot leaves; grown : robots of which the last one leaves more than those before."""
+    """Return the figure of the residuals in each campaign of each robot, for at most 60 robots.
+
+    good : rows of robots that were calibrated
+    grown : robots whose last campaign has greater residuals than those before
+    """
     several = good[good["campaigns"] > 1]
     striking = (several["changes"] != "") | several["robot"].isin(list(grown))
     several = several.assign(striking=striking).sort_values("striking", ascending=False, kind="stable").head(60)
@@ -351,23 +389,23 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
         drawn = [(x, left) for x, left in points if x]
         lives.append((r["robot"], [x for x, _ in drawn], [left for _, left in drawn], bool(r["changes"])))
     named = [life for life in lives if life[2] and np.isfinite(life[2][-1])]
-    if len(named) > LABELS:
+    if len(named) > MAX_LABELS:
         named = [life for life in named if life[3] or life[0] in grown]
-    first = sorted(named, key=lambda life: (not life[3], -life[2][-1]))[:LABELS]
+    first = sorted(named, key=lambda life: (not life[3], -life[2][-1]))[:MAX_LABELS]
     named = sorted(first, key=lambda life: -life[2][-1])
     most = max((v for _, _, left, _ in lives for v in left if np.isfinite(v)), default=1.0)
-    heights = _apart([life[2][-1] for life in named], APART * most)
+    heights = _apart([life[2][-1] for life in named], MIN_LABEL_DISTANCE * most)
     notes = [
         Note(name, 1, y, "x", colour="red" if changed else "muted", size=12.5)
         for (name, _, _, changed), y in zip(named, heights, strict=True)
     ]
     right = 12 + 8 * max((min(len(life[0]), 20) for life in named), default=0)
     by_change = sorted(lives, key=lambda life: life[3])  # what changed is on top
-    return left_figure("trends", by_change, height=340, caption=_TREND, marks=notes, right=right)
+    return residuals_figure("trends", by_change, height=340, caption=_TREND_CAPTION, marks=notes, right=right)
 
 
 def _apart(heights: Sequence[float], gap: float) -> list[float]:
-    """Heights of labels, given from the top down, moved down so far that none covers the next one."""
+    """Return the heights of labels, given from the top down, moved so that no two overlap."""
     moved: list[float] = []
     for y in heights:
         moved.append(min(y, moved[-1] - gap) if moved else y)
@@ -378,10 +416,10 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 
 
 def common_departures(c: Common) -> Figure:
-    """How far all robots of a type are from its drawing, and how surely."""
+    """Return the figure of a type's mean deviations from the drawing, over their significance."""
     sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
     bad = {name for name, _, _ in c.faults}
-    named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:LABELS]
+    named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:MAX_LABELS]
     words = [[name, f"{mean:+.4g} {unit} +/- {error:.1g}"] for name, mean, error, _, unit in c.rows]
     compliant = [n.startswith("c") and n[1:].isdigit() for n in c.names]
     dots = Series(
@@ -395,11 +433,11 @@ def common_departures(c: Common) -> Figure:
         tip="<b>%{customdata[0]}</b><br>%{customdata[1]} from the drawing",
     )
     x, y = Axis("common departure [mm or mrad]"), Axis("in standard errors")
-    return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=_COMMON)
+    return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=_COMMON_CAPTION)
 
 
 def common_table(c: Common) -> Table:
-    """All parameters of a type: common departure, its standard error, and the spread of the robots."""
+    """Return the table of all parameters of a type: mean deviation, standard error, spread."""
     rows = [(name, f"{m:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit) for name, m, error, spread, unit in c.rows]
     strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
     head = ("parameter", "common", "std error", "spread", "unit")

@@ -1,4 +1,7 @@
-"""A fleet: every robot's folder calibrated, diagnosed and compared on a cluster, and what the robots have in common."""
+"""Fleet run: every robot's folder is calibrated, diagnosed and compared on a Dask cluster.
+
+What the robots have in common is computed from the rows of the store at the end.
+"""
 
 import os
 import re
@@ -15,9 +18,10 @@ from casadical import __version__
 from casadical.core.basics import InputError, Show, optional, shown, silent
 from casadical.core.files import claimed
 from casadical.fleet.result import Fleet, fleet_of
-from casadical.fleet.store import NOTHING, add, fingerprint, name_of, one_robot, records, rows
+from casadical.fleet.store import EMPTY_ROW, add, fingerprint, name_of, one_robot, records, rows
 
-NEEDED = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
+# Message where a package is missing.
+MISSING_PACKAGES = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
 
 def run_fleet(
@@ -48,7 +52,7 @@ def run_fleet(
     (['planar'], ['ok'])
     """
     robots, place = robots_in(folders), Path(store)
-    optional("pyarrow", NEEDED)
+    optional("pyarrow", MISSING_PACKAGES)
     with claimed([place]):
         if foreign := [p.name for p in place.iterdir() if not (p.name.startswith(".") or p.suffix == ".parquet")]:
             raise InputError(
@@ -84,7 +88,10 @@ def run_fleet(
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
-    """Problem folders by name: those that are given, and those in given folders that are none. Raises InputError."""
+    """Return the problem folders by name: given ones, and those inside other given folders.
+
+    Raises InputError: a folder without any, or two robots of one name.
+    """
     robots: dict[str, Path] = {}
     for given in map(Path, folders):
         inner = [given] if (given / "problem.toml").exists() else sorted(p.parent for p in given.glob("*/problem.toml"))
@@ -101,7 +108,10 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
 
 
 def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
-    """Robots without copies of others, the fingerprints of all, and which are copies: of two, one the store has not."""
+    """Return the robots without copies, the fingerprints of all, and notes on the copies.
+
+    Of two copies the one that the store already has is kept.
+    """
     prints: dict[str, str] = {}
     for name, folder in robots.items():
         try:
@@ -123,7 +133,7 @@ def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[
 def _to_compute(
     robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool
 ) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return the robots to compute, the new names of stored ones by the old, and the renamed ones in words."""
+    """Return the robots to compute, the new names of renamed ones by the old, and notes."""
     left: list[str] = []
     renamed: dict[str, str] = {}
     gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
@@ -141,10 +151,10 @@ def _computed(
     names: Sequence[str], robots: dict[str, Path], scheduler: str | None, workers: int | None, with_diagnosis: bool
 ) -> Iterator[dict[str, Any]]:
     """Yield the row of each robot as it is computed on a cluster. Raises InputError if the scheduler is lost."""
-    distributed = optional("distributed", NEEDED)
+    distributed = optional("distributed", MISSING_PACKAGES)
     with client_of(scheduler, workers) as client:
         folders = [robots[name].resolve() for name in names]
-        # A robot whose worker dies is given to another worker so often.
+        # A robot whose worker dies is given to another worker up to twice.
         options = {"with_diagnosis": with_diagnosis, "pure": False, "retries": 2}
         of = dict(zip(client.map(one_robot, [str(folder) for folder in folders], **options), folders, strict=True))
         for future, row in distributed.as_completed(of, with_results=True, raise_errors=False):
@@ -154,15 +164,18 @@ def _computed(
             if future.status == "error":
                 why = f"the processes that computed it ended: {type(row[1]).__name__}: {str(row[1]).splitlines()[0]}"
                 about = {"robot": name_of(folder), "folder": name_of(folder, whole=True)}
-                row = {**NOTHING, **about, "status": "lost", "error": why}
+                row = {**EMPTY_ROW, **about, "status": "lost", "error": why}
             yield row
 
 
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """A client of a scheduler, or of processes of this machine, one core each. Raises InputError."""
-    distributed = optional("distributed", NEEDED)  # first: its own settings must not take the place of these
-    dask = optional("dask", NEEDED)
+    """Yield a client of a scheduler, or of a local cluster with one process per core.
+
+    Raises InputError.
+    """
+    distributed = optional("distributed", MISSING_PACKAGES)  # first: its own settings must not take the place of these
+    dask = optional("dask", MISSING_PACKAGES)
     if scheduler is not None:
         if scheduler.startswith("tls://"):
             raise InputError(
@@ -174,7 +187,7 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
             raise InputError(f"--scheduler {shown(scheduler)}: is no address; an address is tcp://host:8786")
     settings = {
         "distributed.comm.timeouts.connect": "10s",
-        # Dask keeps the call stacks of each second of the last hour: hundreds of megabytes.
+        # By default Dask stores the call stacks of the last hour: hundreds of megabytes.
         "distributed.worker.profile.enabled": False,
         "distributed.worker.preload": [__name__],
     }
@@ -195,7 +208,7 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 
 def _refuse_other_versions(client: Any, scheduler: str) -> None:
-    """Raises InputError where there are no workers, or one with another casadical."""
+    """Check that there are workers, all with this casadical. Raises InputError."""
     versions = client.run(locate, "casadical.__version__")
     if not versions:
         raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
@@ -208,5 +221,8 @@ def _refuse_other_versions(client: Any, scheduler: str) -> None:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Called by Dask in each process of this machine: Ctrl-C is for the command, which ends them."""
+    """Ignore Ctrl-C in a process of a local cluster; the command ends the processes.
+
+    Dask calls this in each of them.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,6 +1,6 @@
-"""A store of rows, one a robot: a folder with a Parquet file of each, so that nothing is lost midway.
+"""Store of a fleet: a folder with one Parquet file per robot, written as each is computed.
 
-All that is computed of one robot of a fleet: calibrated, diagnosed, compared; an error is a row, too.
+A row holds all that is computed for one robot (calibration, diagnosis, comparison) or its error.
 """
 
 import hashlib
@@ -30,21 +30,24 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
-_WORDS = "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
-_LISTS = "names departure score information spread scale identified left_mm left_free days"
-# A row of a store of which nothing is known.
-NOTHING: dict[str, Any] = {
-    **dict.fromkeys(_WORDS.split(), ""),
+# Columns of a row that hold text, and those that hold lists.
+_TEXT_COLUMNS = (
+    "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
+)
+_LIST_COLUMNS = "names departure score information spread scale identified left_mm left_free days"
+# The columns of a row with their empty values.
+EMPTY_ROW: dict[str, Any] = {
+    **dict.fromkeys(_TEXT_COLUMNS.split(), ""),
     **dict.fromkeys(("finished", "seconds"), 0.0),
     **dict.fromkeys(("poses", "campaigns"), 0),
     **dict.fromkeys(("before_mm", "after_mm"), float("nan")),
     "details": "{}",
-    **{name: [] for name in _LISTS.split()},
+    **{name: [] for name in _LIST_COLUMNS.split()},
 }
 
 
 def fingerprint(folder: Path) -> str:
-    """Of the content of all files of a robot's folder, and of the tables and robot that its problem names elsewhere."""
+    """Return a hash of all files of a robot's folder and of those that its problem names."""
     digest = hashlib.sha256()
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
     with suppress(CasadicalError):  # what is wrong with the problem is said when it is computed
@@ -58,15 +61,15 @@ def fingerprint(folder: Path) -> str:
 
 
 def name_of(folder: Path, *, whole: bool = False) -> str:
-    """Name or whole path of a robot's folder, bytes that are not UTF-8 by their codes."""
+    """Return the name or the path of a robot's folder, with bytes escaped that are not UTF-8."""
     path = folder.resolve()
     return (str(path) if whole else path.name).encode(errors="backslashreplace").decode()
 
 
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
-    """Return the row of one robot; what goes wrong is in it. Raises nothing."""
+    """Return the row of one robot; an error is written into it. Raises nothing."""
     start, place = time.perf_counter(), Path(folder)
-    row = {**NOTHING, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
+    row = {**EMPTY_ROW, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
         if row["folder"] != str(place.resolve()):
             raise InputError(f"{row['folder']}: a name that is not UTF-8; rename the folder")
@@ -81,6 +84,7 @@ def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
+    """Return the results of one robot: calibration, diagnosis, comparison of its campaigns."""
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts
     calibration = calibrate(problem)
@@ -123,7 +127,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
-    """Of a folder's first table of positions, all its poses, as the command diagnoses it; None without positions."""
+    """Return the diagnosis of a folder's first table of positions; None without one."""
     for table in own_tables(place):
         (campaign,) = read_campaigns(place, [table])
         if campaign.sets[0].position is not None:
@@ -132,13 +136,19 @@ def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
 
 
 def type_of(problem: Problem) -> str:
-    """A word for all robots of one drawing: same parameters, same nominal values but those of base and tool."""
+    """Return a word for all robots of one drawing: a hash of their nominal parameters.
+
+    Base and tool are not included.
+    """
     own = [(p.name, f"{p.value:.9g}") for p in problem.robot.parameters if p.group not in ("base", "tool")]
     return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
 
 
 def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
-    """What the last campaign tells of the parameters that robots of one type share, about the nominal values."""
+    """Return a campaign's information on the parameters that robots of one type share, as columns.
+
+    It is about the nominal values of the drawing.
+    """
     nominal = {p.name: p for p in drawn.parameters}
     names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))
     at = [e.names.index(n) for n in names]
@@ -155,21 +165,21 @@ def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
 
 
 def add(folder: Path, row: Mapping[str, Any]) -> None:
-    """Write the row of one robot into a store: a file of its name, whole or not at all.
+    """Write the row of one robot into a store, as a file of its name, atomically.
 
     Raises InputError: no space, no permission.
     """
     kind = {"names": str, "identified": str}  # of a list, which may be empty: all files have columns of the same types
-    lists = {n: np.array(row[n], dtype=kind.get(n, float)) for n, empty in NOTHING.items() if isinstance(empty, list)}
+    lists = {n: np.array(row[n], dtype=kind.get(n, float)) for n, empty in EMPTY_ROW.items() if isinstance(empty, list)}
     write_together({folder / f"{row['robot']}.parquet": pd.DataFrame([{**row, **lists}]).to_parquet()})
 
 
 def rows(folder: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows of a store, one a robot, and which of its files cannot be read."""
-    tables, damaged = [pd.DataFrame(columns=list(NOTHING))], list[str]()
+    """Return the rows of a store, one per robot, and a sentence on each unreadable file."""
+    tables, damaged = [pd.DataFrame(columns=list(EMPTY_ROW))], list[str]()
     for path in sorted(folder.glob("*.parquet")):
         try:
-            tables.append(pd.read_parquet(path)[list(NOTHING)])
+            tables.append(pd.read_parquet(path)[list(EMPTY_ROW)])
         except Exception as error:  # of pandas and of pyarrow, as many kinds as a file may be damaged
             why = str(error).splitlines()[0] if str(error) else type(error).__name__
             damaged.append(f"{shown(path)}: holds no row of a robot: {why}; its robot is computed again")
@@ -178,4 +188,5 @@ def rows(folder: Path) -> tuple[pd.DataFrame, list[str]]:
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the rows of a table as dictionaries."""
     return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]

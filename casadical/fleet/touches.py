@@ -1,4 +1,8 @@
-"""Five touches a day: which poses tell most of what usually changes, and what the touches say of a calibrated robot."""
+"""Daily touches: choice of informative poses, and the verdict on a calibrated robot from them.
+
+Five touched points a day decide whether the calibration is still valid, what changed, and whether a
+correction helps.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,7 +24,7 @@ from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
-from casadical.fleet.touch_model import CRASH, GROWTH, MM, OFTEN, UNKNOWN, Draws, TouchModel
+from casadical.fleet.touch_model import CHANGE_FREQUENCY, CRASH, GROWTH_PER_K, MM_PER_M, UNKNOWN, Draws, TouchModel
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.acceptance.verification import without_instrument
@@ -30,23 +34,30 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
-# A robot is said to be valid where that is so probable, and not to be where its error is above with this probability.
-VALID, INVALID = 0.99, 0.9
-FEWEST, MORE = 2, 2
-_MOVED = ("name", "value", "std_error", "unit")
-_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
+# The calibration is valid if its error is within the tolerance with this probability ...
+MIN_PROBABILITY_VALID = 0.99
+# ... and no longer valid if its error is above the tolerance with this one.
+MIN_PROBABILITY_CHANGED = 0.9
+# Number of touches that a day needs.
+MIN_TOUCHES = 2
+# Number of additional touches that are proposed where a day's are not conclusive.
+ADDITIONAL_TOUCHES = 2
+# JSON keys of a parameter that moved.
+_MOVED_KEYS = ("name", "value", "std_error", "unit")
+# Columns of the control chart.
+_CHART_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
 Verdict = Literal["valid", "open", "changed"]
 
 
 @dataclass(frozen=True, eq=False)
 class Touches(Result):
-    """What touches of one or several days say of a calibrated robot.
+    """Verdict of touches of one or several days on a calibrated robot.
 
-    given : as its file has it
+    given : robot as its file has it
     model : with all days, the last one is judged
-    draws : of what may have changed
-    tolerance : of the rms error over the task [m]
-    more : touches that would tell more, where these are not enough
+    draws : posterior samples of changes and remaining errors
+    tolerance : of the rms error over the task's poses [m]
+    more : additional touches that would decide, where these are not enough
     notes : what was assumed
     sources : robot file and tables
     update : where the corrected robot is to be written, if it is better
@@ -61,13 +72,13 @@ class Touches(Result):
         Key("error", lambda found: np.quantile(found.errors, [0.025, 0.975]), "mm"),
         Key("stated_mm", "model.stated"),
         Key("changes", "outcomes"),
-        Key("moved", lambda found: [dict(zip(_MOVED, row, strict=True)) for row in found.moved]),
+        Key("moved", lambda found: [dict(zip(_MOVED_KEYS, row, strict=True)) for row in found.moved]),
         Key("correction"),
         Key(
             "more_deg_or_mm",
             lambda found: [list(map(float, row)) for table in found.more_touches for row in table.rows],
         ),
-        Key("chart", lambda found: [dict(zip(_COLUMNS, row, strict=True)) for row in found.rows()]),
+        Key("chart", lambda found: [dict(zip(_CHART_COLUMNS, row, strict=True)) for row in found.rows()]),
         Key("next", "commands"),
     )
 
@@ -82,57 +93,66 @@ class Touches(Result):
 
     @cached_property
     def errors(self) -> Array:
-        """Of today, over the task, as the instrument reads them and as probable as they are, shape (draws,) [m]."""
+        """Posterior samples of today's rms error over the task's poses, shape (draws,) [m].
+
+        It includes the unexplained error of the file, as a measurement would show it.
+        """
         whole = self.model.size_of(self.draws.d + self.draws.x, self.draws.extra)
-        return np.asarray(np.hypot(self.model.rest, whole) / MM)
+        return np.asarray(np.hypot(self.model.rest, whole) / MM_PER_M)
 
     @cached_property
     def change(self) -> Array:
-        """Part of it that changed since the calibration, shape (draws,) [m]."""
-        return self.model.size_of(self.draws.d, self.draws.extra) / MM
+        """Posterior samples of the rms change since the calibration, shape (draws,) [m]."""
+        return self.model.size_of(self.draws.d, self.draws.extra) / MM_PER_M
 
     @property
     def probability(self) -> float:
-        """That the error is within the tolerance."""
+        """The probability that the error is within the tolerance."""
         return float(np.mean(self.errors <= self.tolerance))
 
     @property
     def verdict(self) -> Verdict:
-        """Still valid, no longer, or open."""
-        if self.probability >= VALID:
+        """Whether the calibration is still valid, has changed, or is open."""
+        if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
-        return "changed" if 1 - self.probability >= INVALID else "open"
+        return "changed" if 1 - self.probability >= MIN_PROBABILITY_CHANGED else "open"
 
     @property
     def label(self) -> str:
-        """What changed most probably; "" for nothing."""
+        """The most probable change; "" for none."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
         return str(labels[first_of_best(counts)])
 
     @cached_property
     def departure(self) -> tuple[Array, Array]:
-        """Mean departure of the parameters today and its covariance, in units of scale, shapes (p,) and (p, p)."""
+        """The posterior mean of the parameters' deviation by changes, and its covariance.
+
+        In units of scale, shapes (p,) and (p, p); unknown changes are excluded.
+        """
         known = self.draws.d[self.draws.label != UNKNOWN]
         return known.mean(axis=0), np.atleast_2d(np.cov(known.T))
 
     @cached_property
     def gain(self) -> tuple[float, float, float]:
-        """Rms error that is expected as the robot is and corrected [m], and how probable the correction is better."""
+        """The rms change since the calibration, that after a correction [m], and their comparison.
+
+        The third number is the probability that the correction makes the change smaller.
+        """
         d = self.departure[0]
-        before, after = self.change, self.model.size_of(self.draws.d - d, self.draws.extra) / MM
+        before, after = self.change, self.model.size_of(self.draws.d - d, self.draws.extra) / MM_PER_M
         return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2))), float(np.mean(after < before))
 
     @property
     def better(self) -> bool:
-        """Whether the corrected robot is better than leaving it."""
+        """Whether the corrected robot is better than the uncorrected one."""
         before, after, sure = self.gain
-        # A change is named where it is so probable; a correction is written where it is better with
-        # this probability, and takes away more than this share of the error that the file states.
-        return sure >= 0.95 and before - after > 0.2 * self.model.stated / MM
+        # A correction must be better with a probability of 0.95, and remove more than 20 % of the
+        # error that the file states.
+        return sure >= 0.95 and before - after > 0.2 * self.model.stated / MM_PER_M
 
     @cached_property
     def moved(self) -> list[tuple[str, float, float, str]]:
-        """Parameters of the most probable change: name, amount, standard error, unit."""
+        """The parameters of the most probable change: name, amount, standard error, unit."""
         if self.label in ("", UNKNOWN):
             return []
         own = self.draws.d[self.draws.label == self.label]
@@ -142,14 +162,14 @@ class Touches(Result):
                 p = self.model.robot.parameters[name]
                 mean, std = (p.readable(float(v) * p.scale) for v in (own[:, k].mean(), own[:, k].std()))
                 rows.append((name, mean, std, p.readable_unit))
-        if self.label == "lengths":  # all grow alike
+        if self.label == "lengths":  # all grow by the same share
             p = best_of((self.model.robot.parameters[r[0]] for r in rows), lambda p: abs(p.value))
             share = own[:, self.model.names.index(p.name)] * p.scale / p.value
             return [("all lengths", 1e6 * float(share.mean()), 1e6 * float(share.std()), "um/m")]
         return sorted(rows, key=lambda r: -abs(r[1]) / max(r[2], 1e-12))
 
     def corrected(self) -> Robot:
-        """The robot with the mean departure, what is known of it widened by how unsure that is."""
+        """Return the robot corrected by the mean deviation, its uncertainty added."""
         d, C = self.departure
         scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
         values = {
@@ -161,45 +181,46 @@ class Touches(Result):
         robot = replace(self.given.with_values(values), notes=(*self.given.notes, note))
         return replace(
             robot,
-            knowledge=_wider(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
-            remaining=_wider_remaining(self.given.remaining, self.model.names, C, scale),
+            knowledge=_widened_knowledge(self.given.knowledge, self.model.names, C * np.outer(scale, scale)),
+            remaining=_widened_remaining(self.given.remaining, self.model.names, C, scale),
         )
 
     @property
     def why_not_updated(self) -> str:
-        """Why leaving the robot as it is is as good."""
+        """A sentence why a correction would be no better than leaving the robot as it is."""
         before, after, sure = self.gain
         left = f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
         return f"{left}; leaving it is as good"
 
     def updated_text(self) -> str:
-        """Text of the corrected robot's file. Raises InputError where leaving it is as good."""
+        """Return the text of the corrected robot's file. Raises InputError: it is no better."""
         if not self.better:
             raise InputError(f"no corrected robot is written: {self.why_not_updated}")
         return to_toml(self.corrected(), f"Corrected by casadical from {len(self.model.days[-1])} touches.")
 
     @property
     def change_in_words(self) -> str:
+        """The most probable change, its probability and its beginning, in words."""
         label = self.label
         sure = f"probability {self.draws.share(label):.2f}"
         if not label:
             return f"nothing changed that these touches show ({sure})"
-        words = _WORDS.get(label, label.replace("@", " of joint ").replace("_", " "))
+        words = _CHANGE_WORDS.get(label, label.replace("@", " of joint ").replace("_", " "))
         since = int(np.median(self.draws.since[self.draws.label == label]))
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
     def blocks(self) -> list[Block]:
-        return self._report_blocks(quantiles=np.quantile(self.errors, [0.025, 0.975, VALID]))
+        return self._report_blocks(quantiles=np.quantile(self.errors, [0.025, 0.975, MIN_PROBABILITY_VALID]))
 
     @property
     def what_moved(self) -> list[Table]:
-        """Return the parameters that moved most surely, where any did."""
+        """A table of the parameters that moved, the most significant first; empty if none did."""
         rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
         return [Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2}))] if rows else []
 
     @property
     def more_touches(self) -> list[Table]:
-        """Return the touches that would tell more, where these are not enough."""
+        """A table of additional touches, where these are not enough; else empty."""
         if self.more is None:
             return []
         keys = list(self.given.reading_units)
@@ -209,6 +230,7 @@ class Touches(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
+        """The suggested next command."""
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
@@ -224,21 +246,21 @@ class Touches(Result):
 
     @property
     def outcomes(self) -> dict[str, float]:
-        """Return the share of the draws by what changed."""
+        """The probability of each change."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
         return {str(n) or "nothing": float(c / counts.sum()) for n, c in zip(labels, counts, strict=True)}
 
     @property
     def correction(self) -> dict[str, float | bool]:
-        """Return what a correction would change, lengths in mm."""
+        """The effect of a correction, lengths in mm, for the JSON."""
         before, after, sure = self.gain
-        return {"before_mm": MM * before, "after_mm": MM * after, "better": sure, "written": self.better}
+        return {"before_mm": MM_PER_M * before, "after_mm": MM_PER_M * after, "better": sure, "written": self.better}
 
     def rows(self) -> list[tuple[str, str, int, float, float, float, float | str, str]]:
-        """A row a day: see the columns of the chart."""
-        T2, lines = self.model.charted(), []
+        """Return the rows of the control chart, one per day: see `_CHART_COLUMNS`."""
+        T2, lines = self.model.control_chart(), []
         for k, m in enumerate(self.model.days):
-            own = self.model.left[(self.model.day == k + 1)[::3]]
+            own = self.model.residual_mm[(self.model.day == k + 1)[::3]]
             limit = float(chdtri(3 * len(m), 1 / 370))  # exceeded once in 370 days without a change
             T = float(self.model.temperatures[k])
             rms = float(np.sqrt((own**2).sum(axis=1).mean()))
@@ -248,11 +270,13 @@ class Touches(Result):
         return lines
 
     def chart_csv(self) -> str:
-        """The chart as a table."""
-        return csv_text([_COLUMNS, *([f"{v:.5g}" if isinstance(v, float) else v for v in row] for row in self.rows())])
+        """Return the control chart as CSV text."""
+        return csv_text(
+            [_CHART_COLUMNS, *([f"{v:.5g}" if isinstance(v, float) else v for v in row] for row in self.rows())]
+        )
 
     def page(self) -> Page:
-        """The chart on one page."""
+        """Return the verdict and the control chart on one page."""
         rows = self.rows()
         x = list(range(1, len(rows) + 1))
         colour = ["blue" if row[-1] == "yes" else "red" for row in rows]
@@ -287,7 +311,7 @@ class Touches(Result):
         )
         table = Table(
             "Every day",
-            [c.replace("_", " ") for c in _COLUMNS],
+            [c.replace("_", " ") for c in _CHART_COLUMNS],
             [[f"{v:.4g}" if isinstance(v, float) else str(v) for v in r] for r in rows],
             frozenset({2, 3, 4, 5, 6}),
             folded=many,
@@ -300,7 +324,7 @@ class Touches(Result):
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
 
 
-_WORDS = {
+_CHANGE_WORDS = {
     CRASH: "zeros and tool together, as after a crash",
     UNKNOWN: "nothing that usually changes explains it",
     "lengths": "all lengths, as by warmth",
@@ -308,8 +332,11 @@ _WORDS = {
 }
 
 
-def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
-    """Covariances with that of a correction, as far as they have its parameters."""
+def _widened_knowledge(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
+    """Return the covariances of a robot with that of a correction added, for shared parameters.
+
+    C : covariance of the correction [SI], shape (p, p)
+    """
     if known is None:
         return None
     blocks = []
@@ -322,10 +349,13 @@ def _wider(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge
     return replace(known, covariance=tuple(blocks))
 
 
-def _wider_remaining(
+def _widened_remaining(
     remaining: RemainingErrors | None, names: Sequence[str], C: Array, scale: Array
 ) -> RemainingErrors | None:
-    """Return the errors that remain with the covariance of a correction among their second moments."""
+    """Return the remaining errors with the covariance of a correction added to their second moment.
+
+    C : covariance of the correction in units of scale, shape (p, p)
+    """
     if remaining is None:
         return None
     values, V = np.linalg.eigh(C)
@@ -339,20 +369,23 @@ def _wider_remaining(
 
 
 def changes_in_fleet(path: Path) -> Mapping[str, float]:
-    """How often each kind of change is met, with those that a fleet's JSON counts. Raises InputError."""
+    """Return the frequency of each kind of change, with those that a fleet's JSON counts added.
+
+    Raises InputError: the file holds no robots.
+    """
     robots = load_json(path).get("robots")
     if not isinstance(robots, list):
         raise InputError(f"{path}: holds no robots; give what `casadical fleet PLANT --json FILE` wrote")
     words = [str(row.get("changes", "")) for row in robots if isinstance(row, dict)]
-    return {kind: often + sum(text.count(kind) for text in words) for kind, often in OFTEN.items()}
+    return {kind: often + sum(text.count(kind) for text in words) for kind, often in CHANGE_FREQUENCY.items()}
 
 
 def usual_changes(robot: Robot) -> Prior:
-    """What usually changes, as a prior: zeros, tool and foot, each about its value."""
+    """Return a prior for usual changes: zeros, tool and foot, each about its value."""
     model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
     sizes = {
         n: float(s) * robot.parameters[n].scale
-        for c in model.usual
+        for c in model.usual_candidates
         if c.kind != "lengths"
         for n, s in zip(c.names, c.sizes, strict=True)
     }
@@ -368,14 +401,19 @@ def plan_touches(
     touched: Measurements | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """The poses that tell most about what usually changes: zeros, tool, foot; over all poses.
+    """Return the poses that determine usual changes (zeros, tool, foot) best.
 
-    robot : file as `calibrate --out` writes it, or that folder; touched : what was touched today, to which these add
-    noise_mm : of a coordinate; None: as the file's [remaining] leaves unexplained, or 0.1; room : file of a workspace
-    Returns a table, a row a touch. Raises InputError.
+    robot : file as `calibrate --out` writes it, or its folder
+    n : number of touches
+    noise_mm : standard deviation of a coordinate; None: the unexplained error of the file's
+        [remaining], or 0.1
+    room : file of a workspace
+    touched : touches of today, to which these are added
+    seed : of the search
+    Returns a table, one row per touch. Raises InputError.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
-    rest = MM * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
+    rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
     noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
     return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
 
@@ -389,12 +427,19 @@ def touched(
     fleet: str | Path | None = None,
     seed: int = 0,
 ) -> Touches:
-    """What touched points of one or several days say of a calibrated robot, in the frame of its calibration.
+    """Return the verdict of touched points of one or several days on a calibrated robot.
 
-    robot : as of `plan_touches`; tables : a table a day, the last one is judged, the others are its history
-    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: twice what the file states
-    noise_mm : of a coordinate, None: not known; fleet : what `casadical fleet --json` wrote
-    Raises InputError: no positions, fewer than two of them, another frame or robot, a file without covariance.
+    The points are positions in the frame of the calibration.
+
+    robot : as of `plan_touches`
+    tables : one per day; the last one is judged, the others are its history
+    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: twice what
+        the file states
+    noise_mm : standard deviation of a coordinate; None: not known
+    fleet : JSON file of `casadical fleet --json`
+    seed : of the samples
+    Raises InputError: no positions, fewer than two of them, another frame or robot, a file without
+        covariance.
     """
     place = result_in(Path(robot))
     arm, _ = without_instrument(read_robot(place))
@@ -404,8 +449,8 @@ def touched(
     for p, m in days:
         if m.position is None:
             raise InputError(f"{p}: measurements of kind {m.kind}; touches are positions, or poses")
-        if len(m) < FEWEST:
-            raise InputError(f"{p}: {len(m)} touch; {FEWEST} or more are needed")
+        if len(m) < MIN_TOUCHES:
+            raise InputError(f"{p}: {len(m)} touch; {MIN_TOUCHES} or more are needed")
         if m.lost:
             notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
 
@@ -423,9 +468,8 @@ def touched(
             notes.append(f"by its date {kept[-1][0].name} is the last day, which is judged")
     else:
         notes.append("no date in every table's name: the days are in the order given")
-    # Days that are taken into account.
-    kept = kept[-30:]
-    weights = OFTEN if fleet is None else changes_in_fleet(Path(fleet))
+    kept = kept[-30:]  # older days are not used
+    weights = CHANGE_FREQUENCY if fleet is None else changes_in_fleet(Path(fleet))
     model = TouchModel.of_robot(
         arm,
         [m for _, m in kept],
@@ -433,9 +477,9 @@ def touched(
         weights=weights,
         dates=tuple(day_of(p) for p, _ in kept),
     )
-    left = 1e-3 * np.linalg.norm(model.left, axis=1)
+    left = 1e-3 * np.linalg.norm(model.residual_mm, axis=1)
     today = left[(model.day == len(kept))[::3]]
-    # Touches this far from the robot file are those of another frame or another robot [m].
+    # A greater median distance from the predictions shows another frame or another robot [m].
     if (far := float(np.median(today))) > 0.03:
         raise InputError(
             f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has them: the instrument "
@@ -443,13 +487,13 @@ def touched(
             "anywhere and leave --touches out"
         )
     if np.isfinite(model.temperatures).any():
-        today = f"{1e6 * GROWTH * model.warmer[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
+        today = f"{1e6 * GROWTH_PER_K * model.warming[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
         notes.append(f"temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin, by {today}")
-    tolerance = 1e-3 * tolerance_mm if tolerance_mm else 2.0 * model.stated / MM
+    tolerance = 1e-3 * tolerance_mm if tolerance_mm else 2.0 * model.stated / MM_PER_M
     sources = (place, *(p for p, _ in kept))
     touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
     named = not touches.label or touches.draws.share(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
-        more = plan_touches(place, MORE, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
+        more = plan_touches(place, ADDITIONAL_TOUCHES, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
         return replace(touches, more=more)
     return touches

@@ -231,10 +231,10 @@ def _columns(table: bytes) -> bytes:
 
 
 def _parquet() -> bytes:
-    from casadical.fleet.store import NOTHING, add
+    from casadical.fleet.store import EMPTY_ROW, add
 
     with tempfile.TemporaryDirectory() as name:
-        add(Path(name), {**NOTHING, "robot": "a", "fingerprint": "b", "status": "ok"})
+        add(Path(name), {**EMPTY_ROW, "robot": "a", "fingerprint": "b", "status": "ok"})
         return Path(name, "a.parquet").read_bytes()
 
 

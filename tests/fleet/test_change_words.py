@@ -10,10 +10,10 @@ from lives import as_built, changed, measured
 from casadical import plot
 from casadical.core.telling.blocks import Table
 from casadical.fleet.campaigns import in_order, name_of
-from casadical.fleet.changes import MEANT, Change, times_in_words
+from casadical.fleet.changes import MEANINGS, Change, times_in_words
 from casadical.fleet.comparison import compare, courses_of
 from casadical.fleet.estimates import estimate
-from casadical.fleet.evidence import FREQUENCY, Candidate
+from casadical.fleet.evidence import RELATIVE_FREQUENCY, Candidate
 
 ZERO = Candidate("joint_zero", 2, ("theta2",), np.ones((1, 1)), np.array([3e-4]))
 JUMP = Change(ZERO, "jump", 1, (1, 1), 1.0, 1.0, 9.0, (), (), np.zeros((2, 2)))
@@ -27,9 +27,9 @@ def test_a_drift_of_a_zero_is_no_crash() -> None:
 
 
 def test_each_kind_of_change_has_words_for_the_courses_that_it_may_have() -> None:
-    for kind in FREQUENCY:
+    for kind in RELATIVE_FREQUENCY:
         possible = {course for course, *_ in courses_of(kind, np.arange(4) / 12, dated=True)}
-        assert possible == {course for course, words in MEANT.items() if kind in words}
+        assert possible == {course for course, words in MEANINGS.items() if kind in words}
 
 
 def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:

@@ -15,16 +15,16 @@ from casadical import InputError, Robot, calibrate, identify, read_robot, write_
 from casadical.core.telling.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, other_regions
 from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information
-from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, repeatability, with_common_noise
+from casadical.fleet.estimates import Estimate, estimate, estimate_of_file, pooled_repeatability, with_common_noise
 from casadical.fleet.evidence import (
     KAPPAS,
     SharedInformation,
     candidates_of,
     jumps,
     log_evidence,
+    marginal_information,
     shared_names,
     solve,
-    visible,
 )
 from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
@@ -54,7 +54,7 @@ def test_the_evidence_is_that_of_the_difference_of_two_estimates() -> None:
     E, sizes = rng.normal(size=(4, 2)), np.array([0.5, 2.0])
     H = np.linalg.inv([C1, C2])
     told = SharedInformation(H, np.array([H[0] @ x1, H[1] @ x2]), np.full(4, 1e-9))
-    logs = log_evidence(*visible(solve(told, np.zeros((2, 4, 0)), np.zeros(0)), E, jumps(2)), sizes)
+    logs = log_evidence(*marginal_information(solve(told, np.zeros((2, 4, 0)), np.zeros(0)), E, jumps(2)), sizes)
     for kappa, found in zip(KAPPAS, logs[0], strict=True):
         wide = C1 + C2 + E @ np.diag((kappa * sizes) ** 2) @ E.T
         by_scipy = multivariate_normal(cov=wide).logpdf(x2 - x1) - multivariate_normal(cov=C1 + C2).logpdf(x2 - x1)
@@ -68,7 +68,7 @@ def test_a_change_along_a_known_one_keeps_its_digits() -> None:
     J[:, :, 4] = J[:, :, 3] + rng.integers(-1, 2, (2, 40)) / 16
     H, score = J.transpose(0, 2, 1) @ J, rng.integers(-99, 100, (2, 5)).astype(float)
     known, told = np.stack([np.zeros((5, 5)), np.eye(5)]), SharedInformation(H, score, np.full(5, 0.25))
-    found, b = visible(solve(told, known, np.full(5, 0.5)), np.eye(5)[:, 4:], jumps(2))
+    found, b = marginal_information(solve(told, known, np.full(5, 0.5)), np.eye(5)[:, 4:], jumps(2))
     X = np.concatenate([np.stack([np.eye(5)] * 2), known, np.stack([np.zeros((5, 1)), np.eye(5)[:, 4:]])], axis=2)
     whole = np.einsum("nai,nab,nbj->ij", X, H, X) + np.diag([0.25] * 5 + [4.0] * 5 + [0.0])
     rows = [[*map(Fraction, row), Fraction(s)] for row, s in zip(whole, np.einsum("nai,na->i", X, score), strict=True)]
@@ -120,7 +120,7 @@ def test_campaigns_by_one_instrument_have_one_noise(arm: tuple[Robot, Robot], be
     assert a.spread.tolist() == b.spread.tolist() != c.spread.tolist()
     assert before.fit
     assert second.fit
-    rhos = repeatability([before.fit, second.fit])
+    rhos = pooled_repeatability([before.fit, second.fit])
     first, other = before.fit.at(rhos), second.fit.at(rhos)
     mean = (first.s2 + other.s2) / 2
     assert first.s2 != pytest.approx(other.s2, rel=1e-3)
@@ -145,7 +145,7 @@ def test_a_joint_that_repeats_badly_is_seen_in_all_campaigns(arm: tuple[Robot, R
         read[:, 0] += 6e-5 * np.random.default_rng(seed).normal(size=len(m))
         read = read.clip(m.q.min(axis=0), m.q.max(axis=0))
         fits.append(wide_fit(identify(arm[0], replace(m, q=read))))
-    found = repeatability(fits)
+    found = pooled_repeatability(fits)
     assert found[0] >= 1.3
     assert max(found[1:]) < found[0]
 

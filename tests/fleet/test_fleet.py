@@ -15,10 +15,10 @@ from fleet_plants import A1, planar
 from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.drawing import COLOURS
-from casadical.fleet.hierarchy import Common, common_of, learnt
-from casadical.fleet.result import APART, LABELS, Fleet, fleet_of, name_of_type
+from casadical.fleet.hierarchy import Common, common_of, population_of
+from casadical.fleet.result import MAX_LABELS, MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet
-from casadical.fleet.store import NOTHING, add, fingerprint, one_robot, records, rows
+from casadical.fleet.store import EMPTY_ROW, add, fingerprint, one_robot, records, rows
 from casadical.measurements.kinds.position import Position
 
 pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
@@ -204,7 +204,7 @@ def test_means_and_spreads_of_a_fleet_are_found() -> None:
         y = J @ theta + 0.1 * rng.normal(size=6)
         H.append(J.T @ J / 0.01)
         b.append(J.T @ y / 0.01)
-    found, C, tau = learnt(packed(H), np.array(b), np.full(3, 3.0))
+    found, C, tau = population_of(packed(H), np.array(b), np.full(3, 3.0))
     error = np.sqrt(np.diag(C))
     assert np.abs(found - mean).max() < 0.1
     assert (np.abs(found - mean) < 4 * error).all()
@@ -217,7 +217,7 @@ def test_the_spread_of_five_exact_robots_is_that_of_a_sample() -> None:
     """Over one less than their number, for they make the mean."""
     values = np.random.default_rng(2).normal(size=(5, 4))
     H = np.array([np.eye(4) * 1e8] * 5)
-    _, _, tau = learnt(packed(H), 1e8 * values, np.full(4, 30.0))
+    _, _, tau = population_of(packed(H), 1e8 * values, np.full(4, 30.0))
     np.testing.assert_allclose(tau, values.std(axis=0, ddof=1), rtol=1e-2)
 
 
@@ -227,7 +227,7 @@ def test_the_spread_of_few_robots_is_near_that_of_like_parameters() -> None:
     theta = 0.05 * rng.normal(size=(6, 12))
     y = theta + 0.05 * rng.normal(size=theta.shape)
     H, b, wide = packed([400 * np.eye(12)] * 6), 400 * y, np.full(12, 1.0)
-    alone, pooled = learnt(H, b, wide)[2], learnt(H, b, wide, groups=["length"] * 12)[2]
+    alone, pooled = population_of(H, b, wide)[2], population_of(H, b, wide, groups=["length"] * 12)[2]
     assert alone.min() < 0.01
     assert pooled.min() > 0.025
     assert pooled.max() < 0.1
@@ -276,7 +276,7 @@ def test_what_a_type_shares_is_the_same_in_any_order_of_parameters_and_whatever_
         H, b = J.T @ J / 0.01, J.T @ (J @ np.array([0.3, -0.2, 0.1]) + 0.1 * rng.normal(size=8)) / 0.01
         order = [2, 0, 1] if k else [0, 1, 2]
         rows_.append({
-            **NOTHING, "type": "t", "type_name": "arm", "names": [names[i] for i in order], "score": b[order],
+            **EMPTY_ROW, "type": "t", "type_name": "arm", "names": [names[i] for i in order], "score": b[order],
             "information": packed([H[np.ix_(order, order)]])[0], "spread": [1.0] * 3, "scale": [1e-3] * 3,
             "identified": ["a1", "a2"] + ["d3"] * (k < 5),
         })  # fmt: skip
@@ -306,7 +306,7 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(go
     assert names[0].text == "arm0"  # from the top down, in the order of the lines' ends
     assert {a.text for a in names} >= {"arm0", "arm2", "arm5"}
     heights = [a.y for a in names]
-    assert max(np.diff(heights)) <= -0.99 * APART * max(good["left_mm"].map(np.nanmax))
+    assert max(np.diff(heights)) <= -0.99 * MIN_LABEL_DISTANCE * max(good["left_mm"].map(np.nanmax))
     assert min(heights) >= 0
     to_check = next(b for b in found.blocks() if isinstance(b, Table) and "note" in b.columns)
     (step,) = found.next  # for the one with the greatest error
@@ -323,12 +323,12 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
     rng = np.random.default_rng(0)
     count, left = 200, [[0.05, 0.05, 0.05 * (3 if k % 10 == 4 else 1)] for k in range(200)]
     good = pd.DataFrame([
-        {**NOTHING, "robot": f"arm{k}", "status": "ok", "type": "t", "before_mm": 2.0, "campaigns": 3,
+        {**EMPTY_ROW, "robot": f"arm{k}", "status": "ok", "type": "t", "before_mm": 2.0, "campaigns": 3,
          "after_mm": 0.5 if k == 7 else 0.08 * np.exp(0.1 * rng.normal()), "left_mm": left[k], "days": [np.nan] * 3,
          "left_free": [40.0] * 3, "changes": "lengths" if k == 199 else ""}
         for k in range(count)
     ])  # fmt: skip
-    good = pd.concat([good, pd.DataFrame([{**NOTHING, "robot": "bad", "before_mm": np.nan, "after_mm": np.nan}])])
+    good = pd.concat([good, pd.DataFrame([{**EMPTY_ROW, "robot": "bad", "before_mm": np.nan, "after_mm": np.nan}])])
     fleet = Fleet(good, (), ("arm7",))
     (every,) = (b for s in fleet.page().sections for b in s.blocks if getattr(b, "title", "").startswith("Mean errors"))
     before, after = (every.columns.index(name) for name in ("before", "after"))
@@ -341,7 +341,7 @@ def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers
     assert {"0.1", "0.2", "0.5", "1", "2", "5"} <= set(axis.ticktext)
     assert dict(zip(axis.ticktext, axis.tickvals, strict=True))["0.2"] == 0.2
     named = {a.text: a.font.color for a in figures["trends"].layout.annotations}
-    assert len(named) == LABELS
+    assert len(named) == MAX_LABELS
     assert named.pop("arm199") == COLOURS["red"][0]
     assert {int(name[3:]) % 10 for name in named} == {4}
 
@@ -352,7 +352,7 @@ def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:
     common = Common(
         "t", "arm", 9, names, np.array([0.3, 0.4, 2.0, 1.5]), np.full(4, 0.01), np.full(4, 0.1), scale, np.eye(4)
     )
-    good = pd.DataFrame([{**NOTHING, "robot": "arm", "type": "t"}])
+    good = pd.DataFrame([{**EMPTY_ROW, "robot": "arm", "type": "t"}])
     figure = plot(Fleet(good, (common,), ()), "common/t")
     assert list(figure.data[0].x) == pytest.approx([0.3, 0.4, 0.12, 1.5])
     assert figure.layout.xaxis.title.text == "common departure [mm or mrad]"
@@ -362,7 +362,7 @@ def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:
 def test_joints_that_yield_are_one_sentence_and_lengths_another() -> None:
     figures = np.array([[0.3, -0.2, 2.0, 1.5], [0.01] * 4, [0.1] * 4, [1e-3, 1e-3, 1e-6, 1e-6]])
     common = Common("ab", "arm", 9, ("a1", "d4", "c1", "c2"), *figures, 1e-4 * np.eye(4))
-    good = pd.DataFrame({name: [] for name in NOTHING}).astype({"robot": str, "notes": str, "changes": str})
+    good = pd.DataFrame({name: [] for name in EMPTY_ROW}).astype({"robot": str, "notes": str, "changes": str})
     words = [b.text for b in Fleet(good, (common,), ()).blocks() if isinstance(b, Words) and b.kind == "warning"]
     assert [text.split(": ", 1)[1] for text in words] == [
         "a1 is +0.3 mm +/- 0.01, d4 -0.2 mm +/- 0.01 from the drawing: correct the drawing, or the set-up of the "

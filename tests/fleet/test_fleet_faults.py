@@ -16,7 +16,7 @@ from fleet_plants import planar
 from casadical import InputError, report
 from casadical.fleet.campaigns import compare_files
 from casadical.fleet.run import client_of, robots_in, run_fleet
-from casadical.fleet.store import NOTHING, add, one_robot, rows
+from casadical.fleet.store import EMPTY_ROW, add, one_robot, rows
 
 distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
 psutil = pytest.importorskip("psutil", reason="psutil (of Dask) is not installed")
@@ -199,7 +199,7 @@ def test_a_file_of_a_store_that_holds_no_row_is_said_and_its_robot_computed_agai
 
 
 def test_a_place_that_is_no_store_is_refused(arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    row = {**NOTHING, "robot": "a"}
+    row = {**EMPTY_ROW, "robot": "a"}
     add(tmp_path / "full", row)
     with monkeypatch.context() as patch:
         patch.setattr("os.fsync", _full)
