@@ -124,7 +124,7 @@ class Calibration(Result):
 
     @property
     def worse(self) -> str:
-        """Return why held-out poses are worse than before, and the remedy; else nothing."""
+        """Return why held-out poses are worse than before, and the remedy; empty if not."""
         _, before, after, held_out = judged_on(self.accuracies)
         return outcome.worse_than_before(self.identification, before, after) if held_out else ""
 
@@ -404,9 +404,9 @@ def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:
         return None
-    kept = without_poses(plain.sets["identify"], last.outliers)
+    inliers = without_poses(plain.sets["identify"], last.outliers)
     try:
-        alone = identify(plain.robot, kept, method="KM" if method == "KM" else "SKCM", loss=last.loss, screen=False)
+        alone = identify(plain.robot, inliers, method="KM" if method == "KM" else "SKCM", loss=last.loss, screen=False)
     except InputError:
         return None
     return alone.accuracy(*(parts[name] for name in next(iter(error_groups(parts).values()))))["calibrated"]

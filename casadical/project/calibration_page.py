@@ -86,8 +86,8 @@ Identifications = Mapping[str, Identification]
 
 def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
     """Return every set by name, without the poses that any method left out as outliers."""
-    kept = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
-    return {name: next(kept) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
+    inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
+    return {name: next(inliers) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
@@ -143,8 +143,7 @@ def residual_localisation(result: Identification) -> Localisation | None:
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
     if len(m := result.measurements[0]) > MAX_LOCALISED_POSES:
-        # The direction of approach and the progress of each pose are derived from all poses, so before
-        # the draw.
+        # Direction of approach and progress are derived from all poses, so before the draw.
         m, _ = derive(m, [*(f"approach{i}" for i in range(1, result.given.n + 1)), "progress"])
         some = (m[np.sort(np.random.default_rng(0).choice(len(m), MAX_LOCALISED_POSES, replace=False))],)
         result = replace(result, measurements=some, outliers=(), problem=replace(result.problem, sets=some))
@@ -247,8 +246,8 @@ def calibration_page(
 
 def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
     """Yield the headline figures: mean error before and after, 95 % quantile and largest error."""
-    method, before, after, held = judged_on(accuracies)
-    poses = f"{after.n} held-out poses" if held else f"{after.n} poses, not held out"
+    method, before, after, held_out = judged_on(accuracies)
+    poses = f"{after.n} held-out poses" if held_out else f"{after.n} poses, not held out"
     yield Tile("Mean error before", mm(before.mean), "mm", "base and tool fitted")
     yield Tile(f"Mean error after {method}", mm(after.mean), "mm", poses)
     yield Tile("95 % of the poses below", mm(after.p95), "mm", f"{method}; before {mm(before.p95)} mm")
@@ -296,11 +295,11 @@ def _parameters(figures: Iterable[Figure], result: Identification) -> Iterator[B
 
 def _next(problem: Problem, result: Identification) -> Iterator[Words]:
     """Yield which parameters are uncertain, and the command that plans further poses."""
-    known = result.shown[result.shown.status == "identified"]
-    unsure = known[(known.low - known.nominal) * (known.high - known.nominal) < 0]
+    identified = result.shown[result.shown.status == "identified"]
+    unsure = identified[(identified.low - identified.nominal) * (identified.high - identified.nominal) < 0]
     if len(unsure):
         yield Words(
-            f"{len(unsure)} of {len(known)} identified parameters do not differ from nominal for certain: "
+            f"{len(unsure)} of {len(identified)} identified parameters do not differ from nominal for certain: "
             f"{', '.join(unsure.name)}."
         )
     yield Words(

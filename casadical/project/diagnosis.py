@@ -304,8 +304,8 @@ def read_logs(
     if not all(logs):
         raise InputError("joint logs and tables of measured poses; diagnose them by a command each")
     robot = read_campaign_robot(folder)
-    beside = folder.parent / "drive.toml" if folder.is_file() else folder / "drive.toml"
-    if path := drive or (beside if robot.drive is None and beside.is_file() else None):
+    drive_file = folder.parent / "drive.toml" if folder.is_file() else folder / "drive.toml"
+    if path := drive or (drive_file if robot.drive is None and drive_file.is_file() else None):
         robot = replace(robot, drive=read_drive(path, robot.n))
     healthy = read_log(reference, robot) if reference else None
     return LogCampaign(robot, tuple(tables or ()), healthy, tuple(withheld), own_causes(effects))

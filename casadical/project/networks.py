@@ -131,8 +131,8 @@ def train_networks(
 
         kind = trainers[method]
         network = fit(trainer=kind.for_method(), output_scale_mm=kind.output_scale_mm, progress=progress)
-        left = {name: residual_mm(result.robot, m) - network.correction_mm(m.q) for name, m in judged.items()}
-        e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in left.items()}
+        residuals = {name: residual_mm(result.robot, m) - network.correction_mm(m.q) for name, m in judged.items()}
+        e = {name: 1e-3 * np.linalg.norm(rest, axis=1) for name, rest in residuals.items()}
         figures = {name: summarise(np.concatenate([e[n] for n in names])) for name, names in error_groups(e).items()}
         trained[method] = NetworkResult(method, network, "", figures)
     return Networks(trained, material.lent or f"Networks: trained on the set train{chosen}; report was kept from both.")
@@ -149,22 +149,22 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         )
     lent = ""
     if "train" not in sets:
-        kept = [m for m in result.used if m.position is not None]
-        readings = 3 * sum(map(len, kept))
-        # Without a set to train on, the poses that identified the robot are lent, if there are so many
-        # readings per parameter that the identification did not fit their noise.
-        if readings < 20 * len(result.names) or len(kept[0]) < 40:
+        with_positions = [m for m in result.used if m.position is not None]
+        readings = 3 * sum(map(len, with_positions))
+        # Without a set to train on, the poses that identified the robot are lent, if there are so
+        # many readings per parameter that the identification did not fit their noise.
+        if readings < 20 * len(result.names) or len(with_positions[0]) < 40:
             return (
                 f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
                 "too few to learn from what identification left of them; name a set train in problem.toml"
             )
-        train = min(MAX_LENT_POSES["train"], int(0.75 * len(kept[0])))
-        choose = min(MAX_LENT_POSES["choose"], len(kept[0]) - train)
-        sets |= {name: (m,) for name, m in kept[0].split({"train": train, "choose": choose}, seed).items()}
+        train = min(MAX_LENT_POSES["train"], int(0.75 * len(with_positions[0])))
+        choose = min(MAX_LENT_POSES["choose"], len(with_positions[0]) - train)
+        sets |= {name: (m,) for name, m in with_positions[0].split({"train": train, "choose": choose}, seed).items()}
         lent = (
             f"Networks: no set train, so {len(sets['train'][0])} of the poses that identified the robot were lent to "
             f"train and {len(sets['choose'][0])} others of them to choose; report was kept from all."
         )
     q = {name: np.concatenate([m.q for m in parts]) for name, parts in sets.items()}
-    left = {name: np.concatenate([residual_mm(result.robot, m) for m in parts]) for name, parts in sets.items()}
-    return Material({name: (q[name], left[name]) for name in sets}, lent)
+    residuals = {name: np.concatenate([residual_mm(result.robot, m) for m in parts]) for name, parts in sets.items()}
+    return Material({name: (q[name], residuals[name]) for name in sets}, lent)

@@ -84,8 +84,8 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
             continue
         states = last[name]
         rows = [("before, base and tool fitted", states["placed"])]
-        # Nominal errors this many times larger than those with base and tool fitted only show that the
-        # base was not known.
+        # Nominal errors this many times larger than those with base and tool fitted only show that
+        # the base was not known.
         if states["nominal"].mean < 20 * states["placed"].mean:
             rows.insert(0, ("before, as given", states["nominal"]))
         rows += [(f"after {method}", by_set[name]["calibrated"]) for method, by_set in accuracies.items()]
@@ -190,18 +190,18 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
 
 def far_held_out(problem: Problem, robot: Robot) -> tuple[list[LeftOut], float]:
     """Return held-out poses that are far off, the worst first, and the others' mean error [m]."""
-    held = _held_out_errors(problem, robot)
-    far = sorted((out for _, some in held.values() for out in some), key=lambda out: -out.error)
-    return far, float(np.mean(np.concatenate([e for e, _ in held.values()]))) if far else 0.0
+    held_out = _held_out_errors(problem, robot)
+    far = sorted((out for _, some in held_out.values() for out in some), key=lambda out: -out.error)
+    return far, float(np.mean(np.concatenate([e for e, _ in held_out.values()]))) if far else 0.0
 
 
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
     """Return the accuracy of held-out sets that have poses far off, without these poses."""
-    held = _held_out_errors(problem, robot)
+    held_out = _held_out_errors(problem, robot)
     return {
-        name: summarise(np.concatenate([held[n][0] for n in names]))
-        for name, names in error_groups(held).items()
-        if any(held[n][1] for n in names)
+        name: summarise(np.concatenate([held_out[n][0] for n in names]))
+        for name, names in error_groups(held_out).items()
+        if any(held_out[n][1] for n in names)
     }
 
 
@@ -283,8 +283,8 @@ def changed_readings(problem: Problem) -> list[str]:
 def unused_columns(problem: Problem) -> dict[str, str]:
     """Return the columns that the calibration does not use, each with its table."""
     used = {*problem.robot.conditions, "pose", "time_s", "point", problem.set_column}
-    left = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
-    return {shown(name): table for name, table in left.items() if not name.startswith(("tool_", "session_"))}
+    unused = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
+    return {shown(name): table for name, table in unused.items() if not name.startswith(("tool_", "session_"))}
 
 
 def _with_own_effects(problem: Problem) -> Robot:

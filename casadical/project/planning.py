@@ -250,9 +250,9 @@ def plan(
             f"poses measured before are counted with positions alone, not with {places.kind}: plan with the robot file "
             "that calibrate --out wrote"
         )
-    known = {e.label for e in robot.effects}
+    own_labels = {e.label for e in robot.effects}
     if effects:
-        robot = robot.with_effect(*(e for e in effects if e.label not in known))
+        robot = robot.with_effect(*(e for e in effects if e.label not in own_labels))
     # The robot's other effects are fixed at their values.
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
     if measured is not None:
@@ -303,7 +303,7 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
     """
     own = replace(robot.with_only(e for e in robot.effects if not isinstance(e, Session)), targets=(), tool_name="")
     own = one_turn(own if workspace else replace(own, base=replace(own.base, T=np.eye(4))))
-    # The second floor is for robots with axes in the plane that they stand on, which have no clearance.
+    # The second floor is for robots with axes in the plane that they stand on.
     above = [Workspace(floor=0.0, clearance=0.05), Workspace(floor=0.0, clearance=-1e-6)]
     noise = Noise(1e-3 * (declared(folder, robot)[1] or TRACKER_SIGMA_MM))
     rooms = [workspace] if workspace else [*above, Workspace()]

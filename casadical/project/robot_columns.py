@@ -72,26 +72,26 @@ def _by_model(
 
     Else the choices of the question are ordered, the best fit first.
     """
-    left: dict[str, float] = {}
+    error_of: dict[str, float] = {}
     for choice in question.choices:
         with suppress(InputError, np.linalg.LinAlgError):
             m = _measurements_of(raw, robot, {**found.answered(question, choice).sources, **given})
             if question.about == "orientation" and m.orientation is not None:
-                left[choice] = _orientation_error(robot, m)
+                error_of[choice] = _orientation_error(robot, m)
             if m.kind == "position" and computed(robot, m):
                 length = next(c for c in question.choices if len(question.choices[c]) == 1)
                 return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
-    tried = list(left)
-    order = [tried[k] for k in ranked([-left[choice] for choice in tried])]
+    tried = list(error_of)
+    order = [tried[k] for k in ranked([-error_of[choice] for choice in tried])]
     if not order:
         return found
-    others = [left[choice] for choice in order[1:]]
-    if left[order[0]] < MAX_ORIENTATION_ERROR_RAD and all(
-        MIN_ERROR_RATIO_TO_OTHERS * left[order[0]] < other for other in others
+    others = [error_of[choice] for choice in order[1:]]
+    if error_of[order[0]] < MAX_ORIENTATION_ERROR_RAD and all(
+        MIN_ERROR_RATIO_TO_OTHERS * error_of[order[0]] < other for other in others
     ):
-        best, second = (np.rad2deg(v) for v in (left[order[0]], min(others, default=np.inf)))
+        best, second = (np.rad2deg(v) for v in (error_of[order[0]], min(others, default=np.inf)))
         return found.answered(question, order[0], f"{order[0]}: {best:.2g} deg from the robot, else {second:.2g}")
-    choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in left))}
+    choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in error_of))}
     asked = tuple(replace(q, choices=choices) if q is question else q for q in found.questions)
     return replace(found, questions=asked)
 
@@ -129,12 +129,12 @@ def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
     InputError where the column names a point that the robot file does not have.
     """
     measured = names_in(m)
-    known = [robot.tool_name, *(t.name for t in robot.targets)]
+    target_names = [robot.tool_name, *(t.name for t in robot.targets)]
     if not robot.targets and len(measured) < 2:
         return replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
-    missing = [name for name in measured if name not in known]
+    missing = [name for name in measured if name not in target_names]
     if missing:
-        there = f"the robot file has {', '.join(known)}" if robot.targets else "the robot file has one tool"
+        there = f"the robot file has {', '.join(target_names)}" if robot.targets else "the robot file has one tool"
         raise InputError(
             f"{m.source}: column 'tool' names {', '.join(measured)}, and {there}: give a table [[tool]] with name, "
             f"xyz_mm and unknown for each (docs/robot-file.md); missing: {', '.join(missing)}"
@@ -155,9 +155,9 @@ def some_rows(rows: Sequence[object]) -> str:
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
     """Raises InputError where a robot has several targets and the table does not say which was measured."""
     if robot.targets and not names_in(m):
-        known = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
+        target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(
-            f"{m.source}: the robot file has several targets, {known}, and the table does not say which one was "
+            f"{m.source}: the robot file has several targets, {target_names}, and the table does not say which one was "
             "measured: add a column 'tool' with one of these names in each row, or list the rows in `tools` of "
             "problem.toml (docs/measurements.md)"
         )

@@ -147,7 +147,7 @@ def _turning(points: list[Array]) -> bool:
     longest = [int(np.argmax(_lengths(p))) for p in points]
     ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
     values = np.linalg.eigvalsh(ways.T @ ways)
-    # One eigenvalue above this share of the sum of squares means that all vectors have one direction.
+    # One eigenvalue above this share of the sum of squares means a single direction.
     return bool(values[-1] < 0.95 * values.sum())
 
 
@@ -169,8 +169,8 @@ def _distinguished(
         ordered = np.array([x[orders[first_of_best(-((x[orders] - points) ** 2).sum(axis=(1, 2)))]] for x in middle])
         points = np.median(ordered, axis=0)
     scatter = float(np.median(np.linalg.norm(ordered - points, axis=2)))
-    # Targets are distinguished only where their scatter in the tool frame is below this share of the
-    # smallest distance between them.
+    # Targets are distinguished only where their scatter in the tool frame is below this share of
+    # the smallest distance between them.
     if len(whole) < 2 * MIN_DISAGREEING_POSES or scatter > 0.25 * found.distances[0]:
         return found
     which = np.empty(len(m), dtype=np.int64)
@@ -214,7 +214,7 @@ def middles(m: Measurements, count: int) -> Measurements | None:
     return _middles(m, whole) if whole else None
 
 
-# The search for wrong names starts from at least this many rows, and needs a table of twice as many.
+# The search for wrong names starts from at least this many rows; the table has twice as many.
 MIN_SEARCH_ROWS = 18
 # Other names, or one more target, are accepted only if they reduce the median error to this ratio.
 MAX_ERROR_RATIO = 0.5
@@ -264,12 +264,12 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
     before = median_error(free, m)
     part = max(MIN_SEARCH_ROWS, len(m) // 3)
     searched = [_search(free, m, given, rows) for rows in (slice(0, part), slice(-part, None))]
-    left = [median_error(free, _named(m, robot, names)) for names in searched]
-    if min(left) > MAX_ERROR_RATIO * before:
+    medians = [median_error(free, _named(m, robot, names)) for names in searched]
+    if min(medians) > MAX_ERROR_RATIO * before:
         return None
-    # Where two names are swapped from some row on, it is not known which part of the table is right:
+    # Where two names are swapped from some row on, it is unclear which part of the table is right:
     # the assignment that changes fewer rows is taken.
-    as_good = [names for names, error in zip(searched, left, strict=True) if error < min(left) / MAX_ERROR_RATIO]
+    as_good = [names for names, error in zip(searched, medians, strict=True) if error < min(medians) / MAX_ERROR_RATIO]
     meant = min(as_good, key=lambda names: int((names != given).sum()))
     if (meant == given).all():
         return None
@@ -327,7 +327,7 @@ def with_targets_of_rows(
     alone, at their known points or to be estimated. Raises InputError where repeats show several
     targets and the nominal model does not distinguish them.
     """
-    known = _points_of(robot)
+    points_by_name = _points_of(robot)
     placed_sets, notes = [], []
     for m in sets:
         points = {} if names_in(m) or m.position is None else _by_position(robot, m)
@@ -335,7 +335,7 @@ def with_targets_of_rows(
             places = np.arange(len(m))
             logged = {f"tool_{name}": np.isin(places, own).astype(float) for name, (_, own) in points.items()}
             placed_sets.append(replace(m, conditions={**m.conditions, **logged}))
-            known |= {name: point for name, (point, _) in points.items()}
+            points_by_name |= {name: point for name, (point, _) in points.items()}
             rows = ", ".join(f"{name} {len(own)}" for name, (_, own) in points.items())
             notes.append(f"{m.source}: no column names the targets; as they lie, {rows} rows")
         else:
@@ -347,8 +347,8 @@ def with_targets_of_rows(
             replace(m, conditions={k: v for k, v in m.conditions.items() if not k.startswith("tool_")})
             for m in placed_sets
         ]
-    T = frame(robot.tool.T[:3, :3], known.get(one, robot.tool.T[:3, 3]))
-    more = tuple(Target(name, known.get(name, T[:3, 3])) for name in names[1:])
+    T = frame(robot.tool.T[:3, :3], points_by_name.get(one, robot.tool.T[:3, 3]))
+    more = tuple(Target(name, points_by_name.get(name, T[:3, 3])) for name in names[1:])
     arm = replace(robot, tool=replace(robot.tool, T=T), tool_name=one if more else "", targets=more)
     for m in placed_sets:
         refuse_nameless(m, arm)
@@ -444,8 +444,11 @@ def _several(free: Robot, which: Array) -> Robot:
 
 def _names_of(points: Array, robot: Robot) -> list[str]:
     """Return the names of known targets with the same mutual distances, else target1, ..."""
-    known = _points_of(robot)
-    for some in permutations(known, len(points)) if len(points) <= len(known) <= MAX_TARGETS else ():
-        if np.abs(_lengths(np.array([known[name] for name in some])) - _lengths(points)).max() < DISTANCE_TOLERANCE:
+    points_by_name = _points_of(robot)
+    for some in permutations(points_by_name, len(points)) if len(points) <= len(points_by_name) <= MAX_TARGETS else ():
+        if (
+            np.abs(_lengths(np.array([points_by_name[name] for name in some])) - _lengths(points)).max()
+            < DISTANCE_TOLERANCE
+        ):
             return [*some]
     return [f"target{k}" for k in range(1, len(points) + 1)]

@@ -27,7 +27,7 @@ LISTED = (
      "np.round((near - arms) / _TURN)", "clip of a turn"),
     ("project/check/plausible.py", "freedom = len(m) - distinct", "freedom = len(m)", "freedom of repeats"),
     ("project/check/plausible.py", "first_of_best(-np.log(", "first_of_best(np.log(", "sign of what is plausible"),
-    ("project/check/information.py", "left, free = r - Q @ (Q.T @ r)", "left, free = r + Q @ (Q.T @ r)", "sign"),
+    ("project/check/information.py", "residual, free = r - Q @ (Q.T @ r)", "residual, free = r + Q @ (Q.T @ r)", "sign"),
     ("project/check/slip_fit.py", "return self.q[shift:], self.y[: n - shift]",
      "return self.q[: n - shift], self.y[shift:]", "alignment of a shift"),
     ("project/check/slip_fit.py", "(moved + 1) // 2", "moved", "count of swaps"),

@@ -188,10 +188,10 @@ def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float
     for m in sets:
         if m.position is None:
             continue
-        reading, left = same_readings(m.q, STANDSTILL_TOLERANCE), 1e-3 * residual_mm(robot, m)
+        reading, residual = same_readings(m.q, STANDSTILL_TOLERANCE), 1e-3 * residual_mm(robot, m)
         counts = np.bincount(reading)
-        means = np.stack([np.bincount(reading, left[:, i]) for i in range(3)], axis=1) / counts[:, None]
-        square += float(((left - means[reading]) ** 2).sum())
+        means = np.stack([np.bincount(reading, residual[:, i]) for i in range(3)], axis=1) / counts[:, None]
+        square += float(((residual - means[reading]) ** 2).sum())
         freedom += 3.0 * float((counts - 1).sum())
     return (float(np.sqrt(square / freedom)), freedom) if freedom else (0.0, 0.0)
 

@@ -140,7 +140,7 @@ class Certificate(Acceptance):
 
     @property
     def accepted(self) -> bool | None:
-        """Return whether the tolerance is kept; None where that is open or there is none."""
+        """Return whether the robot conforms to the tolerance; None if open or without one."""
         return {"conforms": True, "fails": False}.get(self.decision)
 
     @property
@@ -160,10 +160,10 @@ class Certificate(Acceptance):
     def missing(self) -> list[str]:
         """Return the keys of the statements that are missing, as of `no_KEY` in the words."""
         d = self.details
-        known = {line.source: line.stated for line in self.after.lines}
+        stated = {line.source: line.stated for line in self.after.lines}
         given = {
             "traceability": d.instrument.traceability, "calibrated": d.instrument.calibrated,
-            "noise": known["instrument"] or known["repeatability"], "repeatability": known["repeatability"],
+            "noise": stated["instrument"] or stated["repeatability"], "repeatability": stated["repeatability"],
             "temperature": d.conditions.temperature_degC is not None, "tolerance": d.decision.tolerance is not None,
         }  # fmt: skip
         return [key for key, value in given.items() if not value]
@@ -186,8 +186,8 @@ class Certificate(Acceptance):
         ]  # fmt: skip
         if iso := self.iso9283:
             drift = f"dAP = {mm(iso.drift[0])} mm, dRP = {mm(iso.drift[1])} mm. " if iso.drift else ""
-            beside = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
-            iso_blocks: list[Words | Table] = [replace(iso.table(), title=""), Words(drift + beside + w["iso"])]
+            model_note = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
+            iso_blocks: list[Words | Table] = [replace(iso.table(), title=""), Words(drift + model_note + w["iso"])]
             second.append(Section("ISO 9283:1998", iso_blocks))
         made = provenance_of(self.files_)
         rows = [(Path(path).name, code[:32]) for path, code in made.files]

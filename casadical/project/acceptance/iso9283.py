@@ -76,9 +76,9 @@ def planned_test(
                 continue
             # The other poses are reached from twenty readings with the tool at P1.
             q, _ = held_in(robot, places[:1], 20, room, rng)
-            held = _one_orientation(robot, q, places, room) if len(q) else None
-            if held is not None:
-                return _test_table(robot, held, poses_in(local, size)), local, size
+            solutions = _one_orientation(robot, q, places, room) if len(q) else None
+            if solutions is not None:
+                return _test_table(robot, solutions, poses_in(local, size)), local, size
     wanted = "of the standard" if side is None else f"of {1e3 * side:.0f} mm"
     raise InputError(f"{robot.name}: no cube {wanted} is within its reach in one orientation; give --cube-mm or --room")
 
@@ -91,24 +91,24 @@ def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> 
     """
     R = predicted(robot, unmeasured(q))[1]
     rows, limits = 6 if robot.n >= 6 else 3, room.ranges(robot)
-    held, good = [q], np.ones(len(q), dtype=bool)
+    solutions, good = [q], np.ones(len(q), dtype=bool)
     for place in places[1:]:
 
         def off(q: Array, which: Array, place: Array = place) -> tuple[Array, Array]:
-            """Distance from the place and turn from the orientation, shape (k, 6) [m and rad]; by differences."""
+            """Return the pose error [m, rad] and its Jacobian by finite differences."""
             p, now = predicted(robot, unmeasured(np.concatenate([q, *(q + 1e-6 * e for e in np.eye(robot.n))])))
             turned = R[np.tile(which, robot.n + 1)]
             turn = 0.5 * np.cross(turned.transpose(0, 2, 1), now.transpose(0, 2, 1)).sum(axis=1)
             r = np.hstack([place - p, -turn])[:, :rows].reshape(robot.n + 1, len(q), rows)
             return r[0], (r[0] - r[1:]).transpose(1, 2, 0) / 1e-6
 
-        now = solve_joints(off, held[0], 30, 0.3, limits=limits, coupled=robot.coupled, damping=1e-8)
+        now = solve_joints(off, solutions[0], 30, 0.3, limits=limits, coupled=robot.coupled, damping=1e-8)
         good &= (np.abs(off(now, np.arange(len(now)))[0]).max(axis=1) < 1e-6) & room.allows(robot, now)
-        held.append(now)
+        solutions.append(now)
     some = np.flatnonzero(good)
     if not len(some):
         return None
-    every = np.stack(held)[:, some]
+    every = np.stack(solutions)[:, some]
     return np.asarray(every[:, int(np.argmin(np.ptp(every, axis=0).max(axis=1)))])
 
 

@@ -165,8 +165,8 @@ def verify(
     if found > limit and placing.groups:  # a few gross errors bias base and tool, and so all errors
         robust = calibrated(prepared, placing.groups, loss="huber")
         if 0 < len(robust.outliers) <= len(e) // 3:
-            kept = np.concatenate([errors(robust.robot, m) for m in robust.used])
-            far, without = list(robust.left_out), placing.scatter(kept, k)
+            inlier_errors = np.concatenate([errors(robust.robot, m) for m in robust.used])
+            far, without = list(robust.left_out), placing.scatter(inlier_errors, k)
     return Verification(
         robot=arm.name,
         promised=promised,
@@ -297,7 +297,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
         stated = load_json(path)
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
         kinds = stated.get("kinds", {})
-        held = [
+        held_out_rms = [
             figures.get("without_far_off", figures)["rms_mm"]
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
@@ -305,10 +305,12 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
     except (ValueError, KeyError, TypeError, AttributeError) as error:  # no such file; figures of other kinds
         why = f" ({error})" if isinstance(error, InputError) and path.is_file() else ""
         raise InputError(f"{path}: no figures of a calibration{why}; {remedy}") from None
-    if not held:
+    if not held_out_rms:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
     return _in_metres(
-        held[0], f"{path}: no figures of a calibration: rms_mm of {robot.name}", f"; calibrate again, or {remedy}"
+        held_out_rms[0],
+        f"{path}: no figures of a calibration: rms_mm of {robot.name}",
+        f"; calibrate again, or {remedy}",
     )
 
 

@@ -65,7 +65,7 @@ def precheck(
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = wrong_names(problem.robot, table) if table is not None else None
-    if wrong or (targets and targets.turning):  # what contradicts one target, or wrong names, says nothing
+    if wrong or (targets and targets.turning):  # the data are judged as of one target
         findings, usable, slips = [f for f in findings if f.topic not in ("units", "repeats", "rows")], False, None
     findings = [*target_findings(targets, wrong, sets[0].source), *findings]
     one = table if table is not None else sets[0] if sets[0].position is None else None
@@ -78,7 +78,7 @@ def precheck(
             findings.insert(0, slip_finding(slips, problem.robot, standard, sets[0]))
     findings += held_out_findings(problem)
     findings += limits_findings(problem.robot)
-    known, source = _noise(noise, sets)
+    known_noise, source = _noise(noise, sets)
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~facts.far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
@@ -88,12 +88,12 @@ def precheck(
     outlooks, faults = _outlooks(problem.methods if usable else (), start, trusted, noise)
     findings += faults
     for view in outlooks:
-        findings += outlook_findings(view, problem.robot, known)
+        findings += outlook_findings(view, problem.robot, known_noise)
     first = sets[0]
     return Precheck(
         folder, tuple(findings), problem.title, problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        known, source, facts.coverage(problem.robot, first), facts.margin(problem.robot, first), tuple(outlooks),
+        known_noise, source, facts.coverage(problem.robot, first), facts.margin(problem.robot, first), tuple(outlooks),
         problem.robot, slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
     )  # fmt: skip
 

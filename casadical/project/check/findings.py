@@ -208,9 +208,9 @@ def held_out_findings(problem: Problem) -> list[Finding]:
             except InputError as error:
                 findings += [replace(f, text=f"set {name}: {f.text}") for f in fault_findings(error, "data")]
     for m in problem.sets["identify"]:
-        left = [column for column in m.unused if column != problem.set_column]
-        if left:
-            text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, left))}"
+        unused = [column for column in m.unused if column != problem.set_column]
+        if unused:
+            text = f"{m.source}: columns of words or without a cell are left out: {', '.join(map(shown, unused))}"
             findings.append(Finding("note", "columns", text))
         if m.copies:
             findings.append(Finding("warning", "data", m.copies_in_words))

@@ -112,8 +112,8 @@ def outlook(
         sets = [m[np.flatnonzero(rows)] for m, rows in zip(sets, near, strict=True)]
         return outlook(robot, sets, free, method, noise, seed)
     sigmas, spare = problem.sigmas, problem.residual_count - problem.size
-    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
-    scatter = float(np.sqrt(left @ left / spare)) if spare > 0 else float("nan")
+    residual = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    scatter = float(np.sqrt(residual @ residual / spare)) if spare > 0 else float("nan")
     if find_kind(sets[0].kind).angles:  # the residuals of angles do not concern positions
         lengths, freedom = _parts(problem.sets[0], r, J)[0]
         scatter = float(np.sqrt(lengths / freedom)) if freedom > 0 else float("nan")
@@ -121,14 +121,14 @@ def outlook(
     unit = 1.0 if noise or np.isnan(scatter) else max(scatter, 1e-6)
     _, H = problem.gradient(np.zeros(problem.size))
     columns, poor, C = drop_poor([robot.parameters[n] for n in problem.names], H, unit**2)
-    kept = tuple(problem.names[k] for k in columns)
-    scale, accuracy = np.array([robot.parameters[n].scale for n in kept]), float("nan")
-    if kept:  # rms position error over the joint ranges
+    identified = tuple(problem.names[k] for k in columns)
+    scale, accuracy = np.array([robot.parameters[n].scale for n in identified]), float("nan")
+    if identified:  # rms position error over the joint ranges
         task = expected(robot, draw(robot, 200, Workspace(), np.random.default_rng(seed)), {}, "task")
-        J = scaled_jacobian(robot, kept, task)
+        J = scaled_jacobian(robot, identified, task)
         accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
-        method, kept, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition,
+        method, identified, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition,
         scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
         np.sqrt(np.diag(C)) * scale, accuracy,
     )  # fmt: skip
@@ -163,12 +163,12 @@ def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
 
     All rows are near where there are too few degrees of freedom, or too many far rows.
     """
-    left = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
+    residual = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     masks = []
     for m in sets:
         kind = find_kind(m.kind)
         size = len(m) * (kind.lengths + kind.angles)
-        own, left = left[:size].reshape(len(m), -1)[:, : kind.lengths or None], left[size:]
+        own, residual = residual[:size].reshape(len(m), -1)[:, : kind.lengths or None], residual[size:]
         e = np.linalg.norm(own, axis=1)
         near = e <= 5.0 * np.median(e)
         masks.append(near if len(r) > 2 * J.shape[1] and near.mean() > 0.9 else np.ones(len(m), dtype=bool))
@@ -181,9 +181,9 @@ def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ..
     They are of the lengths and of the angles of the first set.
     """
     Q = np.linalg.qr(J)[0]
-    left, free = r - Q @ (Q.T @ r), 1 - (Q**2).sum(axis=1)
+    residual, free = r - Q @ (Q.T @ r), 1 - (Q**2).sum(axis=1)
     kind = find_kind(m.kind)
     of_set = (len(m), kind.lengths + kind.angles)
-    left, free = (values[: of_set[0] * of_set[1]].reshape(of_set) for values in (left, free))
+    residual, free = (values[: of_set[0] * of_set[1]].reshape(of_set) for values in (residual, free))
     cut = [slice(0, kind.lengths), slice(kind.lengths, None)]
-    return tuple((float((left[:, part] ** 2).sum()), float(free[:, part].sum())) for part in cut)
+    return tuple((float((residual[:, part] ** 2).sum()), float(free[:, part].sum())) for part in cut)

@@ -75,18 +75,18 @@ def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
 
     With few poses, or where half of them were far off, the mask is empty.
     """
-    kept = np.ones(len(m), dtype=bool)
+    inliers = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
     if m.position is None or len(m) < 12:
-        return ~kept, e
+        return ~inliers, e
     free = rigid(robot)
     for _ in range(4):  # far rows bias base and tool
-        e = errors(place_frames(free, m[kept]), m)
+        e = errors(place_frames(free, m[inliers]), m)
         near = e <= 5.0 * np.median(e)
-        if (near == kept).all():
+        if (near == inliers).all():
             break
-        kept = near
-    return (~kept if kept.mean() >= 0.5 else np.zeros(len(m), dtype=bool)), e
+        inliers = near
+    return (~inliers if inliers.mean() >= 0.5 else np.zeros(len(m), dtype=bool)), e
 
 
 def other_conventions(path: Path) -> list[Robot]:

@@ -39,7 +39,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
     known = {**understood(raw, robot, given, table.get("kind")).sources, **given}
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
-    # Which number of a quaternion is which was told by readings with the slip: they tell it again.
+    # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
     others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
     meaning = understood(raw, robot, others, table.get("kind"))
     again = {ours: source for ours, source in meaning.sources.items() if re.fullmatch(ORIENTATION, ours)}
@@ -72,7 +72,7 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     for i, name in enumerate(names):
 
         def own(j: int, i: int = i) -> Source:
-            """The reading of joint j before others are added, in the unit of joint i."""
+            """Return the reading of joint j before others are added, in the unit of joint i."""
             source, factor = (
                 _without_sum(known[names[h.source[j]]]),
                 h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i],

@@ -171,27 +171,27 @@ class SlipFit:
         """Return the share of the motion that each hypothesis does not explain, shape (k,)."""
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
-            left, turn, _ = _project_out_frame(y, p, R)
-            left = left - (turn @ _least_squares(turn, left[..., None]))[..., 0]
+            residual, turn, _ = _project_out_frame(y, p, R)
+            residual = residual - (turn @ _least_squares(turn, residual[..., None]))[..., 0]
             spread = np.sqrt(((p - p.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / len(y)) + 1e-3 * self.reach
-            square = np.sort((left.reshape(len(left), -1, 3) ** 2).sum(axis=2), axis=1)
+            square = np.sort((residual.reshape(len(residual), -1, 3) ** 2).sum(axis=2), axis=1)
             counted = square[:, : max(1, int(0.75 * square.shape[1]))]
             share[part] = np.sqrt(counted.mean(axis=1)) / spread
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return for each length the share of the error that is left if it is freed, and its change.
+        """Return for each length the share of the error that is left if it is free, and its change.
 
         The shape is (k, 2 joints, 2), all a before all d; departures are in m.
         """
         departures = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
         for part, y, p, R, along in self._parts(hypotheses):
-            left, turn, extra = _project_out_frame(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
-            left = left - (turn @ _least_squares(turn, left[..., None]))[..., 0]
+            residual, turn, extra = _project_out_frame(y, p, R, np.moveaxis(np.concatenate(along, axis=1), 1, 3))
+            residual = residual - (turn @ _least_squares(turn, residual[..., None]))[..., 0]
             extra = extra - turn @ _least_squares(turn, extra)
             norms = np.maximum((extra**2).sum(axis=1), 1e-6 * len(y))
-            products = (extra * left[..., None]).sum(axis=1)
-            whole = (left**2).sum(axis=1)[:, None]
+            products = (extra * residual[..., None]).sum(axis=1)
+            whole = (residual**2).sum(axis=1)[:, None]
             after = np.maximum(whole - products**2 / norms, 0)
             departures[part] = np.stack([np.sqrt(after / np.maximum(whole, 1e-18)), -products / norms], axis=2)
         return departures
@@ -251,16 +251,16 @@ class SlipFit:
         """
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
-        kept = np.ones(len(y), dtype=bool)
+        inliers = np.ones(len(y), dtype=bool)
         scale, mirrored, error = (1.0, 1.0, 1.0), False, np.inf
         for _ in range(3):  # far rows bias the fit
             if not as_given:
-                scale, mirrored = _units_and_hand(_frame_matrix(p[0][kept], R[0][kept], y[kept]))
+                scale, mirrored = _units_and_hand(_frame_matrix(p[0][inliers], R[0][inliers], y[inliers]))
             meant = y * np.array(scale) * [1, -1 if mirrored else 1, 1]
-            T, t = solve_placement(p[0][kept], R[0][kept], meant[kept], None, np.eye(4), np.zeros(3))
+            T, t = solve_placement(p[0][inliers], R[0][inliers], meant[inliers], None, np.eye(4), np.zeros(3))
             e = np.linalg.norm((p[0] + R[0] @ t) @ T[:3, :3].T + T[:3, 3] - meant, axis=1)
             error = max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0)
-            kept = e <= 5 * np.median(e)
+            inliers = e <= 5 * np.median(e)
         if not as_given:  # positions that are scaled down fit every model
             error *= max(1.0, _spread(p[0]) / max(_spread(meant), 1e-12))
         return Fit(h, error, scale, mirrored, self._turn(h.shift, T[:3, :3] @ R[0]))
@@ -312,19 +312,19 @@ class LengthFit(SlipFit):
         """Return the fit of a hypothesis with tool and points fitted."""
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
-        kept, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
+        inliers, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
         for _ in range(3):  # far rows bias the fit
-            e = np.abs(self._residuals(p, R, y, kept, 40)[0])
-            kept = e <= 5 * np.median(e)
+            e = np.abs(self._residuals(p, R, y, inliers, 40)[0])
+            inliers = e <= 5 * np.median(e)
         return Fit(h, max(float(np.median(e)), float(np.quantile(e, 0.8)) / 3.0))
 
-    def _residuals(self, p: Array, R: Array, y: Array, kept: Array | None = None, steps: int = 12) -> Array:
+    def _residuals(self, p: Array, R: Array, y: Array, inliers: Array | None = None, steps: int = 12) -> Array:
         """Return the residuals of the lengths after the fit of tool and points, shape (k, n) [m].
 
-        kept : mask of the rows that are fitted
+        inliers : mask of the rows that are fitted
         """
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
-        weight = np.ones(len(y)) if kept is None else kept.astype(float)
+        weight = np.ones(len(y)) if inliers is None else inliers.astype(float)
 
         def lines(x: Array) -> tuple[Array, Array]:
             line = p + (R @ x[:, None, :3, None])[..., 0] - place @ x[:, 3:].reshape(len(p), -1, 3)
@@ -332,15 +332,15 @@ class LengthFit(SlipFit):
 
         def evaluate(x: Array) -> Evaluated:
             line, size = lines(x)
-            left = length - size
+            residual = length - size
 
             def sums(better: Array) -> tuple[Array, Array]:
                 along = (weight[:, None] * line / size[..., None])[better]
                 of_places = [-(along * place[:, [k]]) for k in range(place.shape[1])]
                 J = np.concatenate([np.einsum("kni,knij->knj", along, R[better]), *of_places], axis=2)
-                return np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ left[better][..., None])[..., 0]
+                return np.swapaxes(J, 1, 2) @ J, (np.swapaxes(J, 1, 2) @ residual[better][..., None])[..., 0]
 
-            return (weight * left**2).sum(axis=1), sums
+            return (weight * residual**2).sum(axis=1), sums
 
         # The floor regularises what no length determines, as a part of the tool of a planar arm.
         best, _ = levenberg_marquardt(evaluate, self._start(p, length, place), steps, floor=1e-6 * len(y))
@@ -348,7 +348,7 @@ class LengthFit(SlipFit):
 
     @staticmethod
     def _start(p: Array, length: Array, place: Array) -> Array:
-        """Return the start of the fit, shape (k, 3 + 3 K) [m]: tool at the flange, points fitted to it.
+        """Return the start of the fit, shape (k, 3 + 3 K) [m]: tool at the flange, points fitted.
 
         The distance of a point from the plane of a planar arm follows from its square alone.
         """
@@ -358,9 +358,9 @@ class LengthFit(SlipFit):
             A = np.concatenate([2 * local, -np.ones((*local.shape[:2], 1))], axis=2)
             solved = _least_squares(A, ((local**2).sum(axis=2) - length[own] ** 2)[..., None])[..., 0]
             spread, axes = np.linalg.eigh(np.swapaxes(local, 1, 2) @ local)
-            beside = np.sqrt(np.maximum(solved[:, 3] - (solved[:, :3] ** 2).sum(axis=1), 0.0))
-            beside[spread[:, 0] > 1e-6 * spread[:, 2]] = 0.0
-            x.append(solved[:, :3] + axes[:, :, 0] * beside[:, None] + p[:, own].mean(axis=1))
+            offset = np.sqrt(np.maximum(solved[:, 3] - (solved[:, :3] ** 2).sum(axis=1), 0.0))
+            offset[spread[:, 0] > 1e-6 * spread[:, 2]] = 0.0
+            x.append(solved[:, :3] + axes[:, :, 0] * offset[:, None] + p[:, own].mean(axis=1))
         return np.concatenate(x, axis=1)
 
 

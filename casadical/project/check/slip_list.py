@@ -186,8 +186,8 @@ def meant_length(value: float, departure: float) -> float:
     return value + departure
 
 
-# Returns the residuals of readings from their predictions, shape (n, lengths) [m], and their squares
-# in units of the covariance, shape (n,).
+# Returns the residuals of readings from their predictions, shape (n, lengths) [m], and their
+# squares in units of the covariance, shape (n,).
 Misses = Callable[[Measurements], tuple[Array, Array]]
 
 

@@ -116,14 +116,14 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     share = fit.shares(level)
     for depth in range(MAX_SLIPS + 1):
         show(f"slips, search {depth + 1} of {MAX_SLIPS + 1}")
-        kept = _best_of_level(level, share, fit.beam)
-        for k in kept[:20]:
+        selected = _best_of_level(level, share, fit.beam)
+        for k in selected[:20]:
             h = _refined(fit, level[k])
             fits.setdefault(h, fit.placed(h))
         least = min(f.error for f in fits.values())
         if depth == MAX_SLIPS or least < 2 * NOMINAL_ERROR_OF_REACH * robot.reach:
             break
-        parents = [level[k] for k in kept]
+        parents = [level[k] for k in selected]
         first = [] if depth else _reversed_joints(parents, len(fit.rows))
         moves = dict.fromkeys((*first, *_all_moves(fit, parents, robot, turning, shifts)))
         level = [h for h in moves if h not in seen and h.cost <= MAX_SLIPS]
@@ -177,13 +177,13 @@ def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list
     beam : number of hypotheses that are kept
     """
     order = ranked(np.negative(share))
-    kept, of_each = order[:beam], dict[tuple[int, int], int]()
+    selected, of_each = order[:beam], dict[tuple[int, int], int]()
     for k in order:
         key = (level[k].shift, level[k].rows)
         of_each[key] = of_each.get(key, 0) + 1
-        if of_each[key] <= min(120, beam) and k not in kept:
-            kept.append(k)
-    return kept
+        if of_each[key] <= min(120, beam) and k not in selected:
+            selected.append(k)
+    return selected
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:
@@ -193,9 +193,9 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
     for k in order:
         rest, departure = lengths[k]
         name, i = ("a", k) if k < n else ("d", k - n)
-        known = any((name, i) == (other, j) for other, j, _ in h.lengths)
+        is_listed = any((name, i) == (other, j) for other, j, _ in h.lengths)
         # Smaller errors of lengths are found by the calibration.
-        if rest < 0.9 and abs(departure) > 0.02 * robot.reach and not known:
+        if rest < 0.9 and abs(departure) > 0.02 * robot.reach and not is_listed:
             yield h._replace(lengths=(*h.lengths, (name, i, float(departure))))
 
 

@@ -99,8 +99,8 @@ class Estimate:
     @property
     def left_out_mm(self) -> Array:
         """Return the lengths of the leave-one-out residuals that exist, shape (k,) [mm]."""
-        left = np.linalg.norm(self.left_out, axis=1) / MM
-        return np.asarray(left[np.isfinite(left)])
+        lengths_mm = np.linalg.norm(self.left_out, axis=1) / MM
+        return np.asarray(lengths_mm[np.isfinite(lengths_mm)])
 
     @property
     def limit(self) -> float:
@@ -147,10 +147,10 @@ def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
 
     The base is one of them where the readings refer to something at rest.
     """
-    held = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
+    excluded = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
     sessions = (n for n in robot.parameters.names if n.startswith(SESSION_PREFIX))
     names = (*robot.parameters.select(("kinematic", "compliance")), *sessions)
-    return tuple(name for name in names if robot.parameters[name].group not in held)
+    return tuple(name for name in names if robot.parameters[name].group not in excluded)
 
 
 def _is_frame(p: Parameter) -> bool:
@@ -179,7 +179,7 @@ def linearised(
     if (turn := m.arrays.get("orientation", m.arrays.get("turn"))) is not None:
         R = predicted(robot, m)[1]
         R = R if m.other is None else predicted(robot, replace(m, q=m.other))[1].transpose(0, 2, 1) @ R
-        turned = np.einsum("nij,nij->n", R, turn) < 1.0  # the residual is the sine, which is blind to half a turn
+        turned = np.einsum("nij,nij->n", R, turn) < 1.0  # the sine is blind to half a turn
         r = np.where(turned[:, None] & (np.arange(r.shape[1]) >= 3), np.pi / (MM * ratio), r)
     separated = (-apart[0].ravel() if apart else np.zeros(0), J[r.size :])
     return LinearisedReadings(
@@ -250,13 +250,13 @@ def _by_evidence(
     normal = len(y) * float(np.log(weight).sum())
     J, y = (J * weight[:, None]).reshape(-1, J.shape[2]), (y * weight).ravel()
     G, b, square = J.T @ J, J.T @ y, float(y @ y)
-    known, of_known = apart[1].T @ apart[1], apart[1].T @ apart[0]
+    prior_information, prior_rhs = apart[1].T @ apart[1], apart[1].T @ apart[0]
     logs, precisions = np.empty((len(PRIOR_FACTOR_GRID), len(NOISE_GRID_MM))), []
     for i, factor in enumerate(PRIOR_FACTOR_GRID):
         P = np.where(free > 0, free, factor * width) ** -2
         precisions.append(P)
-        at = np.linalg.solve(np.diag(P) + known, of_known)  # mean before the readings
-        root = root_of_inverse(np.diag(P) + known)
+        at = np.linalg.solve(np.diag(P) + prior_information, prior_rhs)  # mean before the readings
+        root = root_of_inverse(np.diag(P) + prior_information)
         values, V = np.linalg.eigh(root @ G @ root.T)
         along = (V.T @ (root @ (b - G @ at))) ** 2
         left = square - 2 * float(at @ b) + float(at @ G @ at)
@@ -267,8 +267,8 @@ def _by_evidence(
     weights /= weights.sum()
     sigma = float(np.sqrt((weights.sum(axis=0) * NOISE_GRID_MM**2).sum()))
     variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
-    C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + known)
-    return evidence, sigma, C, b / sigma**2 + of_known
+    C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + prior_information)
+    return evidence, sigma, C, b / sigma**2 + prior_rhs
 
 
 def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | None, Array, Array]:
@@ -287,7 +287,7 @@ def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Est
     for own in (*(labels == name for name in set(labels)), *named):
         # Likewise the readings of a point of which half are doubted.
         out[own] &= 2 * out[own].sum() < own.sum()
-    # Where nothing says where the point is, placing takes a search that outliers do not mislead.
+    # Without positions or known anchors, placing is a search that outliers do not mislead.
     placed = place_sessions(robot, (m,)) if m.position is None and m.target is None else None
     for _ in range(3 + len(m) // 10):
         inside = np.flatnonzero(~out)

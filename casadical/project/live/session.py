@@ -101,7 +101,7 @@ class LiveSession:
         if course.readings:
             self._judge(*(r.number for r in course.readings))
 
-    # What comes ------------------------------------------------------------------------------------------------------
+    # Input
 
     def take(self, row: Row, *, judge: bool = True) -> int | None:
         """Store a row of a table and return its number; None where it is stored already.
@@ -252,7 +252,7 @@ class LiveSession:
                 raise InputError(f"{name}: no column of the file is this alone; append the reading to the file")
         return row
 
-    # What it tells ---------------------------------------------------------------------------------------------------
+    # Judgement
 
     def _judge(self, *new: int) -> None:
         """Read the table as it now is, and judge its readings.
@@ -327,11 +327,11 @@ class LiveSession:
         numbers = [self._number(row) for row in m.row]
         robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
         robot = prepare(robot, m, tool_turns=True).robot
-        known = np.array([self._doubtful.get(n, True) for n in numbers])
+        was_doubtful = np.array([self._doubtful.get(n, True) for n in numbers])
         lower, upper = self.robot.limits
         outside = ((m.q < lower - 0.002) | (m.q > upper + 0.002)).any(axis=1)
         inside = np.flatnonzero(~outside & (m.weight > 0))
-        estimate, out, off = robust_estimate(robot, m[inside], known[inside])
+        estimate, out, off = robust_estimate(robot, m[inside], was_doubtful[inside])
         self.estimate = estimate
         was = {n for n, d in self._doubtful.items() if d and n != new}
         self._doubtful = dict.fromkeys(numbers, False)
@@ -378,8 +378,8 @@ class LiveSession:
         assert self.plan is not None
         counting = [q for n, q in self._read().items() if not self._doubtful.get(n)]
         measured = np.array(counting).reshape(-1, 1, self.robot.n)
-        left = self.plan[(np.abs(self.plan - measured).max(axis=2) > 0.02).all(axis=0)]  # rad or m
-        return left if self._wish is None else np.vstack([self._wish, left])
+        remaining = self.plan[(np.abs(self.plan - measured).max(axis=2) > 0.02).all(axis=0)]  # rad or m
+        return remaining if self._wish is None else np.vstack([self._wish, remaining])
 
     def next_pose(self) -> Array:
         """Return the joints of the next pose, shape (joints,) [rad or m].
@@ -389,8 +389,8 @@ class LiveSession:
         self.look_ahead()
         assert self.plan is not None
         with self.lock:
-            left = self._poses_left()
-            return np.asarray(left[0] if len(left) else self.plan[len(self.course.readings) % len(self.plan)])
+            remaining = self._poses_left()
+            return np.asarray(remaining[0] if len(remaining) else self.plan[len(self.course.readings) % len(self.plan)])
 
     def doubted(self) -> bool:
         """Return whether the whole table is to be checked for slips now (see `check`)."""
@@ -407,7 +407,7 @@ class LiveSession:
         with self.lock:
             self.checked = (n, [text.replace(f"{self.folder}/", "") for text in texts])
 
-    # What is told and kept -------------------------------------------------------------------------------------------
+    # Output
 
     def _write(self) -> None:
         """Write the table, and problem.toml where it does not name the table as it is."""
@@ -496,10 +496,13 @@ class LiveSession:
 
     def _next_json(self) -> dict[str, Any]:
         """Return the planned poses, the move command and a sentence, as plain data."""
-        poses, left = [self._joints(q) for q in (self.next_pose(), *self._poses_left()[1:])], len(self._poses_left())
-        words = f"{left} planned poses are left" if left else "all planned poses are measured"
+        poses, remaining = (
+            [self._joints(q) for q in (self.next_pose(), *self._poses_left()[1:])],
+            len(self._poses_left()),
+        )
+        words = f"{remaining} planned poses are left" if remaining else "all planned poses are measured"
         program = self._move(poses[0]) if self._move else ""
-        return {"poses": poses, "program": program, "to_go": left, "words": f"{words}; {self._of_plan}"}
+        return {"poses": poses, "program": program, "to_go": remaining, "words": f"{words}; {self._of_plan}"}
 
 
 def finished(session: LiveSession) -> str:

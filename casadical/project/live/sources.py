@@ -304,13 +304,13 @@ def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
     lines = data.splitlines(keepends=True)
     good, said = 2, []
     read_table(path, b"".join(lines[:good]))
-    kept = lines[:good]
+    readable = lines[:good]
     for number, line in enumerate(lines[good:], good + 1):
         try:
             read_table(path, b"".join([*lines[:good], line]))
-            kept.append(line)
+            readable.append(line)
         except InputError as error:
-            kept.append(b"\n")
+            readable.append(b"\n")
             why = str(error).removeprefix(f"{path}: ")
             said.append(f"{shown(path)}, line {number}: is left aside ({why}); correct it there, or type the reading")
-    return b"".join(kept), said
+    return b"".join(readable), said

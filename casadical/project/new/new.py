@@ -33,13 +33,13 @@ from casadical.project.robot_columns import computed, placed_by, understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# The poses that are simulated for a first run: their number, and one sigma of a coordinate [m], as of
-# a laser tracker.
+# Number of the poses that are simulated for a first run.
 SYNTHETIC_POSE_COUNT = 60
+# One sigma of a simulated coordinate, as of a laser tracker [m].
 SYNTHETIC_NOISE_M = 2e-5
 # One sigma by which the simulated robot departs from the nominal one, by unit of the parameter.
 SYNTHETIC_DEPARTURE_SIGMA = {"m": 3e-4, "rad": 5e-4}
-# Pose of the simulated base in the measuring frame, relative to the nominal one, where it is unknown.
+# Pose of the simulated base relative to the nominal one, where the base is unknown.
 SYNTHETIC_BASE = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
 
 
@@ -79,8 +79,8 @@ def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
 
 # The rows of a target with fewer poses are left out: they do not determine its point.
 MIN_POSES_PER_TARGET = 3
-# A base that is upright, on a wall or on a ceiling within this angle [deg] was measured by a levelled
-# instrument; with orientations (a camera looks sideways or down) upright alone counts.
+# A base that is upright, on a wall or on a ceiling within this angle [deg] was measured by a
+# levelled instrument; with orientations (a camera looks sideways or down) upright alone counts.
 LEVEL_TOLERANCE_DEG = 3.0
 # The tilt is unknown where the median error of the placed robot is above this share of its reach.
 MAX_PLACEMENT_ERROR_OF_REACH = 0.02
@@ -210,13 +210,13 @@ def _tilt(columns: Columns, robot: Robot) -> tuple[float, list[Words]]:
     """
     try:
         m = from_columns(columns, [j.kind for j in robot.joints])
-        placed, left = placed_by(robot, m)
+        placed, median = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
         return np.nan, []
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
     tilt = (
         float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1))))
-        if left < MAX_PLACEMENT_ERROR_OF_REACH * robot.reach
+        if median < MAX_PLACEMENT_ERROR_OF_REACH * robot.reach
         else np.nan
     )
     return tilt, [Words(doubt, "warning")] if computed(robot, m) else []
