@@ -23,7 +23,7 @@ LISTED = (
     ("export/controller/inverse.py", "LENGTH = 0.3", "LENGTH = 3.0", "LENGTH"),
     ("export/controller/functions.py", "[q, ca.SX(before)], [dq, change])", "[q, ca.SX(before)], [dq, -change])",
      "before and after swapped"),
-    ("export/controller/inverse.py", "np.clip(np.round((near - arms) / _TURN), least, most)",
+    ("export/controller/inverse.py", "np.clip(np.round((near - arms) / _FULL_TURN_RAD), least, most)",
      "np.round((near - arms) / _TURN)", "clip of a turn"),
     ("project/check/plausible.py", "freedom = len(m) - distinct", "freedom = len(m)", "freedom of repeats"),
     ("project/check/plausible.py", "first_of_best(-np.log(", "first_of_best(np.log(", "sign of what is plausible"),

@@ -1,1 +1,1 @@
-"""The diagnosis of joint logs: which cause lies behind torques and position errors that an arm's model leaves."""
+"""Diagnosis of joint logs: causes of the torques and position errors that an arm's model leaves."""

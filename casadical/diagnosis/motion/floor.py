@@ -1,8 +1,8 @@
-"""A surface under the tool on which an arm comes to rest: found where replays would go through it, kept above in them.
+"""A surface under the tool on which an arm comes to rest: detected from logs, obeyed in replays.
 
-One number, the height of the tool's point as it touches. Where a step would end lower, the least push upwards that
-prevents it acts at all joints by the slope of the height over their angles: a unilateral constraint, stepped implicitly
-(Moreau 1988), without friction along the surface.
+It has one parameter, the height of the tool's point in contact. Where a step would end below, the
+smallest upward force that prevents it acts on all joints through the gradient of the height: a
+unilateral constraint, stepped implicitly (Moreau 1988), without friction along the surface.
 """
 
 from collections.abc import Callable
@@ -16,81 +16,92 @@ from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
 from casadical.robot.dynamics import Dynamics
 
-# Heights that are tried above the lowest one that was read [m]; noise of a height at least [m].
-WITHIN, EVERY, LEAST = 0.06, 5e-4, 1e-3
-# A surface gains so much log evidence, as a contact in a log does. Of the samples so many tell something new; residuals
-# beyond so many sigma weigh less.
-CERTAIN, EFFECTIVE, OUTLIER = 150.0, 0.05, 3.0
-# The tool is at the surface while it is less above it [m].
-AT = 4e-3
-# Steps to the least push; a step may end so much lower [m].
-ROUNDS, ENOUGH = 6, 1e-5
+MAX_HEIGHT_ABOVE_LOWEST_M = 0.06  # largest height that is tried, above the lowest one read [m]
+HEIGHT_STEP_M = 5e-4  # step of the heights that are tried [m]
+MIN_HEIGHT_NOISE_M = 1e-3  # smallest standard deviation of a height [m]
+# Log evidence [nats] that a surface must gain to be assumed.
+MIN_FLOOR_EVIDENCE = 150.0
+INDEPENDENT_SAMPLE_SHARE = 0.05  # share of the samples that count as independent
+OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
+CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
+MAX_PUSH_STEPS = 6  # largest number of Newton steps to the contact force
+PENETRATION_TOLERANCE_M = 1e-5  # height error [m] at which a contact force counts as found
 
 
 @dataclass(frozen=True, eq=False)
 class Floor:
-    """A surface across gravity. height : of the tool's point at it, over the measuring frame's origin [m]"""
+    """A surface perpendicular to gravity.
+
+    height : of the tool's point in contact, above the measuring frame's origin [m]
+    """
 
     dynamics: Dynamics
     height: float = 0.0
 
     @cached_property
     def function(self) -> ca.Function:
-        """height:(q[n] rad)->(height of the tool's point [m], its slope over the readings [n])."""
+        """Return the function q[n] [rad] -> (height of the tool's point [m], its gradient [n])."""
         robot, q = self.dynamics.robot, ca.SX.sym("q", self.dynamics.robot.n)
         z = ca.dot(ca.DM(up_of(self.dynamics)), robot.position(q, robot.parameters.values))
         return ca.Function("height", [q], [z, ca.jacobian(z, q).T])
 
     def above(self, q: Array) -> Array:
-        """How far the tool is above the surface [m], shape (...); q : shape (..., n)."""
+        """Return the height of the tool above the surface [m], of the shape (...) of q.
+
+        q : joint angles, shape (..., n) [rad]
+        """
         flat = q.reshape(-1, q.shape[-1])
         z = self.function.map(len(flat))(flat.T)[0]
         return np.asarray(z).reshape(q.shape[:-1]) - self.height
 
     def torque(self, ends: Callable[[Array], Array], give: Array, push: float) -> tuple[Array, float]:
-        """What acts at the joints so that a step ends at the surface or above it, (joints,) [N m], and the push [N].
+        """Return joint torques (joints,) [N m] and contact force [N] that keep a step's end above.
 
-        ends : angles at the end of a step under such torques; give : of these angles to them, sliding, (joints,)
-        push : of the step before; it is 0, and no torque acts, where the step ends above anyway
+        ends : joint angles [rad] at the end of a step under such torques
+        give : derivative of each of these angles by its torque while it slides, shape (joints,)
+            [rad/(N m)]
+        push : contact force of the step before [N]; torques and force are 0 where the step ends
+            above the surface anyway
         """
         torque = np.zeros(len(give))
         z, slope = self.function(ends(torque))
         if float(z) >= self.height:
             return torque, 0.0
-        for _ in range(ROUNDS):
+        for _ in range(MAX_PUSH_STEPS):
             lever = np.asarray(slope).ravel()
             torque = push * lever
             z, slope = self.function(ends(torque))
             low = float(z) - self.height
-            if abs(low) < ENOUGH:
+            if abs(low) < PENETRATION_TOLERANCE_M:
                 break
             push = max(0.0, push - low / float((lever**2 * give).sum()))
         return torque, push
 
 
 def up_of(dynamics: Dynamics) -> Array:
-    """Against gravity, in the measuring frame, shape (3,)."""
+    """Return the unit vector against gravity in the measuring frame, shape (3,)."""
     gravity = dynamics.robot.base.T[:3, :3] @ dynamics.gravity
     return np.asarray(-gravity / (np.linalg.norm(gravity) + 1e-300))
 
 
 def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
-    """The surface below which replays go and readings do not; None where there is no good sign of one.
+    """Return the surface below which replays go and readings do not; None without clear evidence.
 
-    read, replayed : readings, and those of a replay that knows no surface, shape (samples, joints)
+    read, replayed : readings, and those of a replay without a surface, shape (samples, joints)
+        [rad]
     """
     if not up_of(dynamics).any():
         return None
     floor = Floor(dynamics)
     there, said = floor.above(read), floor.above(replayed)
-    # Of a quarter of the samples, for many may be at a surface.
-    sigma = float(np.quantile(np.abs(there - said), 0.25)) / 0.3186 + LEAST
+    # From the lower quartile, as many samples may be in contact with a surface.
+    sigma = float(np.quantile(np.abs(there - said), 0.25)) / 0.3186 + MIN_HEIGHT_NOISE_M
 
     def cost(heights: Array) -> float:
-        wide = np.sqrt(1 + ((there - heights) / (OUTLIER * sigma)) ** 2) - 1
-        return EFFECTIVE * OUTLIER**2 * float(wide.sum())
+        wide = np.sqrt(1 + ((there - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
+        return INDEPENDENT_SAMPLE_SHARE * OUTLIER_SIGMAS**2 * float(wide.sum())
 
-    tried = there.min() + np.arange(0.0, WITHIN, EVERY)
+    tried = there.min() + np.arange(0.0, MAX_HEIGHT_ABOVE_LOWEST_M, HEIGHT_STEP_M)
     costs = np.array([cost(np.maximum(said, height)) for height in tried])
     best = first_of_best(-costs, logs=True)
-    return Floor(dynamics, float(tried[best])) if cost(said) - costs[best] > CERTAIN else None
+    return Floor(dynamics, float(tried[best])) if cost(said) - costs[best] > MIN_FLOOR_EVIDENCE else None

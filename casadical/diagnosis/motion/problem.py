@@ -1,9 +1,11 @@
-"""The linear problem of a joint log: rows are torques and position errors of windows, columns the base and the causes.
+"""Linear regression problem of a joint log: rows are torques and position errors, columns causes.
 
-Blocks are windows, with a row for each joint's torque and, where both were logged, one for its position error. Noise
-follows itself: each row is divided by its noise, and the share that stays from window to window is taken off, both as
-they are found in what the base leaves. With a reference, blocks of both logs are judged together: what is shared has
-wide priors, what differs from day to day has tight ones, and causes act in the log alone.
+Rows are means over windows. Blocks are windows, with a row for each joint's torque and, where both
+were logged, one for its position error; columns are the base's and the causes'. Noise is
+autocorrelated (AR(1)): rows are whitened with standard deviations and AR coefficients that are
+estimated from the base's residual. With a reference, blocks of both logs are analysed together:
+parameters that both share have wide priors, differences from day to day have tight ones, and causes
+act in the log alone.
 """
 
 from __future__ import annotations
@@ -20,42 +22,61 @@ from casadical.core.linear_gaussian.noise import serial_noise
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.motion.base import Look, Part, base_of, bodies_of
-from casadical.diagnosis.motion.signals import lagged, late
+from casadical.diagnosis.motion.base import LogView, Part, base_of, bodies_of
+from casadical.diagnosis.motion.signals import delayed, lagged
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_OF, MOTION_SEAMS
 from casadical.effects.motion import Cause, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
 
-# Of white rows, whose noise is about one.
-SIGMAS = np.geomspace(0.4, 2.5, 25)
-# Share of a friction, and of the great torque, that differs from day to day; of a prior of the servo.
-DAILY, DAILY_LEAST, DAILY_SERVO = 0.15, 0.01, 0.7
-# Most of the noise that stays from a window to the next; rounds in which noise is found, and least of a torque.
-MOST_STAYS, ROUNDS = 0.8, 3
-# A base errs by this share of the great torque, of what the servo yields, and by so much time of the motion [s].
-ERRS, SERVO_ERRS, ERRS_BY = 0.005, 0.03, 1e-3
-# Weight of a row that is so many times its noise away falls as Student's does.
-TAIL, CUT = 8.0, 4.0
-WHITE = Noise(1.0, 0.0)
-NONE = np.zeros(0, dtype=np.int64)
-# Of what is on no list: places of its bumps, and size in units of the row's noise.
-BUMPS, UNLISTED = 6, 3.0
-# A variant, and of each parameter what it does: row -> windows.
-_Judged = tuple[Candidate, list[Mapping[int, Array]]]
-FRICTIONS = ("slip", "dip", "at rest")
-# Parts of the base that differ from day to day as their whole does, or not at all; and where the servo's are rows of
-# torque, how much its delay [s], its filter [s^2] and its gain differ.
-ALIKE = ("before", "dip", "root", "at rest", "absolute", "curved", "loaded ")
-TODAY = {"delay": 1e-3, "filter": 1e-4, "gain": 0.05}
-DRAGS, LOADED = ("viscous", "root", "absolute", "curved"), ("loaded", "by side")
-WHOLES = {"dry": FRICTIONS, "drag": DRAGS, "loaded": LOADED, "friction": (*FRICTIONS, *DRAGS, *LOADED)}
+# Grid of noise levels relative to the estimated one, by which the rows are whitened.
+RELATIVE_NOISE_GRID = np.geomspace(0.4, 2.5, 25)
+# Standard deviations of what differs from one day to another: friction, as a share of it; other
+# torque columns, in their coefficient's unit at most; servo columns, as a share of their prior.
+DAILY_FRICTION_SHARE = 0.15
+MAX_DAILY_SIGMA = 0.01
+DAILY_SERVO_SHARE = 0.7
+MAX_AR_COEFFICIENT = 0.8  # largest AR(1) coefficient of the noise from one window to the next
+NOISE_ROUNDS = 3  # number of times that the noise is estimated again
+# Smallest noise, as every base is wrong by some amount: share of the peak torque, share of the
+# servo's position error, and time [s] by which the motion is shifted.
+BASE_TORQUE_ERROR = 0.005
+BASE_SERVO_ERROR_SHARE = 0.03
+BASE_TIME_ERROR_S = 1e-3
+STUDENT_TAIL_SIGMAS = 8.0  # residual, in noise sigmas, from which on weights decay as Student's
+MAX_NOISE_SIGMAS = 4.0  # residuals are cut at so many sigmas when the noise is estimated
+UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows
+NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
+# Smooth functions that stand for causes on no list: number of Gaussian bumps, and their prior
+# standard deviation in units of the row's noise.
+BUMPS_PER_FUNCTION = 6
+UNLISTED_SIGMAS = 3.0
+# A variant of a candidate, and for each of its parameters the effect: row -> values of the windows.
+_CandidateColumns = tuple[Candidate, list[Mapping[int, Array]]]
+DRY_FRICTION_KINDS = ("slip", "dip", "at rest")  # beginnings of the kinds of dry friction columns
+# Beginnings of kinds that have no daily difference of their own: they differ with their group's, or
+# not at all.
+UNCHANGED_KINDS = ("before", "dip", "root", "at rest", "absolute", "curved", "loaded ")
+# Daily standard deviations of servo columns that are rows of torque: delay [s], filter [s^2], gain.
+DAILY_SIGMAS = {"delay": 1e-3, "filter": 1e-4, "gain": 0.05}
+VISCOUS_KINDS = ("viscous", "root", "absolute", "curved")  # friction that grows with speed
+LOAD_KINDS = ("loaded", "by side")  # friction that grows with load
+# Groups of friction columns that differ from day to day by a common factor.
+FRICTION_GROUPS = {
+    "dry": DRY_FRICTION_KINDS,
+    "drag": VISCOUS_KINDS,
+    "loaded": LOAD_KINDS,
+    "friction": (*DRY_FRICTION_KINDS, *VISCOUS_KINDS, *LOAD_KINDS),
+}
 
 
 @dataclass(frozen=True, eq=False)
 class RowColumns:
-    """Columns of which each acts in few rows of a block. made : with the rows as variables in between"""
+    """Columns each of which acts in few rows of a block.
+
+    made : the columns, with the rows as intermediate variables; rows, blocks : numbers of them
+    """
 
     made: Factors
     rows: int
@@ -64,57 +85,76 @@ class RowColumns:
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """Return the numbers of blocks, rows and columns."""
         return self.blocks, self.rows, self.made.width
 
     def at(self, blocks: Array) -> RowColumns:
+        """Return the columns in some blocks."""
         return replace(self, made=self.made.at(blocks), blocks=len(np.arange(self.blocks)[blocks]))
 
     def only(self, columns: Array) -> RowColumns:
+        """Return some of the columns."""
         return replace(self, made=self.made.only(columns))
 
     def after(self, column: int) -> RowColumns:
+        """Return the columns from a number on."""
         return self.only(np.arange(column, self.made.width))
 
     def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
+        """Return some columns as an array (blocks, rows, columns), or combined by `every`."""
         taken = self.made.only(columns).at(blocks)
         out = taken.columns_at(self.levers(blocks))
         return np.asarray(every.combine(out) if every else out)
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
+        """Return the factors of the columns in some blocks."""
         return self.made.at(blocks)
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
+        """Return the derivatives of the rows by the intermediate variables: unit matrices."""
         return np.broadcast_to(np.eye(self.rows), (len(np.arange(self.blocks)[blocks]), self.rows, self.rows))
 
 
 @dataclass(frozen=True, eq=False)
-class Following:
-    """Of each number, shapes (blocks, rows): its noise, the share of it that stays from window to window, a weight."""
+class RowNoise:
+    """Autocorrelated noise of each row, and the rows' weights, each of shape (blocks, rows).
+
+    sigma : standard deviation; ar_coefficient : share that remains from window to window
+    weight : robust weight of the value
+    """
 
     sigma: Array
-    stays: Array
+    ar_coefficient: Array
     weight: Array
 
     def white(self, values: Array, first: Array) -> Array:
-        """Rows of blocks as white ones; values : shape (blocks, rows, ...); first : blocks that begin a run."""
-        return serial_noise(self.stays, first[:, None], self.weight / self.sigma).whiten(values)
+        """Return whitened rows of blocks.
 
-    def row(self, row: int) -> Following:
-        """Of one row alone."""
-        return Following(*(a[:, row : row + 1] for a in (self.sigma, self.stays, self.weight)))
+        values : shape (blocks, rows, ...); first : whether a block begins a run, shape (blocks,)
+        """
+        return serial_noise(self.ar_coefficient, first[:, None], self.weight / self.sigma).whiten(values)
+
+    def row(self, row: int) -> RowNoise:
+        """Return the noise of one row."""
+        return RowNoise(*(a[:, row : row + 1] for a in (self.sigma, self.ar_coefficient, self.weight)))
 
 
 @dataclass(frozen=True, eq=False)
 class MotionCase:
-    """The problem of a log, with its candidates.
+    """The regression problem of a log, with its candidate causes.
 
-    candidates, variants, groups : as a ranking wants them, with columns of each variant
-    r : residual as it is, shape (blocks, rows); base : columns of the base, sizes in them, (blocks, rows, P)
-    E : columns of the variants, as they are; noise : of each row
-    of_log : blocks of the log itself, not of the reference; parts : of the base, behind the bodies
-    floor : least noise of each row, from the readings' steps; trust : weight of each number, shape (blocks, rows)
-    scale : what one of each joint's first row is in the log's own unit, A or N m, or rad where unit is None
-    over : of the log's windows, shape (blocks, joints), angle, speed, load and time
+    candidates, variants, groups : as a ranking needs them, with the columns of each variant
+    r : residual of the model, shape (blocks, rows), not whitened
+    base : columns of the base times their prior standard deviations, shape (blocks, rows, P), not
+        whitened
+    E : columns of the variants, not whitened; first : whether a block begins a run; noise : of each
+        row
+    of_log : whether a block is of the log itself, not of the reference; parts : of the base, after
+        the bodies
+    floor : smallest noise of each row; trust : weight of each value, shape (blocks, rows)
+    scale : factor from each joint's first row to the log's own unit, A or N m, or rad where unit is
+        None
+    over : angle, speed, load and time at the log's windows, each of shape (blocks, joints)
     """
 
     candidates: tuple[Candidate, ...]
@@ -124,7 +164,7 @@ class MotionCase:
     base: Array
     E: RowColumns
     first: Array
-    noise: Following
+    noise: RowNoise
     of_log: Array
     parts: tuple[Part, ...]
     floor: Array
@@ -135,12 +175,12 @@ class MotionCase:
 
     @property
     def joints(self) -> int:
-        """Of the arm."""
+        """Return the number of joints."""
         return len(self.scale)
 
     @cached_property
     def white(self) -> Evidence:
-        """Rows, base and columns, white."""
+        """Return residual, base and columns, whitened."""
         n, rows, P = self.base.shape
         made = tuple(
             (row, columns, self.noise.row(row).white(values.T[:, None], self.first)[:, 0].T)
@@ -149,37 +189,38 @@ class MotionCase:
         return Evidence(
             self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros(P), np.ones(P),
             replace(self.E, made=Factors(made, self.E.made.width)),
-            reference=1.0, near=(0,), Jq=np.zeros((n, rows, 1)), sigmas=SIGMAS,
+            reference=1.0, near=(0,), Jq=np.zeros((n, rows, 1)), sigmas=RELATIVE_NOISE_GRID,
         )  # fmt: skip
 
     @cached_property
     def judged(self) -> Evidence:
-        """The same, where what the base takes tells nothing of the noise.
+        """Return the whitened problem in which what the base absorbs does not count for the noise.
 
-        Priors stay as they are, unlike in `restricted`: that a delay is known to a millisecond tells another one.
+        Priors are unchanged, unlike in `restricted`: a delay that is declared to a millisecond is
+        evidence of another one.
         """
         return replace(self.white, absorbed=self.white.absorbed_by_base)
 
     @cached_property
     def by_label(self) -> Mapping[str, Candidate]:
-        """Candidates by label."""
+        """Return the candidates by label."""
         return {c.label: c for c in self.candidates}
 
     def group(self, label: str, variant: int) -> Array:
-        """Columns of a candidate's variant."""
+        """Return the columns of a candidate's variant."""
         at = next(k for k, c in enumerate(self.candidates) if c.label == label)
         return self.groups[self.variants.index((at, variant))]
 
     def rows_of(self, columns: Array) -> tuple[int, ...]:
-        """Rows of a block in which some columns act."""
+        """Return the rows of a block in which some columns act."""
         return tuple(row for row, own, _ in self.E.made.blocks if np.isin(own, columns).any())
 
     def only(self, columns: Array) -> MotionCase:
-        """The case with some columns of causes alone, and no candidates."""
+        """Return the case with some of the causes' columns, and without candidates."""
         return replace(self, E=self.E.only(columns), candidates=(), variants=(), groups=())
 
     def among(self, labels: Collection[str]) -> MotionCase:
-        """The case with some of the candidates alone."""
+        """Return the case with some of the candidates only."""
         kept = [k for k, c in enumerate(self.candidates) if c.label in labels]
         own = [i for i, (k, _) in enumerate(self.variants) if k in kept]
         columns = np.sort(np.concatenate([self.groups[i] for i in own]))
@@ -192,71 +233,82 @@ class MotionCase:
         )
 
     def fitted(self, columns: Array) -> tuple[Array, Array]:
-        """Coefficients of base and columns together, in sizes, shapes (P,) and (columns,)."""
-        fit = new_fit(self.white, columns, WHITE, combined=False)
+        """Return coefficients of base and columns in a joint fit, shapes (P,) and (columns,).
+
+        They are in units of the prior standard deviations.
+        """
+        fit = new_fit(self.white, columns, UNIT_NOISE, combined=False)
         P = self.base.shape[2]
         return fit.x[:P], fit.x[P:]
 
-    def left(self, columns: Array, x: Array, theta: Array) -> Array:
-        """What base and columns leave, as it is, shape (blocks, rows)."""
+    def residual(self, columns: Array, x: Array, theta: Array) -> Array:
+        """Return the residual of base and columns, not whitened, shape (blocks, rows)."""
         out = self.r - self.base @ x
         return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
 
-    def rms(self, left: Array) -> Array:
-        """Of the log's windows, of each joint's first row, shape (joints,), in the unit of `scale`."""
-        return np.asarray(np.sqrt((left[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
+    def rms(self, residual: Array) -> Array:
+        """Return the rms of each joint's first row over the log's windows, shape (joints,).
 
-    def renewed(self, columns: Array = NONE) -> MotionCase:
-        """The case with its noise as it is in what some causes and a base much freer than its priors leave."""
+        It is in the unit of `scale`.
+        """
+        return np.asarray(np.sqrt((residual[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
+
+    def renewed(self, columns: Array = NO_COLUMNS) -> MotionCase:
+        """Return the case with its noise estimated again from the residual given some causes."""
         few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
-        for _ in range(ROUNDS):
-            # Noise is what is left where the base is so many times freer than its priors.
-            x = new_fit(replace(few.white, reference=1 / 8), every, WHITE, combined=False).x
-            noise = following(few.left(every, x[:P], x[P:]), self.first, self.floor, self.trust, self.of_log)
+        for _ in range(NOISE_ROUNDS):
+            # The base's priors are eight times wider here, so that the residual is noise alone.
+            x = new_fit(replace(few.white, reference=1 / 8), every, UNIT_NOISE, combined=False).x
+            noise = row_noise(few.residual(every, x[:P], x[P:]), self.first, self.floor, self.trust, self.of_log)
             few = replace(few, noise=noise)
         return replace(self, noise=few.noise)
 
 
-def following(left: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> Following:
-    """The noise as it is in what was left, shape (blocks, rows), of the log and of its reference on its own.
+def row_noise(residual: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> RowNoise:
+    """Return the noise that a residual shows, estimated separately for the log and its reference.
 
-    floor : least of each row
+    residual, trust : shape (blocks, rows); floor : smallest noise of each row
     """
-    parts = [_following(left[k], first[k], floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
-    return Following(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    parts = [_row_noise(residual[k], first[k], floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
+    return RowNoise(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def _following(left: Array, first: Array, floor: Array, trust: Array) -> tuple[Array, Array, Array]:
-    usual = 1.4826 * np.nanmedian(np.where(trust < trust.max(axis=0), np.nan, np.abs(left)), axis=0)
+def _row_noise(residual: Array, first: Array, floor: Array, trust: Array) -> tuple[Array, Array, Array]:
+    """Return standard deviation, AR coefficient and weight of each row from a residual."""
+    usual = 1.4826 * np.nanmedian(np.where(trust < trust.max(axis=0), np.nan, np.abs(residual)), axis=0)
     usual = np.maximum(usual, floor)
-    weight = trust / np.sqrt(1 + (left / (TAIL * usual)) ** 2)
+    weight = trust / np.sqrt(1 + (residual / (STUDENT_TAIL_SIGMAS * usual)) ** 2)
     inner = ~first[1:]
-    a, b = (left * weight**2)[1:][inner], (left * weight**2)[:-1][inner]
-    stays = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + 1e-300)
-    cut = trust * np.minimum(np.abs(left), CUT * usual)  # what is far out is no noise
+    a, b = (residual * weight**2)[1:][inner], (residual * weight**2)[:-1][inner]
+    ar_coefficient = (a * b).sum(axis=0) / np.maximum((a * a).sum(axis=0), (b * b).sum(axis=0) + 1e-300)
+    cut = trust * np.minimum(np.abs(residual), MAX_NOISE_SIGMAS * usual)  # outliers are no noise
     sigma = np.maximum(np.sqrt((cut**2).sum(axis=0) / (trust**2).sum(axis=0)), floor)
-    return np.broadcast_to(sigma, left.shape), np.broadcast_to(np.clip(stays, 0.0, MOST_STAYS), left.shape), weight
+    return (
+        np.broadcast_to(sigma, residual.shape),
+        np.broadcast_to(np.clip(ar_coefficient, 0.0, MAX_AR_COEFFICIENT), residual.shape),
+        weight,
+    )
 
 
 def motion_case(
-    looks: Sequence[Look], known: Mapping[tuple[str, int, bool], float] | None = None,
+    log_views: Sequence[LogView], known: Mapping[tuple[str, int, bool], float] | None = None,
     chosen: Sequence[Cause] | None = None,
 ) -> MotionCase:  # fmt: skip
-    """The problem of a log, and of a reference behind it where there are two looks.
+    """Return the problem of a log, with a reference appended to it if there are two views.
 
     known : coefficients of the base of the reference alone (see `coefficients`)
-    chosen : causes that are candidates; None for no candidates at all
+    chosen : causes that are candidates; None: no candidates
     """
-    log = looks[0]
+    log = log_views[0]
     rows = log.arm.joints * (1 if log.response is None else 2)
-    ends = np.cumsum([0, *(len(one.motion.windows) for one in looks)])
-    first = np.concatenate([one.motion.first for one in looks])
+    ends = np.cumsum([0, *(len(one.motion.windows) for one in log_views)])
+    first = np.concatenate([one.motion.first for one in log_views])
     bodies = np.zeros((ends[-1], rows, log.arm.spread.shape[1]))
     columns: dict[tuple[str, int, bool], tuple[Part, Array]] = {}
-    for at, one in enumerate(looks):
+    for at, one in enumerate(log_views):
         bodies[ends[at] : ends[at + 1], : log.arm.joints] = bodies_of(one)
         base = base_of(one)
-        for part in base + today_of(base, known) if known and not at else base:
+        for part in base + daily_changes(base, known) if known and not at else base:
             own = part.kind.startswith("before") and at > 0
             key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
             values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))[1]
@@ -264,12 +316,12 @@ def motion_case(
             values[ends[at] : ends[at + 1], row] = one.motion.averaged(part.samples)
     parts = tuple(part for part, _ in columns.values())
     J = np.concatenate([bodies, np.stack([p.size * v for p, v in columns.values()], axis=2)], axis=2)
-    residual = np.concatenate([_residual(one) for one in looks])
+    residual = np.concatenate([_residual(one) for one in log_views])
     nothing = RowColumns(Factors((), 0), rows, int(ends[-1]))
     floor = _floor(log)
-    trust = np.concatenate([_trust(one, rows) for one in looks])
+    trust = np.concatenate([_trust(one, rows) for one in log_views])
     of_log = np.arange(ends[-1]) < ends[1]
-    noise = following(residual, first, floor, trust, of_log)
+    noise = row_noise(residual, first, floor, trust, of_log)
     case = MotionCase(
         (), (), (), residual, J, nothing, first, noise,
         of_log, parts, floor, trust, *_reported(log),
@@ -277,76 +329,92 @@ def motion_case(
     return case if chosen is None else with_candidates(case, log, chosen)
 
 
-def _floor(log: Look) -> Array:
-    """Noise of each row at least: readings in steps, and what every base errs by."""
+def _floor(log: LogView) -> Array:
+    """Return the smallest noise of each row, from reading resolution and base errors."""
     m, arm, step = log.motion, log.arm, log.motion.quantum / np.sqrt(12)
-    late = ERRS_BY * np.sqrt((m.v**2).mean(axis=0))
+    delayed = BASE_TIME_ERROR_S * np.sqrt((m.v**2).mean(axis=0))
     if m.torque is None:
-        return np.asarray(np.hypot(log.gain * np.hypot(step, late) / log.great, ERRS))
-    at_torque = np.hypot(log.gain * step / log.great, ERRS) if arm.kp is not None else np.full(arm.joints, ERRS)
+        return np.asarray(np.hypot(log.gain * np.hypot(step, delayed) / log.peak_torque, BASE_TORQUE_ERROR))
+    at_torque = (
+        np.hypot(log.gain * step / log.peak_torque, BASE_TORQUE_ERROR)
+        if arm.kp is not None
+        else np.full(arm.joints, BASE_TORQUE_ERROR)
+    )
     if log.response is None:
         return at_torque
-    served = SERVO_ERRS * np.sqrt((log.names["servo"] ** 2).mean(axis=0)) if "servo" in log.names else 0.0
-    return np.concatenate([at_torque, np.sqrt(step**2 + late**2 + served**2)])
+    served = BASE_SERVO_ERROR_SHARE * np.sqrt((log.names["servo"] ** 2).mean(axis=0)) if "servo" in log.names else 0.0
+    return np.concatenate([at_torque, np.sqrt(step**2 + delayed**2 + served**2)])
 
 
-def _trust(one: Look, rows: int) -> Array:
-    """Weight of each number: of a joint that stands friction may be any torque up to its own."""
+def _trust(one: LogView, rows: int) -> Array:
+    """Return the weight of each value, lower for torques of joints at rest, shape (blocks, rows).
+
+    There friction may be any torque up to its limit.
+    """
     trust = np.ones((len(one.motion.windows), rows))
     stands = one.motion.averaged((one.motion.rest > 0) * 1.0) > 0.5
-    # Weight of the torque of a joint that stands.
+    # weight of the torque of a joint at rest
     trust[:, : one.arm.joints][stands] = 0.2
     return trust
 
 
-def _reported(log: Look) -> tuple[Array, str | None, tuple[Array, ...]]:
-    """What a report says of the log: scale and unit of its residual, and over what it is looked at."""
-    arm, unit, scale = log.arm, None, log.great / log.gain
+def _reported(log: LogView) -> tuple[Array, str | None, tuple[Array, ...]]:
+    """Return scale and unit of the residual, and angle, speed, load and time at the windows."""
+    arm, unit, scale = log.arm, None, log.peak_torque / log.gain
     if log.motion.torque is not None:
         unit = "N m" if arm.per_ampere is None else "A"
-        scale = log.great / (1.0 if arm.per_ampere is None else arm.per_ampere)
+        scale = log.peak_torque / (1.0 if arm.per_ampere is None else arm.per_ampere)
     over = tuple(log.motion.averaged(log.names[k]) for k in ("q", "v", "load", "time"))
     return scale, unit, over
 
 
-def _residual(one: Look) -> Array:
+def _residual(one: LogView) -> Array:
+    """Return the residual of a log at its windows, shape (windows, rows)."""
     torque = one.motion.averaged(one.torque)
     return torque if one.response is None else np.concatenate([torque, one.motion.averaged(one.response)], axis=1)
 
 
 def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
-    """Of each part of a base that was fitted alone."""
-    x = case.fitted(NONE)[0][-len(case.parts) :]
+    """Return the fitted coefficients of a base, by the key of its part."""
+    x = case.fitted(NO_COLUMNS)[0][-len(case.parts) :]
     return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
 
 
-def today_of(base: Sequence[Part], known: Mapping[tuple[str, int, bool], float]) -> list[Part]:
-    """What of a base differs from that of a healthy day: each joint's frictions as wholes, and a little of the rest."""
+def daily_changes(base: Sequence[Part], known: Mapping[tuple[str, int, bool], float]) -> list[Part]:
+    """Return columns for the difference of a base from that of the reference's day.
+
+    They are each joint's friction in groups, and a small change of the other columns.
+    """
     parts: list[Part] = []
     whole: dict[tuple[str, int], Array] = {}
     for p in base:
-        if not p.kind.startswith(ALIKE):
-            size = DAILY_SERVO * p.size if p.response else min(TODAY.get(p.kind, DAILY_LEAST), p.size)
+        if not p.kind.startswith(UNCHANGED_KINDS):
+            size = DAILY_SERVO_SHARE * p.size if p.response else min(DAILY_SIGMAS.get(p.kind, MAX_DAILY_SIGMA), p.size)
             parts.append(replace(p, kind=f"{p.kind}, today", size=size))
-        for name, kinds in WHOLES.items():
+        for name, kinds in FRICTION_GROUPS.items():
             if p.kind.startswith(kinds) and not p.response:
                 whole[name, p.joint] = whole.get((name, p.joint), 0.0) + known.get(p.key, 0.0) * p.samples
-    return parts + [Part(f"{name}, today", j, DAILY, samples) for (name, j), samples in whole.items()]
+    return parts + [Part(f"{name}, today", j, DAILY_FRICTION_SHARE, samples) for (name, j), samples in whole.items()]
 
 
-def frictions(case: MotionCase, log: Look) -> dict[str, Array]:
-    """Friction as the base has it, shape (samples, joints), in great torques: what is dry, what grows with speed."""
+def frictions(case: MotionCase, log: LogView) -> dict[str, Array]:
+    """Return the friction that the base fits, as shares of peak torque, shape (samples, joints).
+
+    Key `friction` is the dry one, `drag` the one that grows with speed.
+    """
     known = coefficients(case)
     out = {"friction": np.zeros_like(log.motion.q), "drag": np.zeros_like(log.motion.q)}
     for p in case.parts:
-        kind = "friction" if p.kind.startswith(FRICTIONS) else "drag" if p.kind.startswith(DRAGS) else ""
+        kind = (
+            "friction" if p.kind.startswith(DRY_FRICTION_KINDS) else "drag" if p.kind.startswith(VISCOUS_KINDS) else ""
+        )
         if kind and not p.response and len(p.samples) == len(log.motion.time):
             out[kind][:, p.joint] += known[p.key] * p.samples
     return out
 
 
-def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause]) -> MotionCase:
-    """The case with candidates: chosen causes, and what is on no list."""
+def with_candidates(case: MotionCase, log: LogView, chosen: Sequence[Cause]) -> MotionCase:
+    """Return the case with candidates: chosen causes, and smooth functions for those on no list."""
     log = replace(log, frictions=frictions(case, log))
     total, rows = case.r.shape
     made: dict[int, list[tuple[int, Array]]] = {r: [] for r in range(rows)}
@@ -368,8 +436,8 @@ def with_candidates(case: MotionCase, log: Look, chosen: Sequence[Cause]) -> Mot
     return replace(case, E=E, candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups))
 
 
-def _listed(log: Look, chosen: Sequence[Cause]) -> Iterator[_Judged]:
-    """Each variant of each cause, as a candidate of its own, with what its parameters do to the rows."""
+def _listed(log: LogView, chosen: Sequence[Cause]) -> Iterator[_CandidateColumns]:
+    """Yield each variant of each cause as a candidate, with its parameters' effects on the rows."""
     for kind in chosen:
         name = kind.answers_as or kind.name
         for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
@@ -380,10 +448,14 @@ def _listed(log: Look, chosen: Sequence[Cause]) -> Iterator[_Judged]:
                     yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), columns
 
 
-def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
-    """Of each parameter, what one size does to each row's windows; none where its variables were not logged."""
-    n, out = look.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
-    known = {**look.names, **arm_names(look, effect)}
+def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Array]]:
+    """Return for each parameter of a cause its effect on each row's windows; [] if not logged.
+
+    An effect is that of the parameter's typical size; a cause whose variables were not logged has
+    none.
+    """
+    n, out = log_view.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
+    known = {**log_view.names, **own_variables(log_view, effect)}
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
@@ -394,34 +466,38 @@ def columns_of(look: Look, effect: DefinedEffect) -> list[Mapping[int, Array]]:
         for j in where:
             names = {k: known[k][:, j] for k in effect.drivers if k not in numbered}
             names |= {k: known[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
-            names = names or {"none": np.zeros(len(look.motion.time))}
+            names = names or {"none": np.zeros(len(log_view.motion.time))}
             for k, values in enumerate(motion_columns(effect, seam, names)):
                 at_response = seam.startswith("response")
-                if at_response and look.response is None:
-                    values = look.as_torque(values, j)
-                row = n + j if at_response and look.response is not None else j
-                out[k][row] = look.motion.averaged(values)
+                if at_response and log_view.response is None:
+                    values = log_view.as_torque(values, j)
+                row = n + j if at_response and log_view.response is not None else j
+                out[k][row] = log_view.motion.averaged(values)
     return [column for column in out if any(np.abs(v).max() > 0 for v in column.values())]
 
 
-def arm_names(look: Look, effect: DefinedEffect) -> dict[str, Array]:
-    """Variables of a cause's own link or joint, at every joint's torque."""
+def own_variables(log_view: LogView, effect: DefinedEffect) -> dict[str, Array]:
+    """Return the variables that belong to a cause's own link or joint, at every joint's torque."""
     names: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
         own = slice(10 * effect.joint - 10, 10 * effect.joint)
-        names["link"] = look.Y[:, :, own] @ look.arm.inertial[own] / look.great
+        names["link"] = log_view.Y[:, :, own] @ log_view.arm.inertial[own] / log_view.peak_torque
     if "zero" in effect.drivers and effect.joint:
-        names["zero"] = look.by_angle(effect.joint - 1)
-    m = look.motion
+        names["zero"] = log_view.by_angle(effect.joint - 1)
+    m = log_view.motion
     if "delayed" in effect.drivers and m.command is not None:
-        names["delayed"] = m.by_run(lambda c: c - late(c, effect.late / m.step), m.command)
+        names["delayed"] = m.by_run(lambda c: c - delayed(c, effect.late / m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
         names["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
-    return names | {k: v for k, v in look.frictions.items() if k in effect.drivers}
+    return names | {k: v for k, v in log_view.frictions.items() if k in effect.drivers}
 
 
-def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:
-    """Smooth functions at a row: of time, own load, all angles and speeds, and of the angle with the sign of motion."""
+def _unlisted(log: LogView, sigma: Array) -> Iterator[_CandidateColumns]:
+    """Yield candidates for causes on no list: smooth functions of one variable in one row.
+
+    The variables are time, the joint's load, all angles and speeds, and the angle times the
+    direction of motion.
+    """
     n, names = log.arm.joints, log.names
     for row in range(len(sigma)):
         j, what = row % n, "torque" if row < n else "response"
@@ -434,12 +510,12 @@ def _unlisted(log: Look, sigma: Array) -> Iterator[_Judged]:
             ends = np.quantile(values, [0.01, 0.99])
             if ends[1] - ends[0] < 1e-6:
                 continue
-            centres = np.linspace(ends[0], ends[1], BUMPS)
+            centres = np.linspace(ends[0], ends[1], BUMPS_PER_FUNCTION)
             wide = (centres[1] - centres[0]) * 1.2
             way = names["slip"][:, j] if "direction" in name else 1.0
             bumps = [log.motion.averaged(way * np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
             label = f"smooth {what} of joint {j + 1} by {name}"
             yield (
                 Candidate(label, "unknown", None, ((),), listed=False),
-                [{row: UNLISTED * sigma[row] * b} for b in bumps],
+                [{row: UNLISTED_SIGMAS * sigma[row] * b} for b in bumps],
             )

@@ -1,6 +1,7 @@
-"""Open-loop replay of joint logs: whole runs predicted from their commands alone, before and after the response.
+"""Open-loop replay of joint logs: whole runs predicted from their commands, and its figures.
 
-Its figures: errors over time, joint by joint and as a map, friction, hysteresis.
+Errors without and with the identified response are shown over time, per joint, as a map, and as
+friction and hysteresis curves.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,20 +26,22 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-# Logs are withheld in so many parts where none are kept apart; a joint that moves less is not counted [rad].
-FOLDS, MOVED = 4, 5e-3
-# Points of a line, cells of a map over time, and parts of the speeds of a friction curve.
-POINTS, CELLS, SPEEDS = 700, 120, 24
-# Height of a panel [px]; a part of the speeds with fewer samples is not drawn.
-PANEL, FEW = 200, 15
+WITHHELD_FOLDS = 4  # folds of the runs if no log is withheld
+MIN_COMMAND_SPAN_RAD = 5e-3  # commands of a joint that moves span more than this [rad]
+MAX_LINE_POINTS = 700  # points of a line, about
+TIME_CELLS = 120  # cells of a map over time
+SPEED_BINS = 24  # bins of the speed in a friction figure
+PANEL_HEIGHT_PX = 200  # height of a panel [px]
+MIN_SAMPLES_PER_BIN = 15  # smallest number of samples of a speed bin that is drawn
 
 
 @dataclass(frozen=True, eq=False)
 class Replay(Result):
-    """Runs that were replayed from the first reading of each and their commands.
+    """Runs replayed from the first reading of each and their commands.
 
-    response : fitted to all logs that may be fitted; runs : that were replayed
-    predicted : of each, positions, shape (rows, joints) [rad]; held_out : whether no run was fitted by what predicts it
+    response : identified from all logs that may be fitted; runs : the replayed ones
+    predicted : predicted positions of each run, shape (rows, joints) [rad]
+    held_out : whether no run was fitted by the response that predicts it
     """
 
     kept_as: ClassVar[str] = "replay"
@@ -65,64 +68,78 @@ class Replay(Result):
 
     @cached_property
     def before(self) -> Array:
-        """Rms of reading less command of each joint, shape (joints,) [rad]."""
+        """Return the rms of reading minus command of each joint, shape (joints,) [rad]."""
         return self._rms([run.command for run in self.runs if run.command is not None])
 
     @cached_property
     def after(self) -> Array:
-        """Rms of reading less prediction of each joint, shape (joints,) [rad]."""
+        """Return the rms of reading minus prediction of each joint, shape (joints,) [rad]."""
         return self._rms(self.predicted)
 
     @cached_property
     def torque(self) -> tuple[Array, Array] | None:
-        """Rms of logged torque less that of the bodies along the commands, and less the replayed one, (joints,).
+        """Return the rms of the torque error of each joint before and after, shape (joints,) [N m].
 
-        None where no torque was logged, nor a current of known constant; [N m]
+        Before: logged torque minus that of the bodies along the commands; after: minus the replayed
+        one. None where no torque was logged, nor a current with a declared torque constant.
         """
         logged = [torque_of(run, arm_of(self.response.dynamics.given)) for run in self.runs]
-        if self.response.beside is None or any(each is None for each in logged):
+        if self.response.torque_terms is None or any(each is None for each in logged):
             return None
         made = [self.response.torques(run, q) for run, q in zip(self.runs, self.predicted, strict=True)]
-        left = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
-        before, after = (np.sqrt(np.nanmean(np.concatenate(each) ** 2, axis=0)) for each in left)
+        residual = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
+        before, after = (np.sqrt(np.nanmean(np.concatenate(each) ** 2, axis=0)) for each in residual)
         return np.asarray(before), np.asarray(after)
 
     @cached_property
     def moves(self) -> Array:
-        """Which joints do, shape (joints,)."""
+        """Return which joints move, boolean, shape (joints,)."""
         spans = [np.ptp(run.command, axis=0) for run in self.runs if run.command is not None]
-        return np.asarray(np.max(spans, axis=0) > MOVED)
+        return np.asarray(np.max(spans, axis=0) > MIN_COMMAND_SPAN_RAD)
 
-    def left(self, run: int, *, before: bool) -> Array:
-        """Reading less command, or less prediction, of a run, shape (rows, joints) [rad]."""
+    def residual(self, run: int, *, before: bool) -> Array:
+        """Return reading minus command, or minus prediction, of a run, (rows, joints) [rad].
+
+        before : whether the command is subtracted
+        """
         log = self.runs[run]
         assert log.command is not None
         return np.asarray(log.position - (log.command if before else self.predicted[run]))
 
     def by_time(self) -> tuple[Array, Mapping[str, Array]]:
-        """Middles of CELLS parts of the time of all runs [s], and rms in each, before and after, (CELLS, joints)."""
+        """Return the centres of `TIME_CELLS` cells of the time of all runs [s], and rms errors.
+
+        The rms errors before and after have shape (TIME_CELLS, joints) [rad].
+        """
         ends = np.cumsum([0.0, *(float(run.time[-1] - run.time[0]) for run in self.runs)])
         t = np.concatenate([run.time - run.time[0] + a for run, a in zip(self.runs, ends, strict=False)])
-        edges = np.linspace(0, ends[-1], CELLS + 1)
-        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, CELLS - 1)
+        edges = np.linspace(0, ends[-1], TIME_CELLS + 1)
+        part = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, TIME_CELLS - 1)
         rms = {}
         for what in ("before", "after"):
-            squares = np.concatenate([self.left(k, before=what == "before") for k in range(len(self.runs))]) ** 2
-            mean = [squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(CELLS)]
+            squares = np.concatenate([self.residual(k, before=what == "before") for k in range(len(self.runs))]) ** 2
+            mean = [
+                squares[part == k].mean(axis=0) if (part == k).any() else squares[0] * np.nan for k in range(TIME_CELLS)
+            ]
             rms[what] = np.sqrt(np.array(mean))
         return (edges[1:] + edges[:-1]) / 2, rms
 
     @cached_property
     def friction_samples(self) -> tuple[Array, Array]:
-        """Speed and friction torque of all samples, shapes (rows, joints): what the servo gives beyond load."""
+        """Return speed [rad/s] and friction torque [N m] of all samples, shapes (rows, joints).
+
+        Friction is the servo's torque minus gravity, constant torque and inertia.
+        """
         parts = [self.response.friction_of(run) for run in self.runs]
         return np.concatenate([v for v, _ in parts]), np.concatenate([torque for _, torque in parts])
 
     def _rms(self, angles: Sequence[Array]) -> Array:
-        left = np.concatenate([run.position - own for run, own in zip(self.runs, angles, strict=True)])
-        return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
+        """Return the rms of reading minus given angles of all runs, shape (joints,) [rad]."""
+        residual = np.concatenate([run.position - own for run, own in zip(self.runs, angles, strict=True)])
+        return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
 
     def blocks(self) -> list[Block]:
+        """Return the report of the replay: verdict, tables, joints that did not move, figures."""
         joints = self.runs[0].joints
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
         return self._report_blocks(
@@ -136,6 +153,7 @@ class Replay(Result):
         )
 
     def _tables(self) -> Iterator[Table]:
+        """Yield the tables of position errors, torque errors if known, and drive parameters."""
         joints, r = self.runs[0].joints, self.response
         angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
         torques = (
@@ -159,16 +177,17 @@ class Replay(Result):
         yield Table(title, columns, drives, frozenset(range(1, 8)))
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
-        """Plain data, words, and the robot with its drives."""
+        """Return the files that are written: plain data, report, and the robot with its drives."""
         comment = "[drive]: response of the joints to their commands, by casadical diagnose"
         made = to_toml(self.response.robot(), comment)
         return {**super().files(folder), Path(folder) / "diagnosed.robot.toml": made}
 
 
 def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog] = (), show: Show = silent) -> Replay:
-    """Fit the response of each joint to some logs, and replay runs that were not fitted.
+    """Identify the response of each joint from some logs, and replay runs that were not fitted.
 
-    withheld : logs that are not fitted; with none the runs are withheld in turn, and a single run is replayed itself
+    withheld : logs that are not fitted; if there are none, the runs are withheld in turn, and a
+        single run is replayed by its own fit
     Raises InputError: logs without commands or without a run of two seconds.
     """
     show("response of each joint")
@@ -176,7 +195,7 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     if kept or len(own) == 1:
         (response,), runs = fitted(robot, own), kept or own
         return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(kept))
-    folds = min(FOLDS, len(own))
+    folds = min(WITHHELD_FOLDS, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
     response, *others = fitted(robot, *parts)
     show("replay")
@@ -184,12 +203,12 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:
-    """Of the run whose readings were farthest from their commands, and the map of all runs."""
-    run = best_of(range(len(replay.runs)), lambda k: float(np.nanmean(replay.left(k, before=True) ** 2)))
+    """Yield the figures: the run with the largest error before, the map of all runs, friction."""
+    run = best_of(range(len(replay.runs)), lambda k: float(np.nanmean(replay.residual(k, before=True) ** 2)))
     log, command, source = replay.runs[run], replay.runs[run].command, replay.runs[run].source
     assert command is not None
-    there = replay.moves & (np.ptp(command, axis=0) > MOVED)
-    before, after = (1e3 * replay.left(run, before=b) for b in (True, False))
+    there = replay.moves & (np.ptp(command, axis=0) > MIN_COMMAND_SPAN_RAD)
+    before, after = (1e3 * replay.residual(run, before=b) for b in (True, False))
     errors = {"before: less command": before, "after: less prediction": after}
     loops = {"reading": before, "prediction": 1e3 * (replay.predicted[run] - command)}
     yield _panels(
@@ -210,22 +229,25 @@ def replay_figures(replay: Replay) -> Iterator[Figure]:
 def _panels(
     replay: Replay, moved: Array, name: str, title: str, x: str, y: str, drawn: Callable[[int, int], list[Series]]
 ) -> Figure:
-    """A panel for each joint that moved, two in a row."""
+    """Return a figure with a panel for each joint that moved, two in a row.
+
+    drawn : (joint, panel number) -> its lines
+    """
     joints = np.flatnonzero(moved).tolist()
     series = [s for panel, j in enumerate(joints) for s in drawn(j, panel)]
     panels = [
         Panel(k // 2 + 1, k % 2 + 1, replay.runs[0].joints[j], Axis(x if k >= len(joints) - 2 else ""), Axis(y))
         for k, j in enumerate(joints)
     ]
-    return Figure(name, title, series, height=180 + PANEL * ((len(joints) + 1) // 2), panels=panels)
+    return Figure(name, title, series, height=180 + PANEL_HEIGHT_PX * ((len(joints) + 1) // 2), panels=panels)
 
 
 def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list[Series]:
-    """Two lines of a panel, thinned: what is read in grey, what is predicted in blue.
+    """Return two lines of a panel, thinned: readings in grey, predictions in blue.
 
     x : shape (n,); lines : by name, shape (n, joints)
     """
-    some = slice(None, None, max(1, len(x) // POINTS))
+    some = slice(None, None, max(1, len(x) // MAX_LINE_POINTS))
     styles: tuple[dict[str, Any], ...] = ({"colour": "grey", "width": 1}, {"colour": "blue", "width": 1.4})
     return [
         Series("line", x[some].round(4), y[some, joint].round(4), name=name, listed=not panel, panel=panel, **style)
@@ -234,13 +256,13 @@ def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list
 
 
 def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
-    """Band from the 10 to the 90 per cent of the samples of each speed, and the law that was found."""
+    """Return the 10 to 90 % band of friction over speed, and the identified friction curve."""
     v, torque = replay.friction_samples
     v, torque = v[:, j], torque[:, j]
     most = float(np.quantile(np.abs(v), 0.99)) + 1e-6
-    edges = np.linspace(-most, most, SPEEDS + 1)
+    edges = np.linspace(-most, most, SPEED_BINS + 1)
     parts = [torque[(v >= a) & (v < b)] for a, b in pairwise(edges)]
-    kept = [k for k, part in enumerate(parts) if len(part) >= FEW]
+    kept = [k for k, part in enumerate(parts) if len(part) >= MIN_SAMPLES_PER_BIN]
     middle = (edges[1:] + edges[:-1])[kept] / 2
     low, high = (np.array([np.quantile(parts[k], share) for k in kept]) for share in (0.1, 0.9))
     r = replay.response
@@ -254,7 +276,7 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
 
 
 def _maps(replay: Replay) -> Iterator[Figure]:
-    """Rms of each joint over the time of all runs, before and after, on one scale."""
+    """Yield maps of each joint's rms error over time, before and after, on one scale."""
     time, cells = replay.by_time()
     most = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
     joints = replay.runs[0].joints

@@ -1,4 +1,4 @@
-"""The diagnosis of a joint log as a result: the residual of each joint, where it is greatest, what fits, how sure."""
+"""The diagnosis of a joint log as a result: residual of each joint, causes that fit, confidence."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -13,30 +13,40 @@ from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.motion.base import COMMANDED, LOAD, MEASURED, Look, look
-from casadical.diagnosis.motion.problem import NONE, WHITE, MotionCase, coefficients, motion_case
-from casadical.diagnosis.motion.search import Found, Outcome, columns_of, search, unfitted
+from casadical.diagnosis.motion.base import (
+    COMMANDED_PLAY_WIDTHS_RAD,
+    MEASURED_PLAY_WIDTHS_RAD,
+    UNDECLARED_PAYLOAD_SHARE,
+    LogView,
+    log_view,
+)
+from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
+from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Where a cause is said to act: over these, in so many parts; a part stands out by this factor.
-OVER, PARTS, OUT = ("angle", "speed", "load", "time"), 4, 1.5
-# Rivals that are shown, and least probability of one.
-SHOWN, LEAST = 3, 0.01
-# Levels, with a reference or without, at which causes are named.
-CLAIMED: frozenset[tuple[str, bool]] = frozenset()
+# Where the residual of a joint is largest is reported over these variables, each in so many
+# quantile ranges, if the rms in a range exceeds the mean one by this factor.
+REGION_VARIABLES = ("angle", "speed", "load", "time")
+REGION_PARTS = 4
+MIN_REGION_RATIO = 1.5
+MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of what fits
+MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
+# Levels (torque or position, with a reference or without) at which causes are named: none so far.
+CLAIMED_LEVELS: frozenset[tuple[str, bool]] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
 class LogDiagnosis(Result):
-    """What a joint log tells.
+    """Diagnosis of a joint log: verdict, causes, residuals.
 
-    log : that was diagnosed; arm : what was known of it; outcome : of the search
-    faults : of the instrument itself; reference : source of the healthy log, empty without one
-    contradictions : between the log and the robot's file; determined : by the motion, numbers of the bodies
+    log : the diagnosed one; arm : its bodies and drives; outcome : of the search
+    faults : of the log itself; reference : source of the healthy log, empty without one
+    contradictions : between the log and the robot file
+    determined : inertial parameters that the motion determines
     """
 
     line: ClassVar[str] = (
@@ -72,17 +82,23 @@ class LogDiagnosis(Result):
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Causes that are large, alone and true of runs that were not fitted; none in a log that is faulty itself."""
+        """Return causes that pass all tests of `Found.named`; none if the log itself is faulty."""
         return () if self.faults else tuple(f for f in self.outcome.found if f.named)
 
     @property
     def claims(self) -> tuple[Found, ...]:
-        """Those of them that are named, where of blind logs enough names were right (docs/joint-logs.md)."""
-        return self.fitting if (self.level, bool(self.reference)) in CLAIMED else ()
+        """Return the causes that are named: the fitting ones, at levels that blind logs confirmed.
+
+        See docs/joint-logs.md.
+        """
+        return self.fitting if (self.level, bool(self.reference)) in CLAIMED_LEVELS else ()
 
     @property
     def verdict(self) -> str:
-        """explained, by causes or the log's own faults, ambiguous, unknown (more than a usual arm has), or none."""
+        """Return explained (by causes or log faults), ambiguous, unknown, or none.
+
+        unknown : the log shows more than a usual arm, but no cause is named
+        """
         if self.faults or self.claims:
             return "explained"
         verdict = self.outcome.verdict
@@ -90,38 +106,48 @@ class LogDiagnosis(Result):
 
     @property
     def level(self) -> str:
-        """What was judged: torque, or the position error alone."""
+        """Return what was analysed: torque, or the position error alone."""
         return "torque" if self.outcome.case.unit is not None else "position"
 
     def gap(self) -> tuple[Array, Array, Array]:
-        """Rms of each joint's residual: of the model alone, with the base fitted, with the causes too [A, N m or rad].
+        """Return each joint's rms residual: model alone, base fitted, causes too [A, N m or rad].
 
-        Of torques where they were logged, else of the position error.
+        It is that of torques where they were logged, otherwise of the position error; shape
+        (joints,).
         """
-        case, columns = self.outcome.case, columns_of(self.outcome.case, self.outcome.found)
-        left = (case.left(own, *case.fitted(own)) for own in (NONE, columns))
-        nominal, before, after = map(case.rms, (case.r, *left))
+        case, columns = self.outcome.case, cause_columns(self.outcome.case, self.outcome.found)
+        residual = (case.residual(own, *case.fitted(own)) for own in (NO_COLUMNS, columns))
+        nominal, before, after = map(case.rms, (case.r, *residual))
         return nominal, before, after
 
     def gap_unfitted(self) -> tuple[Array, Array]:
-        """The same with the base, and with the causes too, of each run by a fit to the others (or parts of one run)."""
+        """Return each joint's rms residual in runs that were not fitted: base alone, causes too.
+
+        Each run is predicted by a fit to the others (or to other parts of one run).
+        """
         case = self.outcome.case
-        before, after = (case.rms(unfitted(case, own)) for own in (NONE, columns_of(case, self.outcome.found)))
+        before, after = (
+            case.rms(held_out_residual(case, own)) for own in (NO_COLUMNS, cause_columns(case, self.outcome.found))
+        )
         return before, after
 
     def payload(self) -> tuple[float, float] | None:
-        """Mass at the flange beyond what is declared, and one sigma [kg]; None where the log could show none."""
+        """Return the mass at the flange beyond the declared one, and its standard deviation [kg].
+
+        None where payload is no candidate.
+        """
         case = self.outcome.case
         if "payload" not in case.by_label:
             return None
         own, others = case.group("payload", 0), tuple(f for f in self.outcome.found if f.label != "payload")
-        columns = np.union1d(columns_of(case, others), own)
-        values, errors = new_fit(case.white, columns, WHITE, combined=False).causes
-        k, unit = int(np.searchsorted(columns, own[0])), LOAD * float(self.arm.inertial[::10].sum())
+        columns = np.union1d(cause_columns(case, others), own)
+        values, errors = new_fit(case.white, columns, UNIT_NOISE, combined=False).causes
+        k, unit = int(np.searchsorted(columns, own[0])), UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
         mass, error = float(values[k]) * unit, float(errors[k]) * unit
         return known_digits(mass, error, 4), known_digits(error, error, 4)
 
     def blocks(self) -> list[Block]:
+        """Return the report of the diagnosis."""
         case, found = self.outcome.case, self.outcome.found
         said = [f.sentence for f in self.faults] + [in_words(case, f.label) for f in self.claims]
         if not self.claims and self.outcome.verdict != "none":
@@ -137,6 +163,7 @@ class LogDiagnosis(Result):
         )
 
     def _gap_table(self) -> Table:
+        """Return the table of each joint's residuals, and of where they are largest."""
         nominal, before, after = self.gap()
         (_, kept), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
         factor = 1.0 if self.outcome.case.unit else 1e3
@@ -149,26 +176,29 @@ class LogDiagnosis(Result):
         return Table(title, columns, rows, frozenset({1, 2, 3, 4}))
 
     def _where(self, j: int) -> str:
-        """Where what the base leaves of a joint is greatest, over angle, speed, load and time."""
+        """Return where the base's residual of joint j is largest, over angle, speed, load or time.
+
+        "" if it is about equal everywhere.
+        """
         case = self.outcome.case
-        left = case.left(NONE, *case.fitted(NONE))[case.of_log, j] ** 2
+        residual = case.residual(NO_COLUMNS, *case.fitted(NO_COLUMNS))[case.of_log, j] ** 2
         parts = []
-        for name, values in zip(OVER, case.over, strict=True):
-            edges = np.quantile(values[:, j], np.linspace(0, 1, PARTS + 1))
-            part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, PARTS - 1)
-            mean = np.array([left[part == k].mean() if (part == k).any() else 0.0 for k in range(PARTS)])
+        for name, values in zip(REGION_VARIABLES, case.over, strict=True):
+            edges = np.quantile(values[:, j], np.linspace(0, 1, REGION_PARTS + 1))
+            part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, REGION_PARTS - 1)
+            mean = np.array([residual[part == k].mean() if (part == k).any() else 0.0 for k in range(REGION_PARTS)])
             k = first_of_best(mean)
-            parts.append((float(np.sqrt(mean[k] / left.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
+            parts.append((float(np.sqrt(mean[k] / residual.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
         worst = parts[first_of_best([share for share, _ in parts])]
-        return worst[1] if worst[0] > OUT else ""
+        return worst[1] if worst[0] > MIN_REGION_RATIO else ""
 
     def _fits(self) -> Table:
-        """Return the causes that fit best, and none, each with its probability."""
+        """Return the table of the causes that fit best, and none, each with its probability."""
         ranking, case = self.outcome.rankings[0], self.outcome.case
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(case, label))
-            for label in ranking.order[:SHOWN]
-            if ranking.probability[label] > LEAST
+            for label in ranking.order[:MAX_SHOWN_CAUSES]
+            if ranking.probability[label] > MIN_SHOWN_PROBABILITY
         ]
         rows += [("none", f"{ranking.none:.2f}", "", "a usual arm")]
         heads = ("cause", "probability", "log evidence", "what the log shows")
@@ -200,12 +230,13 @@ class LogDiagnosis(Result):
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:
+    """Return a cause as plain data: effect, joint and probability."""
     name, _, joint = label.partition("@")
     return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
 
 
 def in_words(case: MotionCase, label: str) -> str:
-    """A cause in words."""
+    """Return a cause in words."""
     candidate = case.by_label[label]
     if not candidate.listed:
         return f"on no list: {label}"
@@ -214,7 +245,10 @@ def in_words(case: MotionCase, label: str) -> str:
 
 
 def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
-    """What such a log cannot tell, and what to log for it."""
+    """Yield what such a log cannot show, and what to log for it.
+
+    compared : whether there is a reference
+    """
     if not compared:
         yield (
             "Friction of this arm alone has no usual value: that it has grown is told with a healthy log of the same "
@@ -243,30 +277,33 @@ def diagnose_log(
     healthy: Robot | None = None,
     own: Sequence[Cause] = (),
 ) -> LogDiagnosis:
-    """Why an arm moves otherwise than its model.
+    """Return the causes for which an arm moves differently from its model, from a joint log.
 
-    robot : with masses, and what is known of its drives
+    robot : with masses, and what is declared of its drives
     log : of one arm, with the commands, or a torque or current, or both
-    reference : of the same arm in health on another day: what differs from it by more than a day's friction is a cause
+    reference : of the same arm in health on another day: what differs from it by more than a day's
+        friction is a cause
+    show : called with a line of progress
     healthy : robot of the reference, where it carried another payload
-    own : causes beside those of the list, such as an effect file defines (seams torque, response ...)
+    own : causes in addition to the listed ones, such as an effect file defines (for torque or
+        response)
     Raises InputError: a log that is too short, or has other joints than the robot.
     """
     show("signals and rigid bodies")
-    looks = looks_of(robot, log, reference, healthy)
-    known = coefficients(motion_case(looks[1:])) if len(looks) > 1 else None
-    outcome = search(motion_case(looks, known, [*motion_effects().values(), *own]))
+    log_views = log_views_of(robot, log, reference, healthy)
+    known = coefficients(motion_case(log_views[1:])) if len(log_views) > 1 else None
+    outcome = search(motion_case(log_views, known, [*motion_effects().values(), *own]))
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
-    compared, arm = reference.source if reference else "", looks[0].arm
+    compared, arm = reference.source if reference else "", log_views[0].arm
     faults = tuple(faults_of(log, arm, reference))
     return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers)
 
 
-def looks_of(
+def log_views_of(
     robot: Robot, log: JointLog, reference: JointLog | None = None, healthy: Robot | None = None
-) -> tuple[Look, ...]:
-    """A log, and its reference behind it, through the arm's model.
+) -> tuple[LogView, ...]:
+    """Return the views of a log, and of its reference after it.
 
     Raises InputError: other joints than the robot has, or neither a torque nor commands.
     """
@@ -285,12 +322,18 @@ def looks_of(
             f"command{arm.joints}_rad"
         )
 
-    def seen(one: JointLog, of: Arm, great: Array | None = None) -> Look:
+    def seen(one: JointLog, of: Arm, peak_torque: Array | None = None) -> LogView:
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
-        return look(motion_of(used, of, COMMANDED if of_command else MEASURED, of_command=of_command), of, great)
+        return log_view(
+            motion_of(
+                used, of, COMMANDED_PLAY_WIDTHS_RAD if of_command else MEASURED_PLAY_WIDTHS_RAD, of_command=of_command
+            ),
+            of,
+            peak_torque,
+        )
 
     if reference is None:
         return (seen(log, arm),)
     known = seen(reference, arm_of(healthy) if healthy else arm)
-    return seen(log, arm, known.great), known
+    return seen(log, arm, known.peak_torque), known

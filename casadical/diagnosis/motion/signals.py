@@ -1,8 +1,10 @@
-"""A joint log as smooth signals on a uniform time, with their derivatives, and averages over short windows; and faults
-of the instrument that wrote it: its clock, lost or repeated samples, a current without sign. And what is known of the
-arm that moved: its bodies and its drives, one number a joint, None where nothing is known.
+"""Smooth signals of a joint log on a uniform time grid, with derivatives; faults of the log.
 
-Everything is smoothed alike, by one symmetric kernel, so that no signal is late against another.
+The faults are those of the instrument that wrote the log: its clock, lost or repeated samples, a
+current without sign. The arm that moved is described by its bodies and drives, one number a joint,
+None where nothing is declared.
+
+All signals are smoothed by one symmetric kernel, so that none is delayed against another.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -18,30 +20,40 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-# Width of the smoothing kernel, of a window, and of what is left out at the ends of a run [s].
-SMOOTHED, WINDOW, EDGE = 0.08, 0.1, 0.15
-# Most samples a second, and most windows, that are judged; between runs there is about so much time [s].
-RATE, MOST_WINDOWS, PAUSE = 62.5, 1500, 10.0
-# A joint below this share of its usual speed, or this speed [rad/s], stands.
-STANDS, SLOW = 0.02, 2e-3
-# Samples that a filter takes at a time, and states of which the regressor is made.
-AT_ONCE, STATES = 64, 4000
-# No reading is finer than this [rad].
-LEAST_QUANTUM = 1e-6
-# A rate that is off by this share; shares of samples that are lost or repeated which every log has.
-CLOCK, USUAL_LOST, USUAL_REPEATED = 0.01, 0.01, 0.02
-# A gap is longer than so many steps; a joint moves by more than so many quanta a step.
-GAP, MOVES = 1.6, 3.0
+SMOOTHING_WIDTH_S = 0.08  # width of the smoothing kernel [s]
+MIN_WINDOW_S = 0.1  # shortest window over which signals are averaged [s]
+EXCLUDED_EDGE_S = 0.15  # time at both ends of a run that is excluded [s]
+MAX_RATE_HZ = 62.5  # largest sample rate that is analysed [Hz]
+MAX_WINDOWS = 1500  # largest number of windows, about
+PAUSE_BETWEEN_RUNS_S = 10.0  # time that is assumed between runs [s]
+# A joint stands still below this share of its rms speed, or below this speed [rad/s].
+STANDSTILL_SPEED_SHARE = 0.02
+STANDSTILL_SPEED_RAD_S = 2e-3
+FILTER_BLOCK_SAMPLES = 64  # samples that a filter processes at once
+REGRESSOR_BLOCK_SAMPLES = 4000  # samples of which the regressor is computed at once
+MIN_QUANTUM_RAD = 1e-6  # smallest resolution of a reading [rad]
+MAX_CLOCK_ERROR = 0.01  # relative error of the sample rate that counts as a clock fault
+# Shares of missing and of repeated samples that every log may have.
+MAX_LOST_SHARE = 0.01
+MAX_REPEATED_SHARE = 0.02
+MIN_GAP_STEPS = 1.6  # a time step of so many usual ones or more is a gap
+MIN_MOVING_QUANTA = 3.0  # a joint moves if it changes by more than so many quanta per step
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm as the diagnosis of its logs sees it.
+    """Bodies and drives of an arm, as far as the robot file declares them.
 
-    inertial : ten numbers a link by the file, the declared payload with the last, shape (10 n,) [SI]
-    spread : what one sigma of each coordinate of the bodies does to them, shape (10 n, k)
-    rotor : inertia at the joint [kg m^2], estimated where `rotor_known` is False
-    per_ampere : torque at the joint by current; delay : from the logged command to the servo, filters included [s]
+    inertial : ten inertial parameters a link, the declared payload with the last one's, shape (10
+        n,) [SI]
+    spread : change of `inertial` by one prior standard deviation of each coordinate of the bodies,
+        shape (10 n, k)
+    rotor : rotor inertia at the joint [kg m^2], estimated where `rotor_known` is False
+    per_ampere : torque at the joint per current [N m/A]
+    delay : from the logged command to the servo, filters included [s]
+    kp, kd, ki : gains of the servo [N m/rad, N m s/rad, N m/(rad s)]
+    joint_stiffness : of the gear [N m/rad]; gear_ratio : turns of the motor per turn of the joint
+    log_rate : declared sample rate [Hz]
     """
 
     dynamics: Dynamics
@@ -60,21 +72,24 @@ class Arm:
 
     @property
     def joints(self) -> int:
-        """How many."""
+        """Return the number of joints."""
         return len(self.rotor)
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """Of the bodies, shape (n, joints, 10 joints); q, v, a : shape (n, joints)."""
+        """Return the regressor of the bodies' torques, shape (n, joints, 10 joints) [SI].
+
+        q, v, a : angles, velocities and accelerations, shape (n, joints) [rad, rad/s, rad/s^2]
+        """
         out = np.empty((*q.shape, 10 * self.joints))
-        for k in range(0, len(q), STATES):
-            s = slice(k, k + STATES)
+        for k in range(0, len(q), REGRESSOR_BLOCK_SAMPLES):
+            s = slice(k, k + REGRESSOR_BLOCK_SAMPLES)
             out[s] = self.dynamics.regressor(q[s], v[s], a[s])[:, :, : 10 * self.joints]
         return out
 
 
 @lru_cache(maxsize=4)
 def arm_of(robot: Robot) -> Arm:
-    """What a robot file says of an arm that moves."""
+    """Return bodies and drives of a robot; what its file does not declare is None."""
     dynamics, drive, n = Dynamics(robot), robot.drive or Drive(), robot.n
     own = slice(0, 10 * n)
     times = [t for t in (drive.of_joints(k, n) for k in ("delay", "command_filter")) if t is not None]
@@ -93,16 +108,20 @@ def arm_of(robot: Robot) -> Arm:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Signals of a log, shape (n, joints) each unless said otherwise; SI units.
+    """Signals of a log, each of shape (n, joints) in SI units unless stated otherwise.
 
-    time : since the log began, pauses included, shape (n,); run : number of each sample's, 1 ..., shape (n,)
-    position : measured; q, v, a : measured too, or commanded where the motion is taken from there
-    command, command_v, command_a : late by the delay that is known; or None
-    torque : at the joints, or None; heat : temperature above the least, or None
-    memory : play operators of the angle, by width, -1 to 1; widths : of them [rad]
-    rest : time since the joint stood still; unmoved : 1 until it first moved in its run
+    time : since the log began, pauses included, shape (n,); run : number of each sample's run, from
+        1, shape (n,)
+    position : measured; q, v, a : angle, velocity and acceleration, measured or commanded (see
+        `motion_of`)
+    command, command_v, command_a : command delayed by the declared delay, and its derivatives; or
+        None
+    torque : at the joints, or None; heat : temperature above its minimum in the log [K], or None
+    memory : play operators of the angle by half-width [rad], each from -1 to 1
+    rest : time since the joint stopped [s]; unmoved : 1 until it first moved in its run
     quantum : smallest step of each joint's readings, shape (joints,)
-    windows : samples of each window, shape (windows, k); first : whether it is the first of its run
+    windows : indices of the samples of each window, shape (windows, k)
+    first : whether a window is the first of its run, shape (windows,)
     """
 
     time: Array
@@ -124,40 +143,45 @@ class Motion:
     heat: Array | None = None
 
     def averaged(self, values: Array) -> Array:
-        """Over each window, shape (windows, ...); values : of each sample, shape (n, ...)."""
+        """Return the mean over each window, shape (windows, ...).
+
+        values : at each sample, shape (n, ...)
+        """
         return np.asarray(values[self.windows].mean(axis=1))
 
     @property
     def step(self) -> float:
-        """Between samples [s]."""
+        """Return the time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
     def by_run(self, change: Callable[[Array], Array], values: Array) -> Array:
-        """Something that has a memory, run by run."""
+        """Return an operation that depends on earlier samples, applied run by run."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), len(self.run)]
         return np.concatenate([change(values[a:b]) for a, b in pairwise(ends)])
 
 
 def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command: bool = False) -> Motion:
-    """The signals of a log; widths : of the memory [rad]; of_command : q is the command, for a log without torque.
+    """Return the signals of a log.
 
+    widths : half-widths of the play operators [rad]
+    of_command : whether q, v, a are those of the command, for a log without torque
     Raises InputError for a log that is too short.
     """
     parts: list[dict[str, Array]] = []
     start, torque = 0.0, torque_of(log, arm)
     for number, run in enumerate(log.runs(), 1):
         own = None if torque is None else torque[log.run == run.run[0]]
-        part = _run(_in_time(run, arm), log.step, own, widths, of_command)
+        part = _run(_with_delayed_commands(run, arm), log.step, own, widths, of_command)
         if part is not None:
             part["time"] = part["time"] + start
             part["run"] = np.full(len(part["time"]), float(number))
             parts.append(part)
-        start += float(run.time[-1] - run.time[0]) + PAUSE
+        start += float(run.time[-1] - run.time[0]) + PAUSE_BETWEEN_RUNS_S
     if not parts:
         raise InputError(f"{log.source}: no run of two seconds or more; log 20 s or more of motion")
     steps = [float(np.median(np.diff(p["time"]))) for p in parts]
     seconds = sum(len(p["time"]) * s for p, s in zip(parts, steps, strict=True))
-    size = max(1, round(max(WINDOW, seconds / MOST_WINDOWS) / steps[0]))
+    size = max(1, round(max(MIN_WINDOW_S, seconds / MAX_WINDOWS) / steps[0]))
     windows, first, at = [], [], 0
     for part in parts:
         count = len(part["time"]) // size
@@ -169,30 +193,34 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
     if "heat" in whole:
         whole["heat"] = whole["heat"] - whole["heat"].min(axis=0)
     steps_of = np.abs(np.diff(log.position, axis=0))
-    smallest = np.where(steps_of > LEAST_QUANTUM, steps_of, np.inf).min(axis=0)
+    smallest = np.where(steps_of > MIN_QUANTUM_RAD, steps_of, np.inf).min(axis=0)
     return Motion(
         **whole,
         memory=memory,
-        quantum=np.where(np.isfinite(smallest), smallest, LEAST_QUANTUM),
+        quantum=np.where(np.isfinite(smallest), smallest, MIN_QUANTUM_RAD),
         windows=np.concatenate(windows),
         first=np.concatenate(first),
     )
 
 
-def _in_time(run: JointLog, arm: Arm) -> JointLog:
-    """A run with the commands as the servos have them, late by the delay that is known."""
+def _with_delayed_commands(run: JointLog, arm: Arm) -> JointLog:
+    """Return a run with the commands as the servos receive them, after the declared delay."""
     if run.command is None or arm.delay is None:
         return run
-    late = np.array(run.command)
-    for c, d in zip(late.T, arm.delay, strict=True):
+    delayed = np.array(run.command)
+    for c, d in zip(delayed.T, arm.delay, strict=True):
         known = np.isfinite(c)
         if known.any():
             c[:] = np.interp(run.time - d, run.time[known], c[known])
-    return replace(run, command=late)
+    return replace(run, command=delayed)
 
 
 def torque_of(log: JointLog, arm: Arm) -> Array | None:
-    """As logged, or by the current: in N m where the drive's constant is known, else in A; shape (rows, joints)."""
+    """Return the logged torque, or the one from the current, shape (rows, joints) [N m].
+
+    It is the current itself [A] where the torque constant is not declared; None where neither was
+    logged.
+    """
     if log.torque is not None:
         return log.torque
     if log.current is None or log.current_unsigned:
@@ -203,14 +231,15 @@ def torque_of(log: JointLog, arm: Arm) -> Array | None:
 def _run(
     run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], of_command: bool
 ) -> dict[str, Array] | None:
+    """Return the signals of a run by name, or None if it is shorter than two seconds."""
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
         return None
-    edge, every = int(EDGE / step), max(1, round(1 / (step * RATE)))
+    edge, every = int(EXCLUDED_EDGE_S / step), max(1, round(1 / (step * MAX_RATE_HZ)))
     kept = slice(edge, len(t) - edge, every)
 
     def smooth(values: Array) -> Array:
-        return smoothed(even(values, run.time, t), kernel_of(step))
+        return smoothed(resampled(values, run.time, t), smoothing_kernel(step))
 
     def rate(values: Array) -> Array:
         return np.asarray(np.gradient(values, step, axis=0))
@@ -227,17 +256,17 @@ def _run(
         signals["torque"] = smooth(torque)
     if run.temperature is not None and np.isfinite(run.temperature).any(axis=0).all():
         signals["heat"] = smooth(run.temperature)
-    signals |= {f"memory {w}": play(q, w) for w in widths}
-    stands = np.abs(v) < np.maximum(STANDS * np.sqrt((v**2).mean(axis=0)), SLOW)
+    signals |= {f"memory {w}": play_operator(q, w) for w in widths}
+    stands = np.abs(v) < np.maximum(STANDSTILL_SPEED_SHARE * np.sqrt((v**2).mean(axis=0)), STANDSTILL_SPEED_RAD_S)
     at = np.arange(len(t))[:, None]
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
-    # A joint has not moved in a run while it is within this of where it began [rad].
+    # A joint has not moved yet while it is within 5e-3 rad of where the run began.
     signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < 5e-3, axis=0) * 1.0
     return {"time": t[kept] - t[0], **{k: values[kept] for k, values in signals.items()}}
 
 
-def even(values: Array, time: Array, t: Array) -> Array:
-    """Columns at other times, where they are known; values : shape (len(time), columns)."""
+def resampled(values: Array, time: Array, t: Array) -> Array:
+    """Return columns interpolated at the times t, from their finite values (len(time), columns)."""
     there = np.isfinite(values).T
     columns = (
         np.interp(t, time[k], c[k]) if k.any() else np.zeros(len(t)) for c, k in zip(values.T, there, strict=True)
@@ -245,21 +274,26 @@ def even(values: Array, time: Array, t: Array) -> Array:
     return np.column_stack([*columns])
 
 
-def kernel_of(step: float) -> Array:
-    """By which all signals of a log are smoothed; step : between samples [s]."""
-    half = max(1, round(SMOOTHED / step / 2))
+def smoothing_kernel(step: float) -> Array:
+    """Return the kernel by which all signals of a log are smoothed; step : between samples [s]."""
+    half = max(1, round(SMOOTHING_WIDTH_S / step / 2))
     kernel = np.hanning(2 * half + 3)[1:-1]
     return np.asarray(kernel / kernel.sum())
 
 
 def smoothed(values: Array, kernel: Array) -> Array:
-    """Columns of even samples through a kernel."""
+    """Return columns of uniform samples, shape (n, columns), convolved with a kernel."""
     padded = np.pad(values, ((len(kernel) // 2,) * 2, (0, 0)), "edge")
     return np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
 
 
-def play(q: Array, width: float) -> Array:
-    """Where an angle lies in a play that it drags along, -1 to 1: the memory of dry friction (Iwan 1966)."""
+def play_operator(q: Array, width: float) -> Array:
+    """Return the position of an angle in the play that it drags along, -1 to 1, in q's shape.
+
+    It models the memory of dry friction (Iwan 1966).
+
+    q : shape (n, joints) [rad]; width : half-width of the play [rad]
+    """
     out, centre = np.empty_like(q), q[0].copy()
     for row, low, high in zip(out, q - width, q + width, strict=True):
         np.maximum(centre, low, out=centre)
@@ -269,29 +303,37 @@ def play(q: Array, width: float) -> Array:
 
 
 def lagged(values: Array, within: float, step: float) -> Array:
-    """Values through a first-order filter."""
+    """Return values, shape (n, ...), after a first-order low-pass filter.
+
+    within : its time constant [s]; step : between samples [s]
+    """
     out, keeps = np.empty_like(values), within / (within + step)
-    k = np.arange(min(AT_ONCE, len(values)))
+    k = np.arange(min(FILTER_BLOCK_SAMPLES, len(values)))
     weight = (1 - keeps) * np.tril(keeps ** np.abs(k[:, None] - k))
     now = values[0]
-    for start in range(0, len(values), AT_ONCE):
-        part = values[start : start + AT_ONCE]
+    for start in range(0, len(values), FILTER_BLOCK_SAMPLES):
+        part = values[start : start + FILTER_BLOCK_SAMPLES]
         own = slice(start, start + len(part))
         out[own] = weight[: len(part), : len(part)] @ part + keeps ** (k[: len(part), None] + 1) * now
         now = out[own][-1]
     return out
 
 
-def late(values: Array, samples: Array | float) -> Array:
-    """Columns of a run that come so many samples later, shape (n, columns); samples : of all, or shape (columns,)."""
+def delayed(values: Array, samples: Array | float) -> Array:
+    """Return columns of a run delayed by some samples, shape (n, columns).
+
+    samples : of all columns, or shape (columns,)
+    """
     at, each = np.arange(len(values)), np.broadcast_to(samples, values.shape[1])
     return np.column_stack([np.interp(at - d, at, v) for v, d in zip(values.T, each, strict=True)])
 
 
 def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
-    """Position error e that makes a servo give a torque, kd e' + kp e + ki int e dt = torque; shape as the torque.
+    """Return the position error e at which a servo gives a torque, shape as the torque [rad].
 
-    start : at the first sample, shape (joints,)
+    It solves kd e' + kp e + ki int e dt = torque.
+
+    start : error at the first sample, shape (joints,) [rad]
     """
     assert arm.kp is not None
     n = torque.shape[1]
@@ -307,7 +349,10 @@ def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of the instrument. name : by which answers name it; sentence : what was found; remedy : what to do"""
+    """A fault of the log itself, not of the arm.
+
+    name : in the answer's data; sentence : what was found; remedy : what to do
+    """
 
     name: str
     sentence: str
@@ -315,9 +360,12 @@ class Fault:
 
 
 def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
-    """What is wrong with the log itself."""
+    """Yield the faults of the log itself.
+
+    reference : a healthy log, whose sample rate is the true one if the arm declares none
+    """
     rate = arm.log_rate or (1 / reference.step if reference else None)
-    if rate and abs((factor := log.step * rate) - 1) > CLOCK:
+    if rate and abs((factor := log.step * rate) - 1) > MAX_CLOCK_ERROR:
         yield Fault(
             "clock_scale",
             f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / log.step:.4g} rows a second, "
@@ -325,9 +373,9 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
             f"Divide time_s by {factor:.3f}, or state the true rate as log_rate_Hz in [drive].",
         )
     steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)
-    lost = float(np.round(steps[steps > GAP] - 1).sum() / max(steps.sum(), 1.0))
+    lost = float(np.round(steps[steps > MIN_GAP_STEPS] - 1).sum() / max(steps.sum(), 1.0))
     repeated = _repeated_share(log)
-    if lost > USUAL_LOST or repeated > USUAL_REPEATED:
+    if lost > MAX_LOST_SHARE or repeated > MAX_REPEATED_SHARE:
         yield Fault(
             "lost_samples",
             f"samples are missing ({100 * lost:.1f} %) or repeated ({100 * repeated:.1f} %)",
@@ -342,11 +390,11 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
 
 
 def _repeated_share(log: JointLog) -> float:
-    """Share of the rows in which all joints read as before although some move by many quanta a step around them."""
+    """Return the share of rows that repeat the one before although some joint moves around them."""
     step = np.abs(np.diff(log.position, axis=0))
     step[np.diff(log.run) != 0] = np.nan
     smallest = np.where(step > 0, step, np.inf).min(axis=0)
     usual = np.array([np.convolve(np.nan_to_num(column), np.ones(9) / 9, "same") for column in step.T]).T
-    moving = (usual > MOVES * np.where(np.isfinite(smallest), smallest, np.inf)).any(axis=1)
+    moving = (usual > MIN_MOVING_QUANTA * np.where(np.isfinite(smallest), smallest, np.inf)).any(axis=1)
     same = (step == 0).all(axis=1)
     return float((same & moving).sum() / moving.sum()) if moving.sum() >= 10 else 0.0
