@@ -1,8 +1,9 @@
-"""Sets of causes that explain together what no single one does: a beam search over sets, compared with the unlisted.
+"""Beam search for sets of causes that explain the data together where no single cause does.
 
-The evidence of a set is that of its first cause, times that of each further one beside those before; its prior falls
-with its size. Every ranking beside a set gives the mass of that set with each candidate added, so that a few rankings
-compare thousands of sets, those with something unlisted in them too.
+The evidence of a set is that of its first cause, times that of each additional one given those
+before; its prior falls with its size. Every ranking given a set yields the mass of that set with
+each candidate added, so that a few rankings compare thousands of sets, including those with an
+unlisted cause.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -15,36 +16,53 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-# How many first causes are tried, and how many larger sets are followed.
-MAX_FIRST_CAUSES, BEAM_WIDTH = 6, 3
-# A further cause of a set gains at least so much log evidence.
+# Number of first causes from which sets are built.
+MAX_FIRST_CAUSES = 6
+# Number of sets of each larger size that are expanded.
+BEAM_WIDTH = 3
+# Log evidence [nats] that each additional cause of a set must gain.
 MIN_LOG_GAIN = 8.0
-# How probable the listed sets must be against all with something unlisted in them.
+# Probability of all listed sets against those with an unlisted cause from which no cause is in
+# doubt.
 MIN_LISTED_SHARE = 0.9
-# Sets with the unlisted are followed for so many causes, and the best listed set is looked beyond so many times.
-MAX_UNLISTED_CAUSES, MAX_BEST_SET_UPDATES = 2, 4
+# Number of causes up to which a set with an unlisted cause is expanded.
+MAX_UNLISTED_CAUSES = 2
+# Number of times that the best listed set is expanded to see whether a larger one is better.
+MAX_BEST_SET_UPDATES = 4
 
+# Causes of a set by label, with their settings.
 Chosen = Mapping[str, tuple[Effect, ...]]
+# Returns the ranking given each of some sets.
 Beside = Callable[[Sequence[Chosen]], Sequence[Ranking]]
 
 
 @dataclass(frozen=True, eq=False)
 class _Set:
-    """A set of causes: label -> settings, in the order of choice; log of prior times evidence; what is ranked next."""
+    """A set of causes with its ranking of an additional one.
+
+    chosen : settings by label, in the order of choice; log_mass : log of prior times evidence
+    ranking : posterior over an additional cause given the set
+    """
 
     chosen: Chosen
     log_mass: float
     ranking: Ranking
 
     def more(self) -> Iterable[tuple[frozenset[str], str, float]]:
-        """Each set with one more cause: its labels, the new one, its log mass."""
+        """Yield each set with one more cause: its labels, the new label, its log mass."""
         for label, mass in self.ranking.log_mass.items():
             yield frozenset((*self.chosen, label)), label, self.log_mass + mass
 
 
 @dataclass(eq=False)
 class _Search:
-    """What is known of sets so far: log mass by labels, and how to reach them."""
+    """State of the beam search over sets.
+
+    beside : returns rankings given sets; variants : settings of each candidate
+    listed : labels that may be named; mass : log mass of each set seen, by its labels
+    reached : for each set, the set from which it was reached and the label that was added
+    expanded : sets whose ranking was computed
+    """
 
     beside: Beside
     variants: Mapping[str, tuple[tuple[Effect, ...], ...]]
@@ -54,7 +72,7 @@ class _Search:
     expanded: set[frozenset[str]] = field(default_factory=set)
 
     def take(self, found: _Set) -> _Set:
-        """Note a set and all with one more cause."""
+        """Record a ranked set and all sets with one more cause; return it."""
         self.expanded.add(frozenset(found.chosen))
         for labels, label, mass in found.more():
             if mass > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
@@ -62,7 +80,7 @@ class _Search:
         return found
 
     def expand(self, sets: Sequence[frozenset[str]]) -> list[_Set]:
-        """The sets of these labels, ranked beside."""
+        """Compute and record the rankings given the sets of these labels; return these sets."""
         chosen = []
         for before, label in (self.reached[labels] for labels in sets):
             chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})
@@ -71,12 +89,12 @@ class _Search:
         return [self.take(_Set(*one)) for one in zip(chosen, masses, rankings, strict=True)]
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
-        """Those of most mass that are not expanded yet."""
+        """Return the `count` sets of largest mass that are not expanded yet."""
         left = [k for k in of if k not in self.expanded]
         return [left[k] for k in ranked([self.mass[k] for k in left], logs=True)[:count]]
 
     def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
-        """Listed sets with one more cause than one of these, which gains enough."""
+        """Return the listed sets with one more cause than these, if it gains enough evidence."""
         return {
             labels
             for s in sets
@@ -92,11 +110,13 @@ def most_probable_set(
     listed: frozenset[str],
     steps: int = 0,
 ) -> tuple[tuple[str, ...], frozenset[str]]:
-    """Labels of the listed causes that explain together what a ranking gives to no single one, and those in doubt.
+    """Return the labels of the most probable set of listed causes, and those of them in doubt.
 
-    In doubt are causes that sets of much probability do without; where all are, there is no set.
+    The set is empty if a single cause is more probable. A cause is in doubt if sets without it are
+    probable; if all are in doubt, there is no set.
 
-    first : ranking beside the causes in the model, of which there are `steps`; beside : those with further ones in it
+    first : ranking given the causes in the model, of which there are `steps`
+    beside : returns the rankings given sets of additional causes
     variants : settings of each candidate; listed : labels of those that may be named
     """
     search = _Search(beside, variants, listed)
@@ -120,20 +140,20 @@ def most_probable_set(
     closed = np.array(list(search.mass.values())) + np.log(PRIOR_FURTHER["none"])
     of_listed = np.array([search.mass[k] for k in search.mass if k <= listed]) + np.log(PRIOR_FURTHER["none"])
     share = float(np.exp(np.logaddexp.reduce(of_listed) - np.logaddexp.reduce(np.append(closed, none))))
-    # A single one would have been ranked first.
+    # A single cause would have been ranked first.
     if len(best) < 2 or best not in search.expanded:
         return (), frozenset()
     total = np.append(closed, none)
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
-    # Where they are not: how probable each cause must be, whatever else is there.
+    # If the listed sets are not that probable, each cause must be in sets of probability 0.95.
     doubted = frozenset(c for c in best if share < MIN_LISTED_SHARE and without[c] > 1 - 0.95)
     before, last = search.reached[best]
     return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
 
 
 def _follow_unlisted(search: _Search, root: _Set) -> None:
-    """The best set that begins with what is on no list, so that the comparison is fair."""
+    """Expand the best set that begins with an unlisted cause, so that the comparison is fair."""
     unlisted = [k for k in root.ranking.order if k not in search.listed and k in search.variants]
     found = root
     for k in range(MAX_UNLISTED_CAUSES if unlisted else 0):

@@ -1,4 +1,4 @@
-"""Rows of a diagnosis: its causes, what the data show of each and how far the gap shrinks; its error layer by layer."""
+"""Tables of a diagnosis: its causes and their signatures, and its error layer by layer."""
 
 import re
 from collections.abc import Iterable
@@ -11,18 +11,21 @@ from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.effects.formula_effect import FLAGS
 from casadical.effects.plugins import signature_of
 
+# Factor and unit in which parameters of an SI unit are shown.
 READABLE_UNITS = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE_UNITS |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
 
 @dataclass(frozen=True)
 class CauseRow:
-    """One cause in words.
+    """One cause as text for a table.
 
-    shown : what the data show; named : its label, and what it may be mechanically
-    gap : without it and with it alone, "0.127 -> 0.071"; shrinks : by what share, a 95 % interval; of outliers the
-    mean error with them, for leaving rows out is no cure
-    parameters : (name, value, standard error, unit); no standard error of what was chosen
+    shown : what the data show; named : its label and possible mechanical reasons
+    gap : gap without it and with it alone [mm], "0.127 -> 0.071"; for outliers the mean error with
+        them, because removing rows is no remedy
+    shrinks : 95 % interval of the share by which the gap shrinks
+    parameters : (name, value, standard error, unit); no standard error for settings that were
+        chosen
     """
 
     cause: Cause
@@ -34,7 +37,7 @@ class CauseRow:
 
 
 def cause_rows(d: Diagnosis) -> list[CauseRow]:
-    """A row for each cause, the largest shrink first."""
+    """Return a row for each cause, the largest shrink first."""
     rows, alone = [], sum(bool(c.effects) for c in d.causes) == 1
     for c in d.causes:
         shown, mechanical = _signature(c)
@@ -61,7 +64,10 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
 
 
 def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
-    """Table (and anchor) of each instrument for distances that a cause is clearly in -> its parameters in words."""
+    """Return a cause's parameters in words, by instrument (table and anchor) that shows it.
+
+    They are of instruments for distances; empty for causes of the robot.
+    """
     if not c.of_instrument:
         return {}
     words: dict[str, list[str]] = {}
@@ -75,12 +81,12 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
                     which = " ".join([m.source or f"wire {part[2]}", *map(str, anchors)])
                     words.setdefault(which, []).append("{} {} +- {} {}".format(*_estimate(part[1], value, error, unit)))
                     clear[which] = max(clear.get(which, 0.0), abs(value) / error)
-    # An instrument is named if one of its parameters is so many standard errors from zero.
+    # An instrument is named if one of its parameters is more than three standard errors from zero.
     return {which: ", ".join(own) for which, own in words.items() if clear[which] > 3.0}
 
 
 def _signature(c: Cause) -> tuple[str, str]:
-    """What the data show, and the mechanical causes that share it."""
+    """Return what the data show of a cause, and the mechanical reasons with this signature."""
     words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
     if c.effects:
         words = words or c.effects[0].signature or c.effects[0].physics
@@ -91,38 +97,40 @@ def _signature(c: Cause) -> tuple[str, str]:
 
 
 def joints_of(c: Cause) -> str:
-    """At which joints a cause acts, in words; nothing where at none."""
+    """Return in words at which joints a cause acts; empty if at none."""
     joints = dict.fromkeys(str(e.joint) for e in c.effects if e.joint) if c.joint is None else [str(c.joint)]
     return f"joint{'s' * (len(joints) > 1)} {listed(joints)}" if joints else ""
 
 
 def listed(words: Iterable[str]) -> str:
-    """Words with "and" before the last."""
+    """Return words separated by commas, with "and" before the last."""
     *first, last = [*words] or [""]
     return f"{', '.join(first)} and {last}" if first else last
 
 
 def _estimate(name: str, value: float, error: float, unit: str) -> tuple[str, str, str, str]:
-    """Name, value, standard error and unit as they are shown; lengths of a millimetre and more in mm."""
+    """Return name, value, standard error and unit as text; lengths from 1 mm on are in mm."""
     size = max(abs(value), error)
     factor, word = (1e3, "mm") if unit == "m" and size >= 1e-3 else READABLE_UNITS.get(unit, (1.0, unit))
     return name, f"{factor * value:.3g}", f"{factor * error:.2g}", word
 
 
 def mm(metres: float) -> str:
-    """A length in millimetres."""
+    """Return a length [m] as text in millimetres, to three decimals from 10 um on, else four."""
     return f"{1e3 * metres:.3f}" if metres >= 1e-5 else f"{1e3 * metres:.4f}"
 
 
+# Titles of the columns of `layer_rows`.
 LAYER_COLUMNS = ("layer", "mean", "95 %", "time left out", "without noise")
 
 
 def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
-    """The layers in the order in which they were found; none where no cause has effects to take off.
+    """Return the error after each cause in the order of the search; empty if no cause has effects.
 
-    name : what is taken off with it, beside all layers above; mean_mm, low_mm, high_mm : mean error on poses held out
-    with a 95 % interval over poses; blocks_mm : with fifths of the time left out; model_mm : rms with the noise's own
-    taken off. The last one is what noise alone leaves in the same fit, or floor [m]
+    name : what is removed in addition to the layers above; mean_mm, low_mm, high_mm : mean error on
+        held-out poses
+    with a 95 % interval over poses; blocks_mm : with fifths of the time held out; model_mm : rms
+    without noise. The last layer is the error of noise alone under the same fit, or floor [m].
     """
     if not d.effects():
         return []
@@ -138,7 +146,7 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
 
 
 def layer_rows(d: Diagnosis, floor: float | None = None) -> list[tuple[str, ...]]:
-    """Rows of text under `LAYER_COLUMNS`; floor : as of `layers`."""
+    """Return the layers as rows of text under `LAYER_COLUMNS`; floor : see `layers`."""
     forms = ("{name}", "{mean_mm:.3f}", "{low_mm:.3f} to {high_mm:.3f}", "{blocks_mm:.3f}", "{model_mm:.3f}")
     every = layers(d, floor)
     return [tuple(f.format(**a) if k < 2 or "low_mm" in a else "" for k, f in enumerate(forms)) for a in every]

@@ -1,7 +1,8 @@
-"""What changed since an earlier campaign: known parameters as their prior says, against those of a new effect.
+"""Detection of changed effects: an earlier campaign's prior against that of a new effect.
 
-The evidence of both in the linear problem, the size of the noise integrated on its grid. Of an effect in parts (a curve
-of each joint), each part alone; what changed is then no longer known, and the others are judged again beside it.
+Both evidences are those of the linear model, integrated over the grid of the noise. An effect in
+parts (a curve of each joint) is tested part by part; the prior of a changed part is dropped, and
+the others are tested again given this.
 """
 
 from dataclasses import replace
@@ -18,18 +19,18 @@ from casadical.diagnosis.result import Change
 from casadical.identification.prior import Prior, probability_of_change
 from casadical.measurements.measurements import Noise
 
-# From this probability on, nothing of the earlier campaign is taken for known of a part.
+# Probability of a change from which the earlier campaign's prior of a part is dropped.
 MIN_CHANGE_PROBABILITY = 0.5
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
-    """Every part of the known effects with the probability that it changed, and the prior without what did.
+    """Return each part's probability of change, and the prior without the changed parts.
 
-    case : whose evidence does not hold the prior yet
+    case : case whose linear model does not contain the prior yet
     """
     parts = _parts(case, prior)
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
-    # The parameters as they are, of which some are known.
+    # The model is in the parameters themselves, not in combinations, because the prior is on them.
     base = case.base
     e = replace(case.evidence, J=base.J[case.kept], delta0=base.delta0, prior=base.prior)
     fit = new_fit(e, np.zeros(0, dtype=np.int64), noise)
@@ -49,7 +50,10 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
 
 
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
-    """Names of each part's parameters with the size of a new one: the usual, or what it was where that is more."""
+    """Return the prior sizes of each part's parameters for a new effect [SI].
+
+    They are the larger of the usual size and the earlier value. Keys are (label, joint or None).
+    """
     sizes: dict[tuple[str, int | None], dict[str, float]] = {}
     for effect in case.given.effects:
         if effect.label not in prior.labels:
@@ -65,8 +69,9 @@ def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, f
 
 
 def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
-    """Log marginal likelihood of the residual; as in `Evidence`, what the prior leaves open grows with the noise.
+    """Return the log marginal likelihood of the residual under a prior, up to a constant.
 
+    As in `Evidence`, prior standard deviations scale with the noise.
     fit : of the base model at noise of this sigma [m]
     """
     mean, widths, known = case.prior_parts(prior)

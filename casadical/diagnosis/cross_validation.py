@@ -1,7 +1,7 @@
-"""The gap on poses that the fit never saw: before and after causes are added, next to the noise floor.
+"""Cross-validation of the linear model: errors on held-out poses before and after causes are added.
 
-Each fold is fitted in closed form from the residual, base model and causes together, with the priors that the
-evidence uses; the errors are those of the poses left out.
+For each fold, base model and causes are fitted together in closed form to the other folds, with the
+priors of the linear model; the errors are those of the held-out poses.
 """
 
 import numpy as np
@@ -14,26 +14,34 @@ from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, SIGMA_GRID_M, 
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
+# Number of folds of a partition of the poses.
 FOLDS = 5
 
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
-    """The most probable noise of a log likelihood over (rhos, sigmas, ...)."""
+    """Return the most probable noise of a log likelihood, shape (rhos, sigmas, ...).
+
+    sigmas : the grid's standard deviations of the instrument [m]
+    """
     grid = log_grid.reshape(len(RHO_GRID), len(sigmas), -1).max(axis=2)
     rho, sigma = np.unravel_index(first_of_best(grid, logs=True), grid.shape)
     return Noise(float(sigmas[sigma]), float(RHO_GRID[rho] * sigmas[sigma]))
 
 
 def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> Fit:
-    """Base model and causes fitted together; columns : of the causes, in rising order."""
+    """Return the fit of base model and causes together.
+
+    columns : of the causes, in rising order, shape (k,); noise : at which the fit is made
+    combined : whether parts of effects are fitted in their observable combinations
+    """
     return Fit(e, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
 
 
 def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
-    """The same, kept with the problem: several questions are asked of the same few."""
+    """Return the same fit from the model's cache, since few fits are used several times."""
     fits, key = e.cache.setdefault("fits", {}), (columns.tobytes(), noise)
     if key not in fits:
-        # Fits that are kept with a problem.
+        # At most three fits are cached with a model.
         if len(fits) == 3:
             fits.pop(next(iter(fits)))
         fits[key] = new_fit(e, columns, noise)
@@ -42,12 +50,15 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
 
 
 def lengths(e: Evidence, left: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
-    """The reported error of what is left at some poses, shape (poses,) [m]."""
+    """Return the reported error, the norm of the length residuals, shape (poses,) [m].
+
+    left : residuals at these poses, shape (poses, numbers)
+    """
     return np.asarray(np.linalg.norm(left if e.size is None else left * e.size[poses], axis=1))
 
 
 def noise_square(e: Evidence, noise: Noise) -> Array:
-    """Mean square of each pose's reported error by noise alone, shape (n,) [m^2]."""
+    """Return the mean square of each pose's reported error by noise alone, shape (n,) [m^2]."""
     C = e.covariance(noise)
     if e.size is None:
         return np.asarray(np.trace(C, axis1=1, axis2=2))
@@ -55,15 +66,15 @@ def noise_square(e: Evidence, noise: Noise) -> Array:
 
 
 def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> Array:
-    """Position error of each pose, shape (n,) [m], by a fit to the poses of the other folds.
+    """Return the error of each pose under a fit to the other folds, shape (n,) [m].
 
-    columns : of the causes in the model; folds : number of the fold of each pose, shape (n,)
+    columns : of the causes in the model, shape (k,); folds : index of each pose's fold, shape (n,)
     """
     return fold_errors(e, fit_of(e, columns, noise), folds)
 
 
 def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
-    """The same for a fit that was made."""
+    """Return held-out errors as `held_out_errors` does, for a given fit to all poses."""
     if len(np.unique(folds)) == len(folds):
         return lengths(e, fit.leave_one_out_residuals())
     errors = np.empty(len(folds))
@@ -74,30 +85,34 @@ def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
 
 
 def partitions(e: Evidence, seed: int) -> list[Array]:
-    """Several partitions of the poses into folds; one of many poses, whose mean hardly depends on it."""
+    """Return several partitions of the poses into folds, shape (n,) each."""
     n = len(e.r)
-    # Poses from which on one partition is enough.
+    # From 400 poses on the mean hardly depends on the partition, and one is enough.
     return [random_folds(n, seed + k, alike=e.alike) for k in range(SETTINGS.partitions if n < 400 else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
-    """Held-out error of each pose, shape (n,) [m], averaged over partitions."""
+    """Return the held-out error of each pose averaged over partitions, shape (n,) [m]."""
     fit = fit_of(e, columns, noise)
     runs = [fold_errors(e, fit, folds) for folds in partitions(e, seed)]
     return np.asarray(np.mean(runs, axis=0))
 
 
 def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
-    """What a fit to the poses outside of a mask leaves at every pose, shape (n, 3) [m]."""
+    """Return the residual at every pose of a fit to the poses outside of a mask, shape (n, 3) [m].
+
+    test : mask of the poses that are not fitted, shape (n,)
+    """
     fit = fit_of(e, columns, noise)
     return fit.residual(fit.estimate_from(np.flatnonzero(~test)))
 
 
 def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
-    """What a fit to the kept poses leaves at every pose: length [m] and squared Mahalanobis distance, shapes (n,).
+    """Return error [m] and squared Mahalanobis distance of every pose, shapes (n,).
 
-    The distance of a kept pose is from a fit without it, in units of what that fit can predict: a flexible model
-    follows an outlier that it was fitted to.
+    The fit is to the inliers. The distance of an inlier is from a fit without it, relative to the
+    covariance of that prediction: a flexible model
+    would follow an outlier to which it was fitted. kept : mask of the inliers, shape (n,)
     """
     fit = new_fit(e, columns, noise)
     x, pull = fit.estimate_from(np.flatnonzero(kept)), fit.leverage(np.flatnonzero(kept))
@@ -106,9 +121,10 @@ def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[
 
 
 def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
-    """A fold number for each pose; sizes differ by one at most.
+    """Return the index of a random fold for each pose, shape (n,); sizes differ by at most one.
 
-    alike : number of the unknown that each pose shares with others, shape (n,): its poses are spread over the folds
+    alike : index of the unknown point of each pose, shape (n,); poses with the same point are
+        spread over the folds
     """
     folds = np.random.default_rng(seed).permutation(np.arange(n) % FOLDS)
     if alike is None:
@@ -119,16 +135,19 @@ def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
 
 
 def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -> tuple[float, float]:
-    """95 % interval of 1 - mean(after)/mean(before), by bootstrap over poses."""
+    """Return the 95 % interval of 1 - mean(after) / mean(before) by bootstrap over poses."""
     means = resampled_means(np.stack([before, after]), seed, draws)
     low, high = np.quantile(1 - means[1] / means[0], [0.025, 0.975])
     return float(low), float(high)
 
 
 def resampled_means(values: Array, seed: int, draws: int) -> Array:
-    """Means over poses that are drawn with replacement, the same of all values; shape (k, n) -> (k, draws)."""
+    """Return means over poses drawn with replacement, shape (k, draws).
+
+    values : shape (k, n); every row uses the same draws
+    """
     rng, n, means = np.random.default_rng(seed), values.shape[1], np.empty((len(values), draws))
-    # Poses that a bootstrap draws at a time.
+    # Indices are drawn in blocks of about a million, which bounds memory.
     step = max(1, 1_000_000 // n)
     for start in range(0, draws, step):
         pick = rng.integers(0, n, (min(step, draws - start), n))

@@ -1,4 +1,4 @@
-"""What is computed from a diagnosis to be reported: where the gap lies, what the poses show, what to measure next."""
+"""Analyses for the report of a diagnosis: localisation, isolability, checks, next poses."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -21,13 +21,20 @@ from casadical.pose_selection.workspace import Workspace
 
 @dataclass(frozen=True, eq=False)
 class Details:
-    """What a report of a diagnosis shows besides the diagnosis; None for what was not computed.
+    """Analyses that a report shows in addition to the diagnosis; None for what was not computed.
 
-    where : see `localise`; unlisted : see `describe_unlisted`; check, networks : see `held_out_gap`
-    curves : see `joint_curves`; laws : see `laws_beside`; where the verdict is unknown, or it was asked for
-    poses : see `next_poses`; file : name of the file that they are written to, if they are
-    floor : what noise alone would leave beside the model of the page that predicts best [m]
-    ruled_out : causes that are not there: multiple of their usual size -> labels (see `isolability.ruled_out`)
+    where : localisation of the gap, see `localise`
+    isolability : what these poses can show, see `isolability`
+    unlisted : description of an unlisted cause, see `describe_unlisted`
+    check : nonlinear refit against linear model; networks : gap with a network (see `held_out_gap`)
+    curves : joint error curves, see `joint_curves`
+    laws : expressions of an unlisted effect, see `laws_beside`; computed if the verdict is unknown,
+        or on request
+    poses : next poses to measure, see `next_poses`; file : name of the file to which they are
+        written; empty if none
+    floor : held-out error by noise alone under the best model of the report [m]
+    ruled_out : labels of causes that are ruled out, by multiple of their usual size (see
+        `isolability.ruled_out`)
     """
 
     where: Localisation | None = None
@@ -43,7 +50,6 @@ class Details:
     ruled_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
-# Poses to measure next.
 def analyse(
     found: Diagnosis,
     *,
@@ -54,13 +60,15 @@ def analyse(
     file: str = "",
     show: Show = silent,
 ) -> Details:
-    """All that `casadical diagnose` reports besides the diagnosis; some seconds, with networks minutes.
+    """Compute all that `casadical diagnose` reports in addition to the diagnosis.
 
-    poses : how many to choose to be measured next
-    workspace : where the next poses may lie
-    networks : whether to train networks, instead of the causes and after them
-    laws : whether the missing law is searched for; by default where the verdict is unknown
-    file : name of the file that the next poses are written to, for the page
+    It takes some seconds, with networks minutes.
+    poses : number of poses to choose for the next measurements
+    workspace : region in which the next poses may lie
+    networks : whether to train networks, instead of the causes and in addition to them
+    laws : whether to search the expression of an unlisted effect; by default if the verdict is
+        unknown
+    file : name of the file to which the next poses are written, for the report
     show : called with a line of progress
     Raises ConvergenceError: Ipopt finds no optimum.
 
@@ -85,7 +93,7 @@ def analyse(
     show("what these poses can show")
     unlisted = describe_unlisted(found)
     out = ruled_out(found, unlisted)
-    # Noise alone is that beside the best of: causes, forms on no list, laws.
+    # The noise floor is that of the best model: causes, smooth forms or an expression.
     best, noise = found.gap.after, found.noise
     if unlisted and unlisted.beside and unlisted.after < best:
         best, noise = unlisted.after, unlisted.beside.noise[""]

@@ -1,4 +1,4 @@
-"""Diagnose what is left after calibration: the verdict, its causes, and how far the gap shrinks without them."""
+"""Diagnosis of the error that remains after calibration: verdict, causes and gap."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,10 +32,11 @@ from casadical.robot.robot import Robot
 
 __all__ = ["Diagnosis", "Masses", "diagnose"]
 
-# How the reason begins for which a kind of measurement does not determine where the base is.
+# Start of the reason (a text) for fixed parameters where measurements do not determine the base.
 UNDETERMINED_BASE_REASON = "nothing at rest"
 
-# What wrong declared masses of links are: a cause like others, or part of the base model.
+# Treatment of wrong declared link masses: a candidate cause, or nuisance parameters of the base
+# model.
 Masses = Literal["candidate", "nuisance"]
 
 
@@ -53,27 +54,33 @@ def diagnose(
 ) -> Diagnosis:
     """Diagnose the gap that calibration leaves on a campaign.
 
-    robot : nominal model, with the compliances that it should have, which is calibrated on the campaign first; or
-        robot, measurements and prior together, as `prepare` gives them; or an identification, whose own measurements
-        are diagnosed unless others of the same robot are given
-    m : one set of any kind, or several that were measured of the same robot, each with noise of its own; an unknown
-        tool turns freely where orientations were measured, and these are left aside where they contradict the model
+    robot : nominal model with the compliances that it should have, which is calibrated on the
+        campaign first; or robot, measurements and prior together, as `prepare` returns them; or an
+        identification, whose own measurements are diagnosed unless others of the same robot are
+        given
+    m : one set of any kind, or several sets of the same robot, each with its own noise; an unknown
+        tool rotation is free where orientations were measured; orientations that contradict the
+        model are ignored
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : of everything random
-    bootstrap : draws of noise alone that calibrate whether something is there (2000 take some seconds); 0 for none
-    prior : the same robot as another campaign found it, whose effects are in the base model with their values and
-        covariance as a prior; what changed is found first (`Diagnosis.changes`). Or as of `carry_over`, with its robot
-    masses : whether wrong declared masses of links are a cause that may be named, or are in the base model, free within
-        the robot's `body_width`, and never named, as those are always that nobody declared
-    laws : whether the causes that are found must hold against the best law of a form that is on no list (some 1 s for
-        100 poses); where it wins, the verdict is unknown
+    seed : of all random numbers
+    bootstrap : number of draws of pure noise that calibrate the detection (2000 take some seconds);
+        0 for none
+    prior : the same robot as identified on another campaign, whose effects enter the base model
+        with their values and covariance as a prior; changes since then are detected first
+        (`Diagnosis.changes`). Or a prior of `carry_over`, with its robot
+    masses : "candidate": wrong declared link masses are a cause that may be named; "nuisance": they
+        are free in the base model within the robot's `body_width` and never named, as undeclared
+        masses always are
+    laws : whether the causes must hold against the best expression of an unlisted effect (about 1 s
+        for 100 poses); if the expression wins, the verdict is unknown
     show : called with a line of progress
-    Returns verdict, causes and gap; what costs more is computed when asked for.
+    Returns verdict, causes and gap; more expensive results are computed on request.
     Raises InputError: where the measurements cannot carry a diagnosis.
 
     Examples
     --------
-    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity", "backlash"])
+    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity",
+        "backlash"])
     >>> diagnosis.verdict, [cause.label for cause in diagnosis.causes]
     ('explained', ['gear_eccentricity@2'])
     """
@@ -85,7 +92,7 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """A diagnosis while it is made: what it is of, and the arguments of `diagnose`."""
+    """A diagnosis in progress: robot, measurements and the arguments of `diagnose`."""
 
     prepared: Prepared
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"]
@@ -96,9 +103,10 @@ class _Question:
 
     @cached_property
     def base(self) -> Identification:
-        """The base model calibrated; gross errors have little weight, and are screened with the causes, not before.
+        """Return the calibrated base model, fitted robustly; outliers are screened later.
 
-        Orientations of another convention than the robot's would spoil it: they are left aside where they do not fit.
+        Orientations that do not fit the robot (of another convention, for example) are ignored,
+        because they would distort the base model.
         """
         given = self.prepared
         if given.identification:
@@ -106,8 +114,7 @@ class _Question:
         self.show("calibrating the base model")
         sets = tuple(m.positions_alone() if fault_of_orientations(given.robot, m) else m for m in given.sets)
         calibration = base_calibrated(prepared := replace(given, sets=sets))
-        # Orientations that the base model leaves so far off [rad] are of another convention, not
-        # noisy.
+        # A standard deviation of orientations above 0.05 rad means another convention, not noise.
         off = [m.orientation is not None and s[1] > 0.05 for m, s in zip(sets, calibration.problem.sigmas, strict=True)]
         if not any(off):
             return calibration
@@ -116,7 +123,10 @@ class _Question:
 
     @cached_property
     def candidates(self) -> Sequence[Candidate]:
-        """Of causes; of several sessions, a foot or an instrument that moved between them is one, too."""
+        """Return the candidate causes.
+
+        With several sessions, a step of the base or instrument between them is one, too.
+        """
         given, effects = self.base.given, self.effects
         self.show("signatures of the candidates")
         if effects == "standard" and given.sessions.base == "shared" and len(sessions_in(self.prepared.sets)) > 1:
@@ -124,19 +134,20 @@ class _Question:
         return candidates_of(given, effects)
 
     def case(self, ratios: Ratios | None = None) -> Case:
-        """The linear problem, without what is known from elsewhere; ratios : see `make_case`."""
+        """Return the case without a prior from another campaign; ratios : see `make_case`."""
         return make_case(self.base, self.candidates, self.prepared.free, ratios)
 
     def with_known(self, case: Case, known: Prior) -> Case:
-        """The case with what an earlier campaign told and what did not change since."""
+        """Return the case with the prior of an earlier campaign on what did not change since."""
         return case.with_prior(known, self.base.sigmas[0][0]) if known.free else case
 
     def searched(self, case: Case) -> Diagnosis:
-        """The causes in a case; also those that a joint's scatter hides.
+        """Return the diagnosis of a case, including causes that the noise of one joint hides.
 
-        A scatter that leads a ranking ends the search. Causes are then searched with it in the noise, which their
-        probabilities are of. What they leave is judged without it: it may be what something on no list does at that
-        joint, and stays unknown.
+        The search ends when a noisy joint is the most probable cause. Causes are then searched with
+        this joint's larger repeatability error in the noise, under which their probabilities hold.
+        The remaining error is judged without it: an unlisted effect at that joint may cause it, so
+        that the verdict remains unknown.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
@@ -154,14 +165,15 @@ class _Question:
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
 
     def answer(self) -> Diagnosis:
-        """The diagnosis; searched again where the noise turns out other than it was taken for."""
+        """Return the diagnosis; the search is repeated if the noise differs from the assumption."""
         prior = self.prepared.prior
         case, known, changed = self.case(), prior, tuple[Change, ...]()
         if prior.free:
             self.show("what changed since the campaign of the prior")
             changed, known = changes(case, prior)
         found = self.searched(case := self.with_known(case, known))
-        # Times that the ratios of several noises are estimated again with the causes in the model.
+        # The ratios of the sets' noise are estimated again with the causes in the model, at most
+        # twice.
         for _ in range(2):
             ratios = better_ratios(found.case, found.columns, found.noise)
             if ratios is None:
@@ -184,7 +196,7 @@ def _prepared(
     prior: Robot | Prior | None,
     masses: Masses,
 ) -> Prepared:
-    """What is diagnosed: a robot and its measurements, made ready here unless they are. Raises InputError."""
+    """Return robot and measurements prepared for a diagnosis. Raises InputError."""
     if isinstance(robot, Prepared):
         given = {"m": m is not None, "prior": prior is not None, "masses": masses != "candidate"}
         if any(given.values()):
@@ -210,14 +222,17 @@ def _prepared(
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
-    """The diagnosis, without its causes where a law explains better what is there, or in place of noise of any size.
+    """Return the diagnosis without its causes if an expression explains the data better.
 
-    An effect whose sizes are learnt has more freedom than any law and is not compared; nor are distances between poses.
+    The best expression is attached otherwise. Without causes, it is searched in place of unanchored
+    noise. Effects with learnt sizes have more freedom than any expression and are not compared; nor
+    are distances between poses.
     """
     effects, e = found.effects(), found.case.evidence
-    done = not effects and found.verdict in ("none", "explained")  # by outliers alone
-    # Laws are looked for in place of noise where so many numbers were measured beyond those that
-    # the base model takes.
+    # The verdict may be "explained" by outliers alone.
+    done = not effects and found.verdict in ("none", "explained")
+    # Expressions are searched in place of noise only with at least 24 degrees of freedom beyond
+    # those that the base model absorbs.
     noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= 24
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
@@ -229,7 +244,7 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
 
 
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:
-    """What was taken for granted of kinds of measurement other than positions."""
+    """Return, as sentences, what was assumed of kinds of measurement other than positions."""
     said = [
         f"{m.source}: its orientations do not fit the robot and are left aside; check their convention and frame"
         for m, used in zip(given, found.measurements, strict=False)
@@ -260,7 +275,10 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
 
 
 def _refuse_coarser(found: Diagnosis) -> Diagnosis:
-    """Where even the best model leaves more than the widest noise grid holds, the robot is not the file's."""
+    """Return the diagnosis. Raises InputError if its noise lies beyond the widest noise grid.
+
+    The robot then differs from its file.
+    """
     most = float(WIDE_SIGMA_GRID_M[-1])
     if found.noise.sigma < most:
         return found

@@ -58,7 +58,8 @@ def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula |
 def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:
     """Return the derivative of the seam variables by the effect's parameters.
 
-    It is taken at zero of the parameters.
+    Its shape is (seams, parameters); it is taken at zero of the parameters.
+    logged : symbols of the logged columns by name
     """
     parameters = effect.parameters()
     theta = ca.SX.sym("theta", len(parameters))

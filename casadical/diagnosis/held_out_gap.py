@@ -1,4 +1,4 @@
-"""How far the gap shrinks on held-out poses: cause by cause, in the nonlinear refit, with networks."""
+"""Gap on held-out poses: cause by cause, in the nonlinear refit, and with networks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,9 @@ from casadical.measurements.measurements import Noise
 if TYPE_CHECKING:
     from casadical.compensator import Trainer
 
+# Bootstrap samples of the poses for intervals.
 BOOTSTRAP_DRAWS = 1000
+# Columns of the table of `course`.
 COURSE_COLUMNS = (
     "model",
     "gap_mm",
@@ -46,7 +48,11 @@ COURSE_COLUMNS = (
 
 @dataclass(frozen=True, eq=False)
 class Stage:
-    """The model at one stage: what was added last, columns of all causes in it, the noise that it leaves."""
+    """The model at one stage of the search.
+
+    added : what was added last; columns : of all causes in it, shape (k,); noise : what it leaves
+        as noise
+    """
 
     added: str
     columns: Array
@@ -54,14 +60,18 @@ class Stage:
 
 
 def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: Noise, seed: int) -> pd.DataFrame:
-    """A row for each stage, all on the same poses, the outliers left out.
+    """Return a table with a row for each stage, all on the same inlier poses.
 
-    model : "base", or "+ label"; gap_mm : mean held-out position error over partitions into fifths, low_mm and high_mm
-    its 95 % interval by bootstrap over poses; loo_mm : the same with each pose left out alone
-    blocks_mm : with contiguous fifths of the campaign left out, which tests the prediction of effects of time and
-    temperature
-    model_mm : rms held-out error with the noise's own mean square taken off, with a 95 % interval: what a noiseless
-    instrument would read
+    model : "base", or "+ label"
+    gap_mm : mean held-out position error over partitions into fifths; low_mm, high_mm : its 95 %
+        interval by bootstrap over poses
+    loo_mm : the same by leave-one-out
+    blocks_mm : the same with contiguous fifths of the campaign held out, which tests the prediction
+        of effects of time and temperature
+    model_mm : rms held-out error after subtraction of the noise's mean square, as a noiseless
+        instrument would read;
+        model_low_mm, model_high_mm : its 95 % interval
+    folds : partitions into folds, shape (n_inliers,) each; noise : that is subtracted
     """
     e = case.evidence
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
@@ -79,11 +89,12 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
 
 
 def time_blocks(case: Case) -> Array:
-    """Number of the contiguous fifth of the campaign in which each kept pose was measured, shape (kept,)."""
+    """Return the fifth of the campaign in which each inlier was measured, (n_inliers,)."""
     order, alike = np.argsort(case.order, kind="stable"), case.evidence.alike
     if alike is None:
         return np.asarray(FOLDS * order // len(order))
-    # A point that is measured in one block alone could not be predicted: blocks of each point's own poses.
+    # An unknown point that is measured in one block only could not be predicted; so each point's
+    # poses are divided into blocks.
     blocks = np.empty(len(order), dtype=np.int64)
     for point in np.unique(alike):
         own = np.flatnonzero(alike == point)
@@ -92,35 +103,40 @@ def time_blocks(case: Case) -> Array:
 
 
 def of_time(effects: Sequence[Effect]) -> bool:
-    """Whether any of the effects follows time or temperature, so that leaving out single poses flatters it."""
+    """Return whether any effect depends on time or temperature.
+
+    Leave-one-out errors of such effects are optimistic.
+    """
     return any(c == "progress" or c.startswith("warmth") for e in effects for c in e.conditions)
 
 
 @dataclass(frozen=True)
 class Check:
-    """Mean held-out gap [m] of the refit, fifths of the poses predicted by the others, and of the linearised model."""
+    """Mean held-out gap [m], in fifths, of the nonlinear refit and of the linear model."""
 
     refit: float
     linearised: float
 
     @property
     def agree(self) -> bool:
-        """Whether the two differ by no more than a tenth."""
+        """Return whether the two differ by at most a tenth."""
         return abs(self.refit / self.linearised - 1) <= 0.1
 
 
 def check_refit(found: Diagnosis, show: Show = silent) -> Check:
-    """Held-out gap of the nonlinear refit beside that of the linearised model.
+    """Return the held-out gap of the nonlinear refit and that of the linear model.
 
-    Ipopt refits all poses once; each fifth is then left out by a Gauss-Newton step from that optimum: it moves the
-    parameters by a few standard errors at most, within which the model is linear.
+    Ipopt refits all poses once; each fifth is then removed by a Gauss-Newton step from that
+    optimum, which moves the parameters by a few standard errors at most, within which the model is
+    linear.
 
     Raises ConvergenceError: Ipopt finds no optimum.
     """
     case, effects = found.case, found.effects()
     folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
     sets = refit_measurements(case, effects, found.noise)
-    if case.observations.plain:  # positions are weighed by the noise that was found in the fit alone
+    # For positions the estimated noise is the weight in the fit only.
+    if case.observations.plain:
         sets = tuple(m.positions_alone() for m in sets)
     show("refit of all poses")
     whole = found.refit()
@@ -139,10 +155,12 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
 
 @dataclass(frozen=True)
 class NetworkGap:
-    """Mean held-out error [m] of a model, and of the model with a network trained on what it leaves of the same poses.
+    """Mean held-out error [m] of a model alone and with a network trained on its residuals.
 
-    before : of the model alone, on the same fifths; used : with the network where the training poses said that it helps
-    forced : with the network in any case; refused : in how many of the five trainings it was refused
+    before : model alone, on the same fifths; used : with the network where the training poses
+        indicate that it helps
+    forced : with the network in any case; refused : number of the five trainings in which it was
+        refused
     """
 
     before: float
@@ -152,7 +170,7 @@ class NetworkGap:
 
 
 def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
-    """The gap when the paper's network is used instead of the causes, and on what the causes leave."""
+    """Return the gap with the paper's network instead of the causes, and after them."""
     alone = network_gap(found.case, NO_COLUMNS, found.rankings[0].noise[""], found.seed, show=show)
     return alone, network_gap(found.case, found.columns, found.noise, found.seed, show=show)
 
@@ -160,12 +178,13 @@ def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, Net
 def network_gap(
     case: Case, columns: Array, noise: Noise, seed: int, trainer: Trainer | str = "lm", show: Show = silent
 ) -> NetworkGap:
-    """Train the paper's 6-5-3 network on four fifths of the poses and try it on the last, five times.
+    """Return the held-out error with the paper's 6-5-3 network in five-fold training.
 
-    columns : of the causes in the model, refitted to each four fifths; the network sees joint readings alone
-    trainer : one of `known_trainers` by its name, or one with its settings
+    columns : of the causes in the model, refitted to each four fifths, shape (k,); the network's
+        inputs are joint readings only
+    trainer : name of one of `known_trainers`, or a trainer with its settings
     """
-    # Loaded where a network is asked for: it takes a tenth of the time of all imports.
+    # Imported on demand, because it takes a tenth of the time of all imports.
     from casadical.compensator import Compensator
 
     e, q = case.evidence, case.m.q[case.kept]

@@ -274,7 +274,7 @@ class _WhitenedResidual:
 
     @cached_property
     def _frames(self) -> Mapping[str, Array]:
-        """Return each frame's axes as columns, shape (n, numbers, 3); none without positions."""
+        """Return each frame's axes as columns, shape (n, numbers, 3); empty for other kinds."""
         if self.case.vectors is None:
             return {}
         p, n = self.case.positions[self.at], len(self.at)
