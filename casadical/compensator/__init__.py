@@ -1,4 +1,4 @@
-"""A small network that learns the error left after calibration. It can be used alone: it loads no kinematics."""
+"""Small neural network that corrects the errors that remain after calibration."""
 
 from casadical.compensator.compensator import Compensator, train
 from casadical.compensator.iwo import InvasiveWeeds, IwoSettings, iwo_minimise

@@ -1,4 +1,4 @@
-"""JSON files that carry their own sha256, written in one piece and refused when anything in them was changed.
+"""JSON files with their own sha256, written atomically and refused if anything in them was changed.
 
 The checksum protects from damage and careless edits, not from someone who computes a new one.
 """
@@ -15,7 +15,10 @@ from casadical.core.reading import MAX_JSON_BYTES, json_of, read_text
 
 
 def digest(body: dict[str, Any]) -> str:
-    """Return the sha256 of a JSON body: keys sorted, no spaces, numbers as Python's shortest exact decimals."""
+    """Return the sha256 of a JSON body in canonical form.
+
+    Keys are sorted, there are no spaces, and numbers are Python's shortest exact decimals.
+    """
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
@@ -27,12 +30,12 @@ def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
 
 
 def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
-    """Write a body with its checksum, whole or not at all. Raises InputError where it cannot be written."""
+    """Write a body with its checksum, atomically. Raises InputError where it cannot be written."""
     write_whole(Path(path), checksummed(kind, version, body))
 
 
 def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
-    """Read a file that `write_checksummed` wrote; its fields without the checksum.
+    """Return the fields of a file that `write_checksummed` wrote, without the checksum.
 
     Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
     """
@@ -52,7 +55,7 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
 
 
 def _intact(document: dict[str, Any], text: str) -> bool:
-    """Tell whether the checksum fits and the text is the one its values are written as: no digit may differ."""
+    """Return whether the checksum fits and the text is the canonical one to the last digit."""
     try:
         body = {name: value for name, value in document.items() if name != "sha256"}
         return document.get("sha256") == digest(body) and json_text(document) == text

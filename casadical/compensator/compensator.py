@@ -1,6 +1,9 @@
-"""The compensator of the error left after calibration (paper, section 4); it is kept only if it helps.
+"""Compensator of the error that remains after calibration (paper, section 4).
 
-Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added to the computed one.
+A network is kept only if it reduces the error of poses on which it was not trained.
+
+Sign: the residual is measured minus computed position (paper, eq. 9), and the correction is added
+to the computed one. Positions are in the measuring frame.
 """
 
 import hashlib
@@ -24,7 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a job stands: training of so many trainings, step of this one, loss [mm^2] of the best weights so far."""
+    """Progress of a series of trainings.
+
+    training, trainings : number of the current one, from 1, and of all
+    step : of the current training
+    loss_mm2 : of its best weights so far [mm^2]
+    """
 
     training: int
     trainings: int
@@ -36,9 +44,12 @@ class Progress:
 class Training:
     """Outcome of one training.
 
-    weights : shape (count,); loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
-    steps : how many; reasons : why it stopped; note : what the trainer chose
-    history : (step, loss [mm^2]) now and then
+    weights : shape (count,)
+    loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
+    steps : number of steps
+    reasons : why it stopped
+    note : what the trainer chose
+    history : (step, loss [mm^2]) at regular intervals
     """
 
     weights: Array = field(repr=False)
@@ -57,7 +68,7 @@ def train(
     every: int = 50,
     progress: Callable[[Progress], None] | None = None,
 ) -> Training:
-    """Train one network; see `train_all`.
+    """Train one network and return the outcome; see `train_all`.
 
     task : the training problem; trainer, seed, every, progress : as of `train_all`
 
@@ -80,14 +91,14 @@ def train_all(
     every: int = 50,
     progress: Callable[[Progress], None] | None = None,
 ) -> list[Training]:
-    """Train one network for each task, one after the other.
+    """Train one network for each task, one after the other, and return the outcomes.
 
     tasks : training problems
     trainer : with its settings
-    seed : of everything random
+    seed : of all random numbers
     every : steps between two calls of ``progress`` and two entries of the history
-    progress : called with where the job stands
-    Raises InputError.
+    progress : called with the state of the series
+    Raises InputError: ``every`` is below 1.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")
@@ -114,7 +125,7 @@ Data = tuple[ArrayLike, ArrayLike]
 
 @dataclass(frozen=True, eq=False)
 class Compensator:
-    """A trained compensator, or the null one when the network was refused.
+    """A trained compensator, or the null one if the network was refused.
 
     network : the one in use; None: the null compensator, which corrects nothing
     layout : sizes of the network
@@ -178,7 +189,8 @@ class Compensator:
         margin: float = 1.0,
         progress: Callable[[Progress], None] | None = None,
     ) -> Self:
-        """Train a network on residuals and keep it only where it helps.
+        """Return a network trained on residuals, or the null compensator if it does not help.
+
 
         q : shape (n, joints) [rad]: readings of the training poses
         residual_mm : shape (n, outputs) [mm]: their residuals, measured less computed
@@ -193,7 +205,6 @@ class Compensator:
         folds : trainings of the cross-validation, where `choose` is not given
         margin : the gain must exceed so many of its standard errors
         progress : see `train_all`
-        Returns the network, or the null compensator where it does not help
         Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
         """
         rows = joint_angles(q, layout.joints if layout else None)
@@ -246,12 +257,12 @@ class Compensator:
 
     @property
     def helps(self) -> bool:
-        """Tell whether there is a network in use."""
+        """Whether a network is in use."""
         return self.network is not None
 
     @property
     def verdict(self) -> str:
-        """Say in words whether the network helps, and by how much on poses it was not trained on."""
+        """A sentence whether the network helps, with its gain on poses not trained on."""
         c = self.choice
         change = f"{c.before.mean_mm:.4g} -> {c.after.mean_mm:.4g} mm on poses not trained on, by {self.chosen_by}"
         gain = f"gain {100 * c.gain:.1f} % +/- {100 * c.gain_error:.1f} %"
@@ -269,7 +280,9 @@ class Compensator:
         return f"{self.verdict}\n{which}{table(rows)}\n{self.trainer}, seed {self.seed}: {self.note}"
 
     def correction_mm(self, q: ArrayLike) -> Array:
-        """What to add to computed positions, shape (n, outputs) or (outputs,) [mm]; zeros of the null compensator.
+        """Return what to add to computed positions, shape (n, outputs) or (outputs,) [mm].
+
+        The null compensator returns zeros.
 
         q : joint readings, shape (n, joints) or (joints,) [rad]; extrapolated outside of ``trained_box``, see `inside`
         """
@@ -279,11 +292,13 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether training saw such angles: boolean, shape (n,)."""
+        """Return whether each row of q, (n, joints) [rad], is in the training range, shape (n,)."""
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
-        """Return ``network:(q[joints] rad)->(dp[outputs] mm)``; zeros from the null one."""
+        """Return the CasADi function ``network:(q[joints] rad)->(dp[outputs] mm)``.
+
+        That of the null compensator is zero."""
         if self.network is not None:
             return self.network.function()
         import casadi
@@ -293,6 +308,7 @@ class Compensator:
 
 
 def _apply(network: Network, data: Data) -> BeforeAfter:
+    """Return the errors of poses (q, residual_mm) without and with a network."""
     rows = joint_angles(data[0], network.layout.joints)
     before = residuals(data[1], len(rows), network.layout.outputs)
     return BeforeAfter.compare(before, before - network.output_mm(rows))

@@ -1,9 +1,11 @@
-"""Invasive weed optimisation, ask and tell (paper, eqs. 13 and 15-17; Mehrabian and Lucas 2006).
+"""Invasive weed optimisation with an ask-and-tell interface (Mehrabian and Lucas 2006).
 
-The paper dates the method's source 2016; it is of 2006. Its eq. 17 multiplies the step by K with elements in [0, 1], so
-that no child is ever smaller than its parent in any coordinate and the colony drifts into its upper bounds; the source
-uses steps of zero mean. ``dispersal="normal"`` follows the source, ``dispersal="literal"`` the print. Eqs. 15-16 divide
-by zero when all members are equally fit; then every member counts as a best one.
+It follows the paper's eqs. 13 and 15-17, with errata: the paper dates the method's source 2016; it
+is of 2006. Its eq. 17 multiplies the step by K with elements in [0, 1], so that no child is ever
+smaller than its parent in any coordinate and the colony drifts into its upper bounds; the source
+uses steps of zero mean. ``dispersal="normal"`` follows the source, ``dispersal="literal"`` the
+paper as printed. Eqs. 15-16 divide by zero if all members are equally fit; here every member then
+counts as a best one.
 """
 
 from collections.abc import Callable
@@ -21,18 +23,18 @@ from casadical.core.basics import Array, InputError
 class IwoSettings:
     """Settings of the search; the defaults are the paper's (section 4).
 
-    initial : members at the start
-    maximum : members at most
+    initial : number of members at the start
+    maximum : largest number of members
     seeds_min : children of the worst member
     seeds_max : children of the best member
     exponent : of eq. 13
-    sigma_initial : of eq. 13, at the start [as of the bounds]
-    sigma_final : of eq. 13, at the end [as of the bounds]
-    lower, upper : bound of every coordinate, or one a coordinate
+    sigma_initial : standard deviation of steps at the start, eq. 13 [unit of the bounds]
+    sigma_final : standard deviation of steps at the end, eq. 13 [unit of the bounds]
+    lower, upper : bounds of all coordinates, or one for each coordinate
     dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1]
-    iterations : generations at most
-    target : loss at which it stops; None: none
-    patience : generations in a row without a better loss after which it stops; None: none
+    iterations : largest number of generations
+    target : loss at which the search stops; None: none
+    patience : number of generations without a lower loss after which the search stops; None: none
 
     Examples
     --------
@@ -70,15 +72,20 @@ class IwoSettings:
             raise InputError(f"iterations and patience must be at least 1; got {self.iterations}, {self.patience}")
 
     def sigma(self, iteration: int) -> float:
-        """Return the standard deviation of generation ``iteration`` = 0 .. iterations [as of the bounds] (eq. 13)."""
+        """Return the standard deviation of steps in a generation [unit of the bounds] (eq. 13).
+
+        iteration : number of the generation, 0 .. iterations"""
         left = (self.iterations - iteration) / self.iterations
         return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
 
 
 def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
-    """Return the number of children of every member (eqs. 15-16); all are best when all losses are equal.
+    """Return the number of children of every member, shape (members,) (eqs. 15-16).
 
-    losses : array, shape (members,). A member whose loss is not finite has the fewest children.
+    If all losses are equal, all members count as best. A member whose loss is not finite has the
+    fewest.
+
+    losses : shape (members,)
     """
     best, worst = losses.min(), losses.max()
     if not isfinite(worst):
@@ -91,7 +98,12 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 
 @dataclass(frozen=True)
 class IwoHistory:
-    """A search's course by generation: evaluations so far, loss of the best and the worst member, step size."""
+    """History of a search by generation.
+
+    evaluations : number so far
+    best, worst : loss of the best and the worst member
+    sigma : standard deviation of the steps
+    """
 
     evaluations: tuple[int, ...] = ()
     best: tuple[float, ...] = ()
@@ -101,7 +113,14 @@ class IwoHistory:
 
 @dataclass(frozen=True, eq=False)
 class IwoResult:
-    """Outcome of a search: best point x, shape (dimension,) [as of the bounds], loss, why it stopped, the course."""
+    """Outcome of a search.
+
+    x : best point, shape (dimension,) [unit of the bounds]
+    loss : at x
+    reasons : why the search stopped
+    evaluations : number of evaluated points
+    history : by generation
+    """
 
     x: Array
     loss: float
@@ -135,7 +154,7 @@ class InvasiveWeeds:
         self.dimension = dimension
         self._random = np.random.default_rng(seed)
         try:
-            # One number for all is clipped at faster than an array of them.
+            # A scalar bound is kept as a scalar, because clipping at it is faster.
             self._lower, self._upper = (np.asarray(b, float) for b in (self.settings.lower, self.settings.upper))
             np.broadcast_to(self._lower + self._upper, (dimension,))
         except ValueError:
@@ -152,7 +171,10 @@ class InvasiveWeeds:
             raise InputError(f"start must have shape (k, {dimension}); its shape is {self._start.shape}")
 
     def ask(self) -> Array:
-        """Return the points to evaluate next, shape (k, dimension) [as of the bounds]; the same ones until told."""
+        """Return the points to evaluate next, shape (k, dimension) [unit of the bounds].
+
+        They stay the same until `tell` is called.
+        """
         if self._asked is None and self.iteration < 0:
             missing = max(self.settings.initial - len(self._start), 0)
             random = self._random.uniform(self._lower, self._upper, (missing, self.dimension))
@@ -162,8 +184,9 @@ class InvasiveWeeds:
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
-        """Take the losses, shape (k,), of the asked points; parents compete. A NaN counts as an infinite loss.
+        """Take the losses, shape (k,), of the points of `ask`, and select the next members.
 
+        Parents compete with their children; a NaN counts as an infinite loss.
         Raises InputError: no ask() before, or another number of losses.
         """
         if self._asked is None:
@@ -186,7 +209,7 @@ class InvasiveWeeds:
         self._asked = None
 
     def stop(self) -> tuple[str, ...]:
-        """Return the reasons to stop; empty while the search should go on."""
+        """Return the reasons to stop; empty as long as the search should continue."""
         reasons, s = [], self.settings
         if self.iteration >= s.iterations:
             reasons.append(f"iterations: all {s.iterations} generations done")
@@ -204,6 +227,7 @@ class InvasiveWeeds:
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def _children(self) -> Array:
+        """Return the children of all members, clipped at the bounds, shape (k, dimension)."""
         s = self.settings
         counts = seed_counts(self.losses, s.seeds_min, s.seeds_max)
         children = self.members.repeat(counts, axis=0)
@@ -225,7 +249,7 @@ def iwo_minimise(
     vectorised: bool = True,
     start: ArrayLike | None = None,
 ) -> IwoResult:
-    """Minimise any objective by invasive weed optimisation; units are those of the objective.
+    """Return the minimum of an objective, found by invasive weed optimisation.
 
     objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
         (dimension,), and returns its loss

@@ -1,8 +1,9 @@
-"""Layer sizes of a compensator network, its weight vector and its scaled inputs.
+"""Layout of a compensator network: layer sizes, order of the weight vector, scaling of the inputs.
 
-The one map between weight vector and layers: layer after layer from the inputs to the outputs, in each layer neuron
-after neuron, and for each neuron its input weights followed by its bias. A layer of m neurons on k inputs is thus the
-matrix ``[W | b]`` of shape (m, k + 1), row by row. The paper's 6-5-3 network has 5 * 7 + 3 * 6 = 53 weights.
+The weight vector runs layer after layer from the inputs to the outputs, in each layer neuron after
+neuron, and for each neuron through its input weights and then its bias. A layer of m neurons on k
+inputs is thus the matrix ``[W | b]`` of shape (m, k + 1), row by row. The paper's 6-5-3 network has
+5 * 7 + 3 * 6 = 53 weights.
 """
 
 from collections.abc import Sequence
@@ -19,8 +20,8 @@ from casadical.core.basics import Array, InputError
 class Layout:
     """Sizes of a network.
 
-    joints : number of joint angles it is given
-    hidden : neurons of each hidden layer, first to last (tansig)
+    joints : number of joint angles that are its input
+    hidden : number of neurons of each hidden layer, first to last (tansig)
     outputs : number of outputs (linear)
     periodic : joints, counted from 0, that enter as (sin q, cos q) instead of as a scaled angle
 
@@ -52,21 +53,22 @@ class Layout:
 
     @property
     def features(self) -> int:
-        """Number of network inputs: one a joint, two for a periodic one."""
+        """The number of network inputs: one for each joint, two for a periodic one."""
         return self.joints + len(self.periodic)
 
     @cached_property
     def shapes(self) -> tuple[tuple[int, int], ...]:
-        """Shape of ``[W | b]`` of every layer, inputs to outputs."""
+        """The shape of ``[W | b]`` of every layer, inputs to outputs."""
         sizes = (self.features, *self.hidden, self.outputs)
         return tuple((m, k + 1) for k, m in pairwise(sizes))
 
     @cached_property
     def count(self) -> int:
+        """The number of weights."""
         return sum(m * k for m, k in self.shapes)
 
     def layers(self, weights: Array) -> list[Array]:
-        """Split weights, shape (..., count), into one array (..., m, k + 1) a layer, a row of each neuron.
+        """Split weights, shape (..., count), into one array (..., m, k + 1) for each layer.
 
         Raises InputError: another number of weights.
         """
@@ -81,7 +83,7 @@ class Layout:
         ]
 
     def weights(self, layers: Sequence[Array]) -> Array:
-        """Join layers, shape (..., m, k + 1) each, into weights, shape (..., count): the inverse of `layers`.
+        """Join layers, shape (..., m, k + 1) each, into weights, shape (..., count).
 
         Raises InputError: layers of other shapes.
         """
@@ -91,7 +93,7 @@ class Layout:
         return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
 
     def output_biases(self) -> Array:
-        """Mark the biases of the output layer in a weight vector. Returns an array, shape (count,): boolean"""
+        """Return a mask of the output layer's biases in a weight vector, shape (count,)."""
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
         return np.concatenate([mark.ravel() for mark in marks])
@@ -99,10 +101,11 @@ class Layout:
 
 @dataclass(frozen=True)
 class JointBox:
-    """Joint ranges that a network is scaled by and trusted in.
+    """Joint ranges by which a network's inputs are scaled and within which it is valid.
 
-    lower : one angle a joint [rad]; it is sent to -1
-    upper : one angle a joint [rad]; it is sent to +1; a joint that does not move (lower == upper) is sent to q - lower
+    lower : for each joint [rad]; it is mapped to -1
+    upper : for each joint [rad]; it is mapped to +1; a joint that does not move (lower == upper) is
+        mapped to q - lower
 
     Examples
     --------
@@ -126,17 +129,17 @@ class JointBox:
 
     @property
     def centre(self) -> Array:
-        """Middle of every range, shape (joints,) [rad]."""
+        """The middle of every range, shape (joints,) [rad]."""
         return 0.5 * np.add(self.lower, self.upper, dtype=np.float64)
 
     @property
     def half_width(self) -> Array:
-        """Half of every range, shape (joints,) [rad]; 1 where the joint does not move."""
+        """The half of every range, shape (joints,) [rad]; 1 for a joint that does not move."""
         half = 0.5 * np.subtract(self.upper, self.lower, dtype=np.float64)
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> Array:
-        """Tell for every row of q, shape (n, joints) [rad], whether it lies in the box: boolean, shape (n,)."""
+        """Return whether each row of q, (n, joints) [rad], lies in the box, shape (n,)."""
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 
@@ -147,9 +150,10 @@ def box_around(q: Array) -> JointBox:
 
 
 def network_inputs(layout: Layout, box: JointBox, q: Array) -> Array:
-    """Scale joint angles q, shape (n, joints) [rad], to network inputs, shape (features + 1, n).
+    """Return joint angles q, shape (n, joints) [rad], as network inputs, shape (features + 1, n).
 
-    Joint after joint its scaled angle, or sin and cos of a periodic one; the last row is one, the input of the biases.
+    The rows are, joint after joint, the scaled angle, or sin and cos of a periodic joint. The last
+    row is one: the input of the biases.
     """
     rows: list[Array] = []
     centre, half = box.centre, box.half_width

@@ -1,10 +1,14 @@
-"""The compensator network: joint angles [rad] -> position correction [mm], in numpy and in CasADi (paper, eq. 10).
+"""Compensator network: joint angles [rad] -> position correction [mm] (paper, eq. 10).
 
-The equation prints tansig(a) = 2 / (1 + exp(-2a)), without the -1 that makes it odd and bounded by +-1; here it is
-2 / (1 + exp(-2a)) - 1, which is tanh(a). A whole colony of networks is computed at once. Shapes: P networks, N samples,
-O outputs, weights (P, count), inputs (features + 1, N) from `network_inputs`.
+It is computed in NumPy and in CasADi.
 
-What a trainer is given: scaled inputs and targets, folds of them, and the paper's loss (eqs. 12 and 14).
+The equation prints tansig(a) = 2 / (1 + exp(-2a)), without the -1 that makes it odd and bounded by
++-1; here it is 2 / (1 + exp(-2a)) - 1, which is tanh(a). A whole colony of networks is computed at
+once. Shapes: P networks, N samples, O outputs, weights (P, count), inputs (features + 1, N) from
+`network_inputs`.
+
+The training task is defined here too: scaled inputs and targets, folds of them, and the paper's
+loss (eqs. 12 and 14).
 """
 
 from dataclasses import dataclass, field
@@ -21,39 +25,47 @@ if TYPE_CHECKING:
     import casadi
 
 
-class Memory:
-    """Arrays for the layers' outputs, kept from call to call: fresh memory costs more than the products in it."""
+class OutputBuffers:
+    """Reusable arrays for the layers' outputs.
+
+    Allocating new memory in each call costs more than the matrix products.
+    """
 
     def __init__(self) -> None:
         self._arrays: dict[tuple[int, bool], Array] = {}
 
     def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any], ones: bool = False) -> Array:
-        """An array of this shape, whatever it holds; with `ones` its last rows hold ones, which nobody writes to."""
-        held, tail = self._arrays.get((level, ones)), shape[1:]
-        if held is None or held.dtype != dtype or held.shape[1:] != tail or len(held) < shape[0]:
-            held = self._arrays[level, ones] = (np.ones if ones else np.empty)(shape, dtype)
-        return held[: shape[0]]
+        """Return an array of this shape with undefined content, initially ones if `ones` is set.
+
+        The last row, the input of the biases, is never written to and therefore stays one.
+        """
+        buffer, tail = self._arrays.get((level, ones)), shape[1:]
+        if buffer is None or buffer.dtype != dtype or buffer.shape[1:] != tail or len(buffer) < shape[0]:
+            buffer = self._arrays[level, ones] = (np.ones if ones else np.empty)(shape, dtype)
+        return buffer[: shape[0]]
 
 
-def forward(layout: Layout, weights: Array, inputs: Array, memory: Memory | None = None) -> Array:
-    """Return the outputs of every network for every sample, shape (P, O, N), in the precision of the arguments.
+def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffers | None = None) -> Array:
+    """Return the outputs of every network for every sample, shape (P, O, N).
 
-    memory : where the outputs are; the next call with it overwrites them
+    The precision is that of the arguments.
+
+    buffers : memory for the outputs; the next call with it overwrites them
     """
     first, *rest = layout.layers(weights)
-    memory, samples, dtype = memory or Memory(), inputs.shape[1], np.result_type(weights, inputs)
+    buffers, samples, dtype = buffers or OutputBuffers(), inputs.shape[1], np.result_type(weights, inputs)
     # The first layer sees the same inputs in every network: one matrix product for the whole colony.
-    z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=memory(0, (first[..., 0].size, samples), dtype))
+    z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype))
     z = z.reshape(len(weights), -1, samples)
     for level, layer in enumerate(rest, 1):
-        entering = memory(level, (len(weights), layer.shape[2], samples), dtype, ones=True)
+        entering = buffers(level, (len(weights), layer.shape[2], samples), dtype, ones=True)
         np.tanh(z, out=entering[:, :-1])
-        z = np.matmul(layer, entering, out=memory(level, (*layer.shape[:2], samples), dtype))
+        z = np.matmul(layer, entering, out=buffers(level, (*layer.shape[:2], samples), dtype))
     return z
 
 
 def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
-    """Return what enters every layer, shape (P, k + 1, N) each with its last row one, and then the outputs."""
+    """Return every layer's input, shape (P, k + 1, N), with a last row of ones, and the outputs."""
     count, samples = len(weights), inputs.shape[1]
     enters = [np.broadcast_to(inputs, (count, *inputs.shape))]
     layers = layout.layers(weights)
@@ -65,7 +77,10 @@ def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
 
 
 def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) -> Array:
-    """Back-propagate: gradient of a scalar by the weights, (P, count); sensitivity : by the outputs, (P, O, N)."""
+    """Return the gradient of a scalar by the weights, shape (P, count), by back-propagation.
+
+    sensitivity : its gradient by the outputs, shape (P, O, N)
+    """
     *enters, _ = _activations(layout, weights, inputs)
     layers = layout.layers(weights)
     parts: list[Array] = []
@@ -84,7 +99,8 @@ def outputs_and_jacobian(layout: Layout, weights: Array, inputs: Array) -> tuple
     layers = layout.layers(weights)
     count, size, samples = outputs.shape
     jacobian = np.empty((count, layout.count, size, samples))
-    # slope[p, o, m, n]: derivative of output o by what neuron m of the present layer sums up
+    # slope[p, o, m, n]: derivative of output o by the weighted sum of neuron m of the current
+    # layer.
     slope: Array = np.broadcast_to(np.eye(size)[None, :, :, None], (count, size, size, samples))
     stop = layout.count
     for level in reversed(range(len(layers))):
@@ -104,8 +120,8 @@ class Network:
 
     layout : layer sizes
     box : joint ranges of the input scaling [rad]
-    weights : shape (layout.count,): in the order that `casadical.compensator.layout` defines
-    output_scale_mm : the linear output layer's sum is multiplied by this to give millimetres; 1 in the paper
+    weights : in the order that `casadical.compensator.layout` defines, shape (layout.count,)
+    output_scale_mm : factor from the output layer to millimetres [mm]; 1 in the paper
 
     Examples
     --------
@@ -137,7 +153,9 @@ class Network:
         object.__setattr__(self, "weights", weights)
 
     def output_mm(self, q: Array) -> Array:
-        """The correction, shape (n, outputs) or (outputs,) [mm], at readings q, shape (n, joints) or (joints,) [rad].
+        """Return the correction at joint readings, shape (n, outputs) or (outputs,) [mm].
+
+        q : shape (n, joints) or (joints,) [rad]
 
         Raises InputError: another shape, or an angle that is not finite.
         """
@@ -179,7 +197,10 @@ def joint_angles(q: ArrayLike, joints: int | None) -> Array:
 
 
 def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
-    """Residuals as an array (poses, outputs) [mm]. Raises InputError for another shape, or values not finite."""
+    """Return residuals as an array (poses, outputs) [mm].
+
+    Raises InputError for another shape or values that are not finite.
+    """
     rows = _numbers(residual_mm, "residual_mm")
     if rows.ndim != 2 or rows.shape != (poses, outputs or rows.shape[1]):
         raise InputError(
@@ -191,6 +212,7 @@ def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
 
 
 def _numbers(values: ArrayLike, name: str) -> Array:
+    """Return values as an array of doubles. Raises InputError."""
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -198,6 +220,7 @@ def _numbers(values: ArrayLike, name: str) -> Array:
 
 
 def _finite(rows: Array, name: str, unit: str) -> None:
+    """Check that all values are finite. Raises InputError."""
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         row, column = bad[0]
@@ -209,7 +232,12 @@ def _finite(rows: Array, name: str, unit: str) -> None:
 
 @dataclass(frozen=True)
 class Loss:
-    """The loss l1 * mean(E) + l2 * max(E), E a pose's mean square error [mm^2] (eqs. 12, 14); paper: 1 and 0.7."""
+    """The loss mean * mean(E) + max * max(E), E a pose's mean square error [mm^2].
+
+    Source: paper, eqs. 12 and 14.
+
+    mean, max : weights of the two terms; 1 and 0.7 in the paper
+    """
 
     mean: float = 1.0
     max: float = 0.7
@@ -219,7 +247,10 @@ class Loss:
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
     def value(self, errors: Array) -> Array:
-        """The loss of every network, shape (P,) [mm^2]; errors : shape (P, outputs, N) [mm]."""
+        """Return the loss of every network, shape (P,) [mm^2].
+
+        errors : shape (P, outputs, N) [mm]
+        """
         _, outputs, samples = errors.shape
         totals = np.einsum("pon,pon->pn", errors, errors)
         losses = np.maximum.reduce(totals, axis=1)
@@ -229,7 +260,7 @@ class Loss:
         return np.asarray(losses)
 
     def slope(self, errors: Array) -> Array:
-        """A (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
+        """Return a (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
         worst = np.einsum("pon,pon->pn", errors, errors).argmax(axis=1)
@@ -241,9 +272,11 @@ class Loss:
 class Task:
     """A training problem.
 
-    inputs : shape (features + 1, N): as of `network_inputs`
-    targets : shape (outputs, N) [units of the output layer]: residuals divided by ``scale_mm``
-    scale_mm : millimetres of one unit of the output layer [mm]; loss : what is minimised
+    layout : sizes of the network
+    inputs : as of `network_inputs`, shape (features + 1, N)
+    targets : residuals divided by ``scale_mm``, shape (outputs, N) [units of the output layer]
+    scale_mm : millimetres of one unit of the output layer [mm]
+    loss : what is minimised
     """
 
     layout: Layout
@@ -253,23 +286,30 @@ class Task:
     loss: Loss = Loss()
 
     def losses(self, weights: Array) -> Array:
-        """The loss of every row of weights, shape (P,) [mm^2]; weights : shape (P, count)."""
-        try:  # another thread takes memory of its own
-            memory = self._idle.pop()
+        """Return the loss of every row of weights, shape (P,) [mm^2].
+
+        weights : shape (P, count)
+        """
+        try:  # each thread uses buffers of its own
+            buffers = self._idle_buffers.pop()
         except IndexError:
-            memory = Memory()
-        errors = forward(self.layout, weights, self.inputs, memory)
+            buffers = OutputBuffers()
+        errors = forward(self.layout, weights, self.inputs, buffers)
         errors -= self.targets
         losses = self.loss.value(errors)
-        self._idle.append(memory)
+        self._idle_buffers.append(buffers)
         return np.asarray(self.scale_mm**2 * losses)
 
     @cached_property
-    def _idle(self) -> list[Memory]:
+    def _idle_buffers(self) -> list[OutputBuffers]:
+        """Buffers that no thread uses at the moment."""
         return []
 
     def errors_mm(self, weights: Array) -> Array:
-        """Target minus output of one network (eq. 11), shape (N, outputs) [mm]; weights : shape (count,)."""
+        """Return target minus output of one network (eq. 11), shape (N, outputs) [mm].
+
+        weights : shape (count,)
+        """
         outputs = forward(self.layout, weights[None], self.inputs)[0]
         return np.asarray(self.scale_mm * (self.targets - outputs).T, dtype=np.float64)
 
@@ -277,7 +317,7 @@ class Task:
 def make_task(
     layout: Layout, box: JointBox, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
-    """Prepare joint angles and residuals for training.
+    """Return joint angles and residuals as a training problem.
 
     layout : sizes of the network
     box : joint ranges of the input scaling [rad]
@@ -301,13 +341,19 @@ def make_task(
 
 
 def random_weights(layout: Layout, random: np.random.Generator, count: int) -> Array:
-    """Draw starting weights, shape (count, layout.count): normal, divided by the square root of a neuron's inputs."""
+    """Return random start weights, shape (count, layout.count).
+
+    They are normal, with the standard deviation 1 / sqrt(number of inputs of the neuron).
+    """
     spread = layout.weights([np.full(shape, shape[1] ** -0.5) for shape in layout.shapes])
     return np.asarray(spread * random.standard_normal((count, layout.count)), dtype=np.float64)
 
 
 def training_masks(samples: int, folds: int, seed: int) -> Array:
-    """Folds at random, of sizes that differ by one at most: shape (folds, samples), true where it is trained on."""
+    """Return random folds as masks of the training samples, shape (folds, samples).
+
+    The sizes of the folds differ by at most one.
+    """
     order = np.random.default_rng(seed).permutation(samples)
     masks = np.ones((folds, samples), dtype=bool)
     for mask, held_out in zip(masks, np.array_split(order, folds), strict=True):

@@ -10,7 +10,12 @@ from casadical.core.basics import Array
 
 @dataclass(frozen=True)
 class Errors:
-    """Error lengths of a set of poses: how many; mean, maximum and standard deviation of the sample (n - 1) [mm]."""
+    """Statistics of the position errors of a set of poses.
+
+    poses : number of poses
+    mean_mm, max_mm, std_mm : mean, maximum and sample standard deviation (n - 1) of the distances
+        [mm]
+    """
 
     poses: int
     mean_mm: float
@@ -19,7 +24,7 @@ class Errors:
 
     @classmethod
     def summarise(cls, errors_mm: Array) -> Self:
-        """Summarise error vectors, shape (n, outputs) [mm]."""
+        """Return the statistics of error vectors, shape (n, outputs) [mm]."""
         length = np.linalg.norm(errors_mm, axis=1)
         spread = float(length.std(ddof=1)) if len(length) > 1 else 0.0
         return cls(len(length), float(length.mean()), float(length.max()), spread)
@@ -27,7 +32,12 @@ class Errors:
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """Errors of poses without and with the network; gain : 1 - mean after / mean before, and its standard error."""
+    """Errors of poses without and with the network.
+
+    before, after : statistics
+    gain : 1 - mean after / mean before
+    gain_error : standard error of the gain
+    """
 
     before: Errors
     after: Errors
@@ -36,13 +46,13 @@ class BeforeAfter:
 
     @classmethod
     def compare(cls, before_mm: Array, after_mm: Array) -> Self:
-        """Compare error vectors of the same poses before and after, shape (n, outputs) [mm] each."""
+        """Return the comparison of the same poses' error vectors, shape (n, outputs) [mm]."""
         was, now = np.linalg.norm(before_mm, axis=1), np.linalg.norm(after_mm, axis=1)
         mean = float(was.mean())
         if mean == 0.0:
             return cls(Errors.summarise(before_mm), Errors.summarise(after_mm), 0.0, 0.0)
         ratio = float(now.mean()) / mean
-        # delta method: the ratio of two means of paired values
+        # Standard error of the ratio of two means of paired values, by the delta method.
         spread = float(np.std(now - ratio * was, ddof=1)) if len(was) > 1 else 0.0
         return cls(Errors.summarise(before_mm), Errors.summarise(after_mm), 1 - ratio, spread / mean / len(was) ** 0.5)
 

@@ -14,13 +14,14 @@ from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.basics import InputError
 
-KIND, VERSION = "casadical-compensator", 1
-# Joints, layers, or neurons of a layer.
-MOST_NUMBERS = 1000
+FILE_FORMAT = "casadical-compensator"
+FORMAT_VERSION = 1
+# Largest number of joints, layers, or neurons of a layer in a file.
+MAX_LAYER_SIZE = 1000
 
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
-    """Write a compensator to a JSON file; an older file is replaced in one piece.
+    """Write a compensator to a JSON file; an older file is replaced atomically.
 
     compensator : of a fit
     path : JSON file
@@ -30,20 +31,21 @@ def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> 
     >>> net = casadical.Compensator.fit(poses.q[:30], residual_mm[:30], choose=(poses.q[30:], residual_mm[30:]))
     >>> casadical.compensator.save_compensator(net, "net.json")
     """
-    write_checksummed(path, KIND, VERSION, _body(compensator))
+    write_checksummed(path, FILE_FORMAT, FORMAT_VERSION, _body(compensator))
 
 
 def compensator_text(compensator: Compensator) -> str:
-    """Return the text that `save_compensator` writes, for those who write several files together."""
-    return checksummed(KIND, VERSION, _body(compensator))
+    """Return the text that `save_compensator` writes, to be written with other files."""
+    return checksummed(FILE_FORMAT, FORMAT_VERSION, _body(compensator))
 
 
 def _body(compensator: Compensator) -> dict[str, Any]:
+    """Return a compensator as plain data."""
     net = compensator.network
     network = None
     if net is not None:
         network = {"box_rad": asdict(net.box), "output_scale_mm": net.output_scale_mm, "weights": net.weights.tolist()}
-    body = {name: getattr(compensator, name) for name in _PLAIN}
+    body = {name: getattr(compensator, name) for name in _UNCHANGED_FIELDS}
     body |= {name: asdict(getattr(compensator, name)) for name in ("layout", "training", "choice")}
     body["validation"] = None if compensator.validation is None else asdict(compensator.validation)
     body |= {"trained_box_rad": asdict(compensator.trained_box), "network": network, "verdict": compensator.verdict}
@@ -51,10 +53,9 @@ def _body(compensator: Compensator) -> dict[str, Any]:
 
 
 def load_compensator(path: str | os.PathLike[str]) -> Compensator:
-    """Read a compensator that `save_compensator` wrote.
+    """Return the compensator in a file that `save_compensator` wrote, without its training history.
 
-    path : file that `save_compensator` wrote
-    Returns as it was, without the history of its training
+    path : JSON file
     Raises InputError: the file is missing, truncated, changed, of another kind or version, or inconsistent.
 
     Examples
@@ -64,7 +65,7 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     >>> casadical.compensator.load_compensator("net.json").helps == net.helps
     True
     """
-    body = read_checksummed(path, KIND, VERSION)
+    body = read_checksummed(path, FILE_FORMAT, FORMAT_VERSION)
     try:
         _Saved.model_validate(body)
         compensator = _compensator(body)
@@ -81,7 +82,10 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
 
 
 def _refuse_large(found: Compensator) -> None:
-    """Raises InputError where a network corrects, in the box of its training, by far more than it was trained on."""
+    """Check that a network's corrections inside its box are at most ten times its training errors.
+
+    Raises InputError.
+    """
     if found.network is None:
         return
     lower, upper = np.array(found.trained_box.lower), np.array(found.trained_box.upper)
@@ -101,9 +105,9 @@ class _Strict(BaseModel):
 
 
 class _SavedLayout(_Strict):
-    joints: int = Field(ge=1, le=MOST_NUMBERS)
-    hidden: list[Annotated[int, Field(ge=1, le=MOST_NUMBERS)]] = Field(max_length=MOST_NUMBERS)
-    outputs: int = Field(ge=1, le=MOST_NUMBERS)
+    joints: int = Field(ge=1, le=MAX_LAYER_SIZE)
+    hidden: list[Annotated[int, Field(ge=1, le=MAX_LAYER_SIZE)]] = Field(max_length=MAX_LAYER_SIZE)
+    outputs: int = Field(ge=1, le=MAX_LAYER_SIZE)
     periodic: list[int]
 
 
@@ -133,7 +137,7 @@ class _SavedComparison(_Strict):
 
 
 class _Saved(BaseModel):
-    """The types of a saved compensator; what they must be together is checked by `Compensator` and its parts."""
+    """The types of a saved compensator; consistency is checked by `Compensator` and its parts."""
 
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 
@@ -151,10 +155,12 @@ class _Saved(BaseModel):
     data_sha256: str
 
 
-_PLAIN = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")
+# Fields of a compensator that are saved unchanged.
+_UNCHANGED_FIELDS = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")
 
 
 def _compensator(body: dict[str, Any]) -> Compensator:
+    """Return the compensator from plain data."""
     layout = Layout(**body["layout"])
     net = body["network"]
     network = None
@@ -167,7 +173,7 @@ def _compensator(body: dict[str, Any]) -> Compensator:
         training=_before_after(body["training"]),
         choice=_before_after(body["choice"]),
         validation=None if body["validation"] is None else _before_after(body["validation"]),
-        **{name: body[name] for name in _PLAIN},
+        **{name: body[name] for name in _UNCHANGED_FIELDS},
     )
 
 

@@ -140,7 +140,7 @@ def test_backprop_descends_nearly_to_the_bottom_of_its_basin():
     first = run.loss
     while not run.reasons():
         run.step()
-    assert run.kept_loss < 0.5 * first
+    assert run.best_loss < 0.5 * first
     scipy_run = minimize(lambda w: task.losses(w[None])[0], run.best(), method="BFGS")
     assert task.losses(run.best()[None])[0] < 1.5 * scipy_run.fun
 

@@ -1,4 +1,4 @@
-"""The ways to train a network, one small file each, in the order in which their methods run."""
+"""Trainers of the compensator network, in the order in which their methods run."""
 # ruff: noqa: I001
 
 from casadical.compensator.trainers.backprop import Backprop as Backprop

@@ -1,4 +1,4 @@
-"""Back-propagation, the paper's baseline: one gradient run from one random start."""
+"""Back-propagation, the paper's baseline: one gradient descent from one random start."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -12,10 +12,15 @@ from casadical.core.basics import Array
 
 @dataclass(frozen=True)
 class Backprop(Trainer):
-    """Full-batch gradient descent with momentum and an adaptive rate.
+    """Full-batch gradient descent with momentum and an adaptive learning rate.
 
-    steps : gradient steps. rate : first learning rate; it grows by ``faster`` after a step that lowers the loss and
-    shrinks by ``slower`` after one that raises it by more than ``tolerance``, which is then taken back.
+    steps : number of gradient steps
+    rate : first learning rate
+    momentum : share of the previous step in the next one
+    faster : factor on the rate after a step that lowers the loss
+    slower : factor on the rate after a step that raises it by more than ``tolerance``; that step is
+        undone
+    tolerance : relative increase of the loss that is accepted
     """
 
     name: ClassVar[str] = "backprop"
@@ -30,19 +35,20 @@ class Backprop(Trainer):
     tolerance: float = 0.04
 
     def begin(self, task: Task, seed: int) -> "BackpropRun":
+        """Start a training from random weights."""
         weights = random_weights(task.layout, np.random.default_rng(seed), 1)
         return BackpropRun(self, task, weights)
 
 
 class BackpropRun:
-    """One descent; a step is one gradient."""
+    """One descent; a step is one gradient step."""
 
     def __init__(self, trainer: Backprop, task: Task, weights: Array):
         self.trainer, self.task = trainer, task
         self.weights, self.velocity = weights, np.zeros_like(weights)
         self.rate, self.steps = trainer.rate, 0
         self.loss, self.slope = self._value_and_slope(weights)
-        self.kept, self.kept_loss = weights, self.loss
+        self.best_weights, self.best_loss = weights, self.loss
 
     def _value_and_slope(self, weights: Array) -> tuple[float, Array]:
         """Return the loss in units of the scaled targets, and its gradient."""
@@ -52,6 +58,7 @@ class BackpropRun:
         return float(task.loss.value(errors)[0]), slope
 
     def step(self) -> None:
+        """Do one gradient step, and undo it if the loss rises too much."""
         t = self.trainer
         velocity = t.momentum * self.velocity - (1 - t.momentum) * self.rate * self.slope
         weights = self.weights + velocity
@@ -62,15 +69,15 @@ class BackpropRun:
         else:
             self.rate *= t.faster if loss < self.loss else 1.0
             self.weights, self.velocity, self.loss, self.slope = weights, velocity, loss, slope
-        if self.loss < self.kept_loss:
-            self.kept, self.kept_loss = self.weights, self.loss
+        if self.loss < self.best_loss:
+            self.best_weights, self.best_loss = self.weights, self.loss
         self.steps += 1
 
     def reasons(self) -> tuple[str, ...]:
         return (f"steps: all {self.trainer.steps} gradient steps done",) if self.steps >= self.trainer.steps else ()
 
     def best(self) -> Array:
-        return np.asarray(self.kept[0], dtype=np.float64)
+        return np.asarray(self.best_weights[0], dtype=np.float64)
 
     def note(self) -> str:
         return ""

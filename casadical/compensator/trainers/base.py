@@ -1,4 +1,4 @@
-"""The interface of a trainer: a training step by step."""
+"""Interface of a trainer: settings that start a training, which runs step by step."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -13,28 +13,30 @@ class Run(Protocol):
 
     @property
     def steps(self) -> int:
-        """Return how many steps are done."""
+        """Return the number of steps done."""
 
     def step(self) -> None:
-        """Do the next piece of work."""
+        """Do the next step."""
 
     def reasons(self) -> tuple[str, ...]:
-        """Return why it is over; empty while it should go on."""
+        """Return why the training is over; empty as long as it should continue."""
 
     def best(self) -> Array:
         """Return the best weights so far, shape (count,)."""
 
     def note(self) -> str:
-        """Return in words what the trainer chose by itself, or an empty string."""
+        """Return in words what the trainer chose by itself; empty if nothing."""
 
 
 @dataclass(frozen=True)
 class Trainer(ABC):
-    """Settings of one way to train. Every trainer is one small frozen dataclass in a file of its own.
+    """Settings of one training method; each is a small frozen dataclass in a file of its own.
 
     name : short name, as in tables and saved files
-    method : how problem.toml and `calibrate --method` call a network that it trains on what SKCM leaves; "" for none
-    output_scale_mm : of networks of that method, millimetres of one output unit; None: root mean square residual
+    method : name in problem.toml and `calibrate --method` of a network that it trains on the
+        residuals of SKCM; "" for none
+    output_scale_mm : millimetres of one output unit for that method; None: root mean square
+        residual
 
     Examples
     --------
@@ -56,9 +58,9 @@ class Trainer(ABC):
 
     @classmethod
     def for_method(cls) -> Self:
-        """The trainer with the settings that its method has; by default those it has anyway."""
+        """Return the trainer with the settings of its method; by default the usual ones."""
         return cls()
 
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
-        """Start a training."""
+        """Start a training with this seed and return it."""

@@ -1,9 +1,11 @@
-"""A network distilled from a Gaussian process, which is fitted to the measured poses and predicts many others.
+"""Network distilled from a Gaussian process that is fitted to the measured poses.
 
-Fifty poses do not tell a network with one ridge for all weights which joints matter; a process with a length for each
-joint they do (Rasmussen and Williams, Gaussian Processes for Machine Learning, 2006, ch. 5): squared exponential
-kernel, noise, zero mean, by the largest likelihood, climbed by sign steps (Rprop, Riedmiller and Braun 1993). Its mean
-at poses drawn in the box of the measured ones is then what Levenberg-Marquardt fits.
+From fifty poses a network with one ridge for all weights cannot learn which joints matter; a
+Gaussian process with a length scale for each joint can (Rasmussen and Williams, Gaussian Processes
+for Machine Learning, 2006, ch. 5). It has a squared exponential kernel, noise and zero mean; its
+hyperparameters maximise the likelihood, by sign steps (Rprop, Riedmiller and Braun 1993).
+Levenberg-Marquardt then fits the network to the process's mean at many random poses in the box of
+the measured ones.
 """
 
 from dataclasses import dataclass, field
@@ -16,13 +18,20 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-_LENGTHS = (0.1, 100.0)
-_MANY = 300  # poses that the lengths are found from; the process itself takes all
+# Range of the length scales [half ranges of the joints].
+LENGTH_RANGE = (0.1, 100.0)
+# Number of poses from which the length scales are estimated; the process itself uses all.
+MAX_POSES_FOR_LENGTHS = 300
 
 
 @dataclass(frozen=True, eq=False)
 class GaussianProcess:
-    """A process with its data: inputs (n, d), solved (n, outputs); lengths (d,), size and noise of the outputs."""
+    """A Gaussian process with its data.
+
+    inputs : shape (n, d); solved : inverse covariance times targets, shape (n, outputs)
+    lengths : length scale of each input, shape (d,)
+    size, noise : standard deviations of the process and of the noise
+    """
 
     inputs: Array
     solved: Array
@@ -32,32 +41,42 @@ class GaussianProcess:
 
     @classmethod
     def fit(cls, inputs: Array, targets: Array, steps: int = 120) -> Self:
-        """Fit to inputs (n, d) and targets (n, outputs); the lengths are found from the first 300."""
-        few, wanted = inputs[:_MANY], targets[:_MANY]
+        """Return the process fitted to inputs, shape (n, d), and targets, shape (n, outputs).
+
+        The length scales are estimated from the first 300 poses.
+        """
+        few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
         width = inputs.shape[1]
-        low = np.r_[np.full(width, np.log(_LENGTHS[0])), rms - 4, rms - 5]
-        high = np.r_[np.full(width, np.log(_LENGTHS[1])), rms + 2, rms + 1]
+        low = np.r_[np.full(width, np.log(LENGTH_RANGE[0])), rms - 4, rms - 5]
+        high = np.r_[np.full(width, np.log(LENGTH_RANGE[1])), rms + 2, rms + 1]
         starts = [np.r_[np.full(width, np.log(s)), rms, rms - 1] for s in (1.0, 3.0)]  # of half the box
-        logs = min((_climb(few, wanted, start, low, high, steps) for start in starts), key=lambda end: end[1])[0]
+        logs = min(
+            (_minimise_by_sign_steps(few, wanted, start, low, high, steps) for start in starts), key=lambda end: end[1]
+        )[0]
         lengths, size, noise = np.exp(logs[:-2]), float(np.exp(logs[-2])), float(np.exp(logs[-1]))
         K = size**2 * _correlation(inputs, inputs, lengths) + noise**2 * np.eye(len(inputs))
         solved = np.asarray(np.linalg.solve(K, targets), dtype=np.float64)
         return cls(inputs, solved, lengths, size, noise)
 
     def mean(self, at: Array) -> Array:
-        """Return the mean at inputs (m, d), shape (m, outputs)."""
+        """Return the posterior mean at inputs (m, d), shape (m, outputs)."""
         return np.asarray(self.size**2 * _correlation(at, self.inputs, self.lengths) @ self.solved)
 
 
 def _correlation(a: Array, b: Array, lengths: Array) -> Array:
+    """Return the squared exponential correlation of two sets of inputs, shape (len(a), len(b))."""
     a, b = a / lengths, b / lengths
     square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0)))
 
 
 def cost_and_slope(logs: Array, x: Array, y: Array) -> tuple[float, Array]:
-    """Negative log likelihood, constants left out, and its gradient; logs : of the lengths, size and noise."""
+    """Return the negative log likelihood without constants, and its gradient.
+
+    logs : logarithms of the length scales, size and noise
+    x : inputs, shape (n, d); y : targets, shape (n, outputs)
+    """
     lengths, size, noise = np.exp(logs[:-2]), np.exp(logs[-2]), np.exp(logs[-1])
     smooth = size**2 * _correlation(x, x, lengths)
     K = smooth + noise**2 * np.eye(len(x))
@@ -67,13 +86,18 @@ def cost_and_slope(logs: Array, x: Array, y: Array) -> tuple[float, Array]:
     weight = 0.5 * (y.shape[1] * inverse - solved @ solved.T)
     each = weight * smooth
     rows = each.sum(axis=1)
-    # sum over pairs of each * (x_i - x_j)^2, input by input
+    # Sum over pairs of each * (x_i - x_j)^2, for each input.
     spread = 2 * (rows @ x**2 - np.einsum("id,id->d", x, each @ x))
     return cost, np.r_[spread / lengths**2, 2 * rows.sum(), 2 * noise**2 * np.trace(weight)]
 
 
-def _climb(x: Array, y: Array, start: Array, low: Array, high: Array, steps: int) -> tuple[Array, float]:
-    """Go down the cost by steps of the slope's sign, longer while it holds, shorter when it turns; the best seen."""
+def _minimise_by_sign_steps(
+    x: Array, y: Array, start: Array, low: Array, high: Array, steps: int
+) -> tuple[Array, float]:
+    """Return the point of least cost on a path of sign steps, and its cost.
+
+    A step grows while the sign of the gradient stays, and shrinks when it changes (Rprop).
+    """
     at, step, before = start.copy(), np.full(len(start), 0.2), np.zeros(len(start))
     best, least = start, np.inf
     for _ in range(steps):
@@ -89,9 +113,12 @@ def _climb(x: Array, y: Array, start: Array, low: Array, high: Array, steps: int
 
 @dataclass(frozen=True)
 class Taught(Trainer):
-    """Settings: poses that the process answers, and the training on its answers.
+    """Settings of a training on the predictions of a Gaussian process.
 
-    Not for periodic inputs, whose box is no box of joint angles.
+    It is not for periodic inputs, whose box is no box of joint angles.
+
+    lessons : number of poses at which the process predicts
+    lm : training on its predictions
     """
 
     name: ClassVar[str] = "taught"
@@ -105,11 +132,12 @@ class Taught(Trainer):
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
     def begin(self, task: Task, seed: int) -> LmRun:
+        """Fit the process and start the training on its predictions."""
         lessons, note = self._lessons(task, seed)
-        return self.lm.begin(lessons, seed).noted(note)
+        return self.lm.begin(lessons, seed).with_note(note)
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
-        """The task to learn from, and what the process found."""
+        """Return the training problem of the process's predictions, and its lengths in words."""
         if task.layout.periodic:
             raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
         inputs, ones = task.inputs[:-1].T, task.inputs[-1]

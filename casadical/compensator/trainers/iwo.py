@@ -1,4 +1,4 @@
-"""Training by invasive weed optimisation, the paper's method (section 4), alone or before Levenberg-Marquardt."""
+"""Training by invasive weed optimisation (paper, section 4), alone or with refinement."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal
@@ -16,8 +16,9 @@ from casadical.core.basics import Array, InputError
 class Iwo(Trainer):
     """Invasive weed optimisation of all weights.
 
-    settings : of the search. precision : the colony's losses are compared in "double" or, in about half the time, in
-    "single" precision; weights and all reported losses are double in both.
+    settings : of the search
+    precision : precision in which the colony's losses are compared, "double" or, in about half the
+        time, "single"; weights and all reported losses are double in both
     """
 
     name: ClassVar[str] = "iwo"
@@ -32,6 +33,7 @@ class Iwo(Trainer):
             raise InputError(f"precision is 'double' or 'single'; got {self.precision!r}")
 
     def begin(self, task: Task, seed: int) -> "IwoRun":
+        """Start a search over all weights."""
         return IwoRun(self, task, InvasiveWeeds(task.layout.count, self.settings, seed=seed))
 
 
@@ -63,7 +65,11 @@ class IwoRun:
 
 @dataclass(frozen=True)
 class IwoThenLm(Trainer):
-    """Settings of both parts; of ``lm.restarts`` nothing is used. The ridge is chosen as in `LevenbergMarquardt`."""
+    """Invasive weed optimisation followed by Levenberg-Marquardt from its best weights.
+
+    iwo, lm : settings of both parts; ``lm.restarts`` is not used, the ridge is chosen as in
+        `LevenbergMarquardt`
+    """
 
     name: ClassVar[str] = "iwo-lm"
     method: ClassVar[str] = "IWO-LM-NN-SKCM"
@@ -72,11 +78,12 @@ class IwoThenLm(Trainer):
     lm: LevenbergMarquardt = field(default_factory=LevenbergMarquardt)
 
     def begin(self, task: Task, seed: int) -> "IwoThenLmRun":
+        """Start with the invasive weed optimisation."""
         return IwoThenLmRun(self, task, seed, self.iwo.begin(task, seed))
 
 
 class IwoThenLmRun:
-    """One training; a step is a step of the part in progress."""
+    """One training; a step is a step of the current part."""
 
     def __init__(self, trainer: IwoThenLm, task: Task, seed: int, run: IwoRun | LmRun):
         self.trainer, self.task, self.seed, self.run, self.done = trainer, task, seed, run, 0
@@ -86,6 +93,7 @@ class IwoThenLmRun:
         return self.done + self.run.steps
 
     def step(self) -> None:
+        """Do a step of the current part; Levenberg-Marquardt follows the search."""
         self.run.step()
         if isinstance(self.run, IwoRun) and self.run.reasons():
             self.done, start = self.run.steps, self.run.best()

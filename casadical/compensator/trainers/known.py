@@ -1,4 +1,4 @@
-"""The trainers by name, and by the method of problem.toml that each stands for."""
+"""Registry of the trainers by name, and by the method of problem.toml."""
 
 from collections.abc import Mapping
 
@@ -16,12 +16,14 @@ def known_trainers() -> Mapping[str, type[Trainer]]:
 
 
 def network_methods() -> Mapping[str, type[Trainer]]:
-    """Return the trainers by the method of problem.toml that each stands for."""
+    """Return the trainers by the name of their method in problem.toml."""
     return {kind.method: kind for kind in _TRAINERS}
 
 
 def trainer_named(trainer: Trainer | str) -> Trainer:
-    """Return a trainer as it is, or the one of this name with its default settings. Raises InputError."""
+    """Return a trainer unchanged, or the one of this name with its default settings.
+
+    Raises InputError: there is none of this name."""
     if isinstance(trainer, Trainer):
         return trainer
     if trainer not in known_trainers():

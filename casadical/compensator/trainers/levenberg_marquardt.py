@@ -1,14 +1,16 @@
-"""Levenberg-Marquardt with restarts and a ridge chosen by cross-validation.
+"""Levenberg-Marquardt training with restarts and a ridge chosen by cross-validation.
 
-First the ridge: every fold is trained from a few random starts at the weakest ridge, then from there at stronger and
-stronger ones; the ridge with the smallest mean square error on the held-out poses is taken. (From strong to weak a
-ridge that is too strong would end the search: it sets all weights to zero, a stationary point of every weaker ridge.)
-Then the network: restarts at that ridge on all poses, of which the one with the lowest cost is taken. The cost is the
-mean square error, without the paper's maximum term.
+First the ridge is chosen: every fold is trained from a few random starts at the weakest ridge, and
+from there at stronger and stronger ones; the ridge with the smallest mean square error on the
+held-out poses is taken. (From strong to weak, a ridge that is too strong would end the search: it
+sets all weights to zero, a stationary point of every weaker ridge.) Then the network is trained on
+all poses with restarts at that ridge; the one with the lowest cost is taken. The cost is the mean
+square error, without the paper's maximum term.
 
-Many small networks are trained at once. Problem p minimises  sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of
-squared weights, biases of the output layer left out. The sample weights m of a problem sum to one, so that a large
-ridge leaves the mean residual only. Damping after Nielsen (1999), IMM-REP-1999-05.
+Many small networks are trained at once. Problem p minimises
+sum_n m[p, n] |outputs - targets|^2 + ridge[p] * sum of squared weights, without the biases of the
+output layer. The sample weights m of a problem sum to one, so that a large ridge leaves only the
+mean residual. The damping follows Nielsen (1999), IMM-REP-1999-05.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +25,13 @@ from casadical.core.basics import Array, InputError
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """P problems in progress: weights (P, count), damping, its growth, cost and whether still active (P,)."""
+    """P training problems in progress.
+
+    weights : shape (P, count)
+    damping, growth : damping and its next growth factor, shape (P,)
+    cost : shape (P,)
+    active : 1 for problems that are not finished, shape (P,)
+    """
 
     weights: Array
     damping: Array
@@ -43,14 +51,17 @@ def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> 
     """Return the cost of every problem, shape (P,), in squared units of the scaled targets."""
     errors = forward(task.layout, weights, task.inputs) - task.targets
     fit = np.einsum("pon,pon,pn->p", errors, errors, samples)
-    return np.asarray(fit + ridge * ((weights * _penalised(task)) ** 2).sum(axis=1), dtype=np.float64)
+    return np.asarray(fit + ridge * ((weights * _penalty_mask(task)) ** 2).sum(axis=1), dtype=np.float64)
 
 
 def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: float = 1e-7) -> Batch:
-    """Do one damped step of every active problem; one ends when a step gains less than ``tolerance`` of its cost."""
+    """Return the batch after one damped step of every active problem.
+
+    A problem ends when a step reduces its cost by less than the share ``tolerance``.
+    """
     at = np.flatnonzero(batch.active)
     new = {name: value.copy() for name, value in vars(batch).items()}
-    # A Jacobian of 4,000,000 doubles is held at a time.
+    # The Jacobian is computed in parts of at most 4,000,000 doubles, to limit memory.
     size = max(1, 4_000_000 // (task.layout.count * task.targets.size))
     for part in (at[i : i + size] for i in range(0, len(at), size)):
         _advance_part(task, new, part, samples[part], ridge[part], tolerance)
@@ -58,6 +69,7 @@ def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: f
 
 
 def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ridge: Array, tolerance: float) -> None:
+    """Do one damped step of the problems `at`, and write the results into `new`."""
     weights, cost = new["weights"][at], new["cost"][at]
     slope, curvature = _normal_equations(task, weights, samples, ridge)
     diagonal = np.einsum("pii->pi", curvature)
@@ -90,22 +102,26 @@ def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) 
     flat = jacobian.reshape(count, total, -1)
     curvature = flat @ flat.transpose(0, 2, 1)
     slope = (flat @ errors[..., None])[..., 0]
-    penalty = ridge[:, None] * _penalised(task)
+    penalty = ridge[:, None] * _penalty_mask(task)
     np.einsum("pii->pi", curvature)[...] += penalty
     return slope + penalty * weights, curvature
 
 
-def _penalised(task: Task) -> Array:
+def _penalty_mask(task: Task) -> Array:
+    """Return 1 for weights that the ridge penalises, 0 for output biases, shape (count,)."""
     return np.asarray(~task.layout.output_biases(), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class LevenbergMarquardt(Trainer):
-    """Settings.
+    """Settings of the training.
 
-    restarts : random starts of the final training. iterations : at most, of each.
-    ridges : candidates, strongest first, as a fraction of the mean square residual for each unit of squared weight;
-    a single one skips the cross-validation, 0 is no ridge. folds, fold_starts : of the cross-validation.
+    restarts : number of random starts of the final training
+    iterations : largest number of iterations of each
+    ridges : candidates, strongest first, as a fraction of the mean square residual per unit of
+        squared weight; a single one skips the cross-validation, 0 is no ridge
+    folds : of the cross-validation
+    fold_starts : number of random starts of each fold
     """
 
     name: ClassVar[str] = "lm"
@@ -126,10 +142,14 @@ class LevenbergMarquardt(Trainer):
 
     @classmethod
     def for_method(cls) -> Self:
+        """Return the trainer with 20 restarts."""
         return cls(restarts=20)
 
     def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
-        """Start a training; ``starts``, shape (k, count) [scaled], replaces the random starts of the final training."""
+        """Start a training.
+
+        starts : shape (k, count) [scaled], in place of the random starts of the final training
+        """
         return LmRun(self, task, seed, starts)
 
 
@@ -148,18 +168,20 @@ class LmRun:
         self.batch = self._begin()
 
     @property
-    def choosing(self) -> bool:
+    def choosing_ridge(self) -> bool:
+        """Whether the ridge is still to be chosen."""
         return self.ridge is None
 
     def step(self) -> None:
+        """Do one damped step of all problems, and change the ridge when its steps are done."""
         self.batch = advance(self.task, self.batch, self.samples, self.ridges)
         self.steps, self.inner = self.steps + 1, self.inner + 1
-        # 100 iterations at the weakest ridge, 20 from there at each stronger one.
-        if self.choosing and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
+        # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
+        if self.choosing_ridge and (self.inner >= (20 if self.level else 100) or not self.batch.active.any()):
             self._next_ridge()
 
     def reasons(self) -> tuple[str, ...]:
-        if self.choosing:
+        if self.choosing_ridge:
             return ()
         if not self.batch.active.any():
             return ("converged: no start gains any more",)
@@ -168,8 +190,8 @@ class LmRun:
     def best(self) -> Array:
         return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
 
-    def noted(self, text: str) -> Self:
-        """With these words in place of the own `note`."""
+    def with_note(self, text: str) -> Self:
+        """Return the run with this text in place of its own `note`."""
         self._note = text
         return self
 
@@ -181,7 +203,7 @@ class LmRun:
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
 
     def set_problem(self, count: int) -> None:
-        """Set sample weights and ridges of a batch of so many: folds while choosing, then all poses."""
+        """Set sample weights and ridges of a batch of `count` problems."""
         total, ridge = self.task.targets.shape[1], self.ridge
         if ridge is None:
             ridge = self._candidates[self.level]
@@ -192,18 +214,18 @@ class LmRun:
         self.ridges = np.full(count, ridge * self._unit)
 
     def _begin(self, weights: Array | None = None) -> Batch:
-        """Start the batch of the present level, from ``weights`` or else from new starts."""
+        """Start the batch of the current ridge, from ``weights`` or from new starts."""
         if weights is None:
-            count = self.folds * self.trainer.fold_starts if self.choosing else self.trainer.restarts
-            random = np.random.default_rng((self.seed, int(self.choosing)))
+            count = self.folds * self.trainer.fold_starts if self.choosing_ridge else self.trainer.restarts
+            random = np.random.default_rng((self.seed, int(self.choosing_ridge)))
             weights = random_weights(self.task.layout, random, count)
-            if not self.choosing and self.starts is not None:
+            if not self.choosing_ridge and self.starts is not None:
                 weights = self.starts
         self.set_problem(len(weights))
         return begin_batch(self.task, weights, self.samples, self.ridges)
 
     def _next_ridge(self) -> None:
-        """Score the present ridge on the held-out poses and go to the next one, or to the final training."""
+        """Score the current ridge on held-out poses and begin the next one or the final training."""
         self.scores.append(self._held_out())
         best = int(np.argmin(self.scores))
         self.level, self.inner = self.level + 1, 0
@@ -214,7 +236,7 @@ class LmRun:
             self.batch = self._begin(self.batch.weights)
 
     def _held_out(self) -> float:
-        """Return the mean square error on held-out poses, each fold by its start of lowest training cost."""
+        """Return the mean square error on held-out poses, by each fold's best start."""
         cost = self.batch.cost.reshape(self.folds, -1)
         chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
         errors = forward(self.task.layout, self.batch.weights[chosen], self.task.inputs) - self.task.targets
