@@ -335,7 +335,7 @@ def calibrate(
     for fault in (*unfitted(problem.sets), problem.unnamed_targets):
         if fault:
             raise InputError(fault)
-    # Held-out poses count in the figures, so that they are checked like the others.
+    # Held-out poses are checked like the others, as the accuracy is stated of them.
     check_against(problem.robot, *(m for _, m in problem.parts()))
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
@@ -383,7 +383,8 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
 
     by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
     final = by(robot, sets)
-    if problem.whole and undeclared(robot) and not (final.tried and final.tried.kept):  # few poses may not show it
+    # The fitted poses may be too few to show a compliance that all poses show.
+    if problem.whole and undeclared(robot) and not (final.tried and final.tried.kept):
         tried = compliance_tried(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
         with suppress(InputError, ConvergenceError):
             final = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else final

@@ -48,8 +48,8 @@ from casadical.robot.robot import Robot
 
 # The residual error is localised from at most this many poses, drawn at random, to bound the time.
 MAX_LOCALISED_POSES = 5_000
-# Colour, symbol and dash of the networks in the order of their trainers; with many plug-ins, styles
-# repeat.
+# Colour, symbol and dash of the networks in the order of their trainers; styles repeat if there are
+# many plug-ins.
 NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "triangle-up", "dot"),
     ("green", "diamond", "solid"),
@@ -59,28 +59,29 @@ NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "hexagon", "longdashdot"),
     ("green", "triangle-left", "dashdot"),
 )
-_CAPTIONS = {
+# Captions of the figures of each set; the next three are added where they apply.
+_SET_CAPTIONS = {
     "report": "No model saw these poses.",
     "identify": "Poses that identified the parameters; errors here are smaller than on new poses.",
     "train": "Poses that the networks learnt from.",
     "choose": "Poses by which the networks were kept or refused.",
 }
-_EACH = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
-_OUT = " Crosses: poses left out as outliers; no figure of this report counts them."
-_REFUSED = " Refused networks are drawn as they were trained; they are not in use."
-_SPACE = (
+_LEGEND_CAPTION = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
+_OUTLIER_CAPTION = " Crosses: poses left out as outliers; no figure of this report counts them."
+_REFUSED_CAPTION = " Refused networks are drawn as they were trained; they are not in use."
+_WORKSPACE_CAPTION = (
     "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
     "in the direction of the error (measured less computed), longer than it by the factor in the legend."
 )
-_TRAINING = (
+_TRAINING_CAPTION = (
     "A low loss on the training poses alone is no proof: the poses that each network was judged on decide. Trainers "
     "that choose a penalty on the weights may end at a greater loss on purpose."
 )
-_CAUSES = (
+_DIAGNOSIS_NOTE = (
     "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the poses in "
     "the order of measuring, with payload and temperature where they were logged:"
 )
-_CAMPAIGN = "CAMPAIGN.csv --report diagnosis.html"
+_DIAGNOSIS_ARGUMENTS = "CAMPAIGN.csv --report diagnosis.html"
 Identifications = Mapping[str, Identification]
 
 
@@ -163,17 +164,17 @@ def calibration_figures(
     """
     last, poses = list(results.values())[-1], pose_errors(problem, results, networks)
     trained = networks.results.values() if networks else ()
-    more = _EACH + (_OUT if any(p.left_out for p in poses.values()) else "")
-    more += _REFUSED if any(r.compensator and not r.helps for r in trained) else ""
+    more = _LEGEND_CAPTION + (_OUTLIER_CAPTION if any(p.left_out for p in poses.values()) else "")
+    more += _REFUSED_CAPTION if any(r.compensator and not r.helps for r in trained) else ""
     for name, of_set in poses.items():
-        caption = f"{_CAPTIONS.get(name.split('/')[0], '')} {more}"
+        caption = f"{_SET_CAPTIONS.get(name.split('/')[0], '')} {more}"
         yield errors_by_pose(of_set, f"errors/{name}", caption)
         yield error_distribution(
             of_set, f"distribution/{name}", "The farther left, the better; grey lines at 50 and 95 %."
         )
     spatial = next((p for p in poses.values() if p.position is not None), None)
     if spatial is not None:
-        yield workspace(spatial, last.robot, _SPACE)
+        yield workspace(spatial, last.robot, _WORKSPACE_CAPTION)
     if where:
         yield from where_figures(where)
     yield from parameter_figures(last)
@@ -202,7 +203,7 @@ def training_history(networks: Networks) -> Figure:
                 )
             )  # fmt: skip
     x, y = Axis("share of the training done [%]", (-2, 102)), Axis("loss on the training poses [mm²]", log=True)
-    return Figure("training", "Training history", series, x, y, 380, _TRAINING)
+    return Figure("training", "Training history", series, x, y, 380, _TRAINING_CAPTION)
 
 
 def calibration_page(
@@ -229,7 +230,9 @@ def calibration_page(
         Section("Error of each pose", each),
         Section("In the workspace", figures_named(figures, "workspace") or [Words(no_map, "note")]),
         Section("Where the gap lies", [*_where(figures_named(figures, "where"), last)]),
-        Section("Which causes", [Words(_CAUSES, code=f"casadical diagnose {problem.folder} {_CAMPAIGN}")]),
+        Section(
+            "Which causes", [Words(_DIAGNOSIS_NOTE, code=f"casadical diagnose {problem.folder} {_DIAGNOSIS_ARGUMENTS}")]
+        ),
         Section("Parameters", [*_parameters(figures_named(figures, "parameters"), last)]),
         Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section(

@@ -47,7 +47,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
             file = collected.tried(_problem_file, path, collected) or ProblemFile(casadical=1, title="")
             place, urdf = path / file.robot, file.urdf or UrdfTable()
             own = _robot(collected, place, urdf)
-            for data in () if tables and not later else file.measurements:  # others are given in their place
+            for data in () if tables and not later else file.measurements:  # given ones replace them
                 collected.tried(_check_table, path / data.file, data, *own, False)
         elif path.suffix.lower() not in TABLE_SUFFIXES and path.is_file() and _is_robot(path):
             own = _robot(collected, path, UrdfTable())

@@ -207,7 +207,7 @@ def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
 
 def _held_out_errors(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
     """Return for each held-out set the errors of its usual poses [m], and its poses far off."""
-    # A held-out pose is far off from ten times the median error on.
+    # A held-out pose is far off if its error exceeds ten times the median.
     return {name: _split_far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
 
 
@@ -244,7 +244,7 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
     if after.mean <= before.mean + chance_of(before, after):
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
-    # A fitted pose is far off from four times the median error on.
+    # A fitted pose is far off if its error exceeds four times the median.
     far = (out for m in result.used for out in _split_far_off(result.robot, m, 4.0)[1])
     worst = sorted(far, key=lambda out: -out.error)
     if worst and result.loss == "linear":

@@ -166,7 +166,7 @@ def continued(
     lost = [name for name in missing if name != "payload_kg"]
     if lost:
         raise InputError(f"{m.source}: column {lost[0]!r} is missing, which the effects to plan for need")
-    result = identify(robot, m, free, prior=prior)  # of several sessions, further poses are measured in the last
+    result = identify(robot, m, free, prior=prior)  # of the last session, if several
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 

@@ -402,7 +402,7 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
             return like
     said = {data.kind for data in tables}
     kind = said.pop() if len(said) == 1 else None
-    shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by our names; else by the headings
+    shown = [k.name for k in kinds().values() if k.matches({*raw.header})]  # by exact names
     if (kind or "position") not in (shown or ("position", "pose")):
         return DataTable(file=raw.path.name)
     noises = [data.noise for data in tables]

@@ -162,7 +162,7 @@ def _distinguished(
     placed = place_frames(rigid(robot), _middles(m, whole))
     p, R = predicted(placed, m)
     assert m.position is not None
-    seen = np.einsum("nji,nj->ni", R, m.position - p)  # in the tool frame, from the middle of the targets
+    seen = np.einsum("nji,nj->ni", R, m.position - p)  # tool frame, from the centroid
     middle = [(x := _means(seen[rows], part)) - x.mean(axis=0) for rows, part in whole]
     points, orders = middle[0], np.array(list(permutations(range(found.count))))
     for _ in range(3):
@@ -422,7 +422,8 @@ def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array
     """Return the refined targets, the target of each row, and the greatest median error.
 
     which : initial target of each row, shape (n,)
-    Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where two targets coincide
+    Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where targets coincide, or
+    a single one remains
     """
     several = _several(free, which)
     which = np.unique(_search(several, m, which, slice(None), 1.0), return_inverse=True)[1]

@@ -27,13 +27,17 @@ if TYPE_CHECKING:
 class WithFigures(Protocol):
     """A result that has figures by name."""
 
-    def figures(self) -> Mapping[str, Figure]: ...
+    def figures(self) -> Mapping[str, Figure]:
+        """Return every figure by name."""
+        ...
 
 
 class WithPage(Protocol):
     """A result that has a report page."""
 
-    def page(self) -> Page: ...
+    def page(self) -> Page:
+        """Return the report page."""
+        ...
 
 
 Result: TypeAlias = WithFigures | Identification | Diagnosis

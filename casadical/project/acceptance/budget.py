@@ -218,7 +218,7 @@ def budget_of(
         raise InputError(
             f"{n} held-out poses; a statement of uncertainty needs {MIN_HELD_OUT_POSES} or more: [sets] report"
         )
-    # A tool that is not fitted is the robot's own, which `prepare` would place by these poses.
+    # A tool that is not fitted keeps its place, which `prepare` would else change.
     own_tool = robot if "tool" in groups else replace(robot, tool=replace(robot.tool, unknown="none"))
     prepared = prepare(own_tool, sets)
     placed, k, t = prepared.robot, 0, 0

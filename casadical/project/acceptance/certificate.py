@@ -38,6 +38,7 @@ from casadical.robot.robot_file import read_robot
 
 # Uncertainties in um/m, as a share.
 PER_MILLION = 1e-6
+# Texts and numbers of certificate.toml, within the bounds that a page can show.
 Text = Annotated[str, Field(max_length=300)]
 Positive = Annotated[float, Field(ge=0.0, le=1e6)]
 
@@ -158,7 +159,7 @@ class Certificate(Acceptance):
 
     @property
     def missing(self) -> list[str]:
-        """Return the keys of the statements that are missing, as of `no_KEY` in the words."""
+        """Return the keys of the missing statements; each has a sentence in the words."""
         d = self.details
         stated = {line.source: line.stated for line in self.after.lines}
         given = {

@@ -34,8 +34,9 @@ from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
 # Visits of each pose in the accuracy test of the standard.
-CYCLES = 30
-TESTS = ("accuracy", "directions", "drift")
+STANDARD_CYCLES = 30
+# Words of the column `test`.
+TEST_NAMES = ("accuracy", "directions", "drift")
 # RP needs a standard deviation, so at least two visits.
 MIN_VISITS = 2
 
@@ -140,8 +141,8 @@ def _test_table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
     command : positions in the base frame, shape (5, 3) [m]
     """
     rows: list[tuple[str, int, int, int, int]] = []
-    rows += [("accuracy", p, c, 0, 0) for c in range(1, CYCLES + 1) for p in (5, 4, 3, 2, 1)]
-    rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, CYCLES + 1) for h in (1, 2, 3)]
+    rows += [("accuracy", p, c, 0, 0) for c in range(1, STANDARD_CYCLES + 1) for p in (5, 4, 3, 2, 1)]
+    rows += [("directions", p, c, h, 0) for p in (1, 2, 4) for c in range(1, STANDARD_CYCLES + 1) for h in (1, 2, 3)]
     # Drift over eight hours: a group of ten visits every ten minutes.
     rows += [("drift", 1, c, 0, g) for g in range(49) for c in range(1, 11)]
     table = pd.DataFrame(rows, columns=["test", "pose", "cycle", "path", "group"])
@@ -180,7 +181,7 @@ def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
     command : shape (3,) [m], in the same frame
     """
     if len(p) < MIN_VISITS:
-        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {MIN_VISITS} or more, the standard {CYCLES}")
+        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {MIN_VISITS} or more, the standard {STANDARD_CYCLES}")
     mean = p.mean(axis=0)
     length = np.linalg.norm(p - mean, axis=1)
     off = mean - command
@@ -256,8 +257,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     local = (measured - robot.base.T[:3, 3]) @ robot.base.T[:3, :3]
     pose = columns.column("pose").astype(int)
     names = [str(word).strip().lower() for word in columns.table.get("test", pd.Series(["accuracy"] * len(pose)))]
-    if wrong := sorted(set(names) - set(TESTS)):
-        raise InputError(f"{columns.source}: column 'test': {wrong[0]!r}; allowed: {', '.join(TESTS)}")
+    if wrong := sorted(set(names) - set(TEST_NAMES)):
+        raise InputError(f"{columns.source}: column 'test': {wrong[0]!r}; allowed: {', '.join(TEST_NAMES)}")
     test = np.array(names)
     if not (test == "accuracy").any():
         raise InputError(f"{columns.source}: no visit of the test 'accuracy', which AP and RP are of")
@@ -276,8 +277,8 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
         then = {f.pose: f for f in first}
         off = [(abs(then[f.pose].AP - f.AP), abs(then[f.pose].RP - f.RP)) for g in later for f in g if f.pose in then]
         drift = (max((AP for AP, _ in off), default=0.0), max((RP for _, RP in off), default=0.0))
-    few = [f"P{f.pose}" for f in accuracy if f.n < CYCLES]
-    notes = [f"fewer visits than the {CYCLES} of the standard at {', '.join(few)}"] if few else []
+    few = [f"P{f.pose}" for f in accuracy if f.n < STANDARD_CYCLES]
+    notes = [f"fewer visits than the {STANDARD_CYCLES} of the standard at {', '.join(few)}"] if few else []
     if np.median([f.AP for f in accuracy]) > 0.05 * robot.reach:
         notes.append(
             "AP is as great as if the instrument stood elsewhere: positions are taken to the base frame by the base of "

@@ -28,8 +28,8 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# The kind by which full poses are judged, too.
-POSITION = "position"
+# The kind of measurement as which full poses are judged, too.
+POSITION_KIND = "position"
 # The judgement needs at least this many degrees of freedom.
 MIN_FREEDOM = 6
 
@@ -140,7 +140,7 @@ def verify(
     arm, gone = without_instrument(read_robot(place))
     sets = [read_campaign(place, table, arm, later=True, words=True) for table in given]
     refuse_shared_rows(sets)
-    kind, *others = sorted({m.kind if m.position is None else POSITION for m in sets})  # full poses by their positions
+    kind, *others = sorted({m.kind if m.position is None else POSITION_KIND for m in sets})  # full poses count as these
     if others:
         kinds = ", ".join([kind, *others])
         raise InputError(f"{', '.join(m.source for m in sets)}: tables of kinds {kinds}; check one at a time")
@@ -269,7 +269,7 @@ class _Refit:
         return "The tool was" if not self.points else "The tool and the unknown places were"
 
 
-def promised_rms(robot: Path, kind: str = POSITION) -> float:
+def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
     """Return the rms error of held-out poses [m] that the results beside a robot file state.
 
     Of METHOD.robot.toml it is that of the report set in result.json, without poses that were far
@@ -292,7 +292,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
                 return float(np.sqrt(3 * np.pi / 8)) * _in_metres(mean, f"{path}: gap_mm", remedy)
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
-    alike = (POSITION, "pose", "position_covariance") if kind == POSITION else (kind,)
+    alike = (POSITION_KIND, "pose", "position_covariance") if kind == POSITION_KIND else (kind,)
     try:
         stated = load_json(path)
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
@@ -302,7 +302,7 @@ def promised_rms(robot: Path, kind: str = POSITION) -> float:
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:  # no such file; figures of other kinds
+    except (ValueError, KeyError, TypeError, AttributeError) as error:  # no file, or other types
         why = f" ({error})" if isinstance(error, InputError) and path.is_file() else ""
         raise InputError(f"{path}: no figures of a calibration{why}; {remedy}") from None
     if not held_out_rms:

@@ -65,13 +65,14 @@ def precheck(
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = wrong_names(problem.robot, table) if table is not None else None
-    if wrong or (targets and targets.turning):  # the data are judged as of one target
+    if wrong or (targets and targets.turning):  # those assume one target
         findings, usable, slips = [f for f in findings if f.topic not in ("units", "repeats", "rows")], False, None
     findings = [*target_findings(targets, wrong, sets[0].source), *findings]
     one = table if table is not None else sets[0] if sets[0].position is None else None
     if one is not None and not usable and wrong is None and (targets is None or targets.which is None):
         searched = _slips(problem.robot, one, targets, others, show)
-        more = searched and (searched.best.slips > 1 or other_lengths(searched.best, problem.robot))  # than single ones
+        # What the single slips of `_plausible` cannot explain.
+        more = searched and (searched.best.slips > 1 or other_lengths(searched.best, problem.robot))
         if searched and searched.explains and (not slips or not slips.explains or more):
             slips = searched
             findings = [f for f in findings if not (f.topic == "units" and f.level == "error")]
@@ -172,7 +173,7 @@ def _data_findings(
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
             findings += far_rows(robot, table or m)
-        known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # a table for each wire
+        known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
         findings += data_findings(robot, m, table or m, known_readings=known_readings)
     return findings, single
 

@@ -153,7 +153,7 @@ class SlipFit:
         """
         count, n, size = q.shape
         p = np.zeros((count, n, 3))
-        x, y, z = (np.broadcast_to(axis, (count, n, 3)) for axis in np.eye(3))  # columns of the orientation
+        x, y, z = (np.broadcast_to(axis, (count, n, 3)) for axis in np.eye(3))  # columns of R
         along_a, along_d = np.empty((count, size, n, 3)), np.empty((count, size, n, 3))
         for i, joint in enumerate(joints):
             along_a[:, i] = x
@@ -327,14 +327,17 @@ class LengthFit(SlipFit):
         weight = np.ones(len(y)) if inliers is None else inliers.astype(float)
 
         def lines(x: Array) -> tuple[Array, Array]:
+            """Return the vectors from the points to the tool [m] and their lengths."""
             line = p + (R @ x[:, None, :3, None])[..., 0] - place @ x[:, 3:].reshape(len(p), -1, 3)
             return line, np.maximum(np.linalg.norm(line, axis=2), 1e-9)
 
         def evaluate(x: Array) -> Evaluated:
+            """Return the cost of each hypothesis, and the function for its normal equations."""
             line, size = lines(x)
             residual = length - size
 
             def sums(better: Array) -> tuple[Array, Array]:
+                """Return J' J and J' r of the hypotheses that `better` selects."""
                 along = (weight[:, None] * line / size[..., None])[better]
                 of_places = [-(along * place[:, [k]]) for k in range(place.shape[1])]
                 J = np.concatenate([np.einsum("kni,knij->knj", along, R[better]), *of_places], axis=2)

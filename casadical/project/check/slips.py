@@ -52,7 +52,7 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
     show : called with each line of progress
     """
     order = np.argsort(m.row)
-    # The first rows without gaps, so that shifted rows still correspond.
+    # The first 60 rows, not a selection of all, so that shifted rows still correspond.
     fit = slip_fit(robot, m[order[:60]], others)
     if fit is None:
         return None

@@ -199,7 +199,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     scale, value, lower, upper = (
         np.array([getattr(p, what) for p in own]) for what in ("scale", "value", "lower", "upper")
     )
-    # An angle's sigma over a coordinate's [mrad/mm].
+    # Candidate ratios of an angle's sigma to that of a coordinate [mrad/mm].
     now, ratios = placed, np.geomspace(0.3, 30.0, 7) if kind.angles else np.ones(1)
     seen = linearised(now, names, m)
     points = start = seen.points
@@ -208,7 +208,7 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     )
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
-    for step in range(15):  # three, unless unknown points still move by more than 0.1 mm
+    for step in range(15):  # three, and more while points move by 0.1 mm
         seen = linearised(now, names, m, points=points) if step else seen
         y, apart = seen.off + seen.J @ x, (seen.separated[0] + seen.separated[1] @ x, seen.separated[1])
         fits = [(*_by_evidence(seen.J, y, np.where(angles, 1 / r, 1.0), free, width, apart), float(r)) for r in ratios]
@@ -281,7 +281,7 @@ def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Est
     out, lengths, labels = doubtful.copy(), find_kind(m.kind).lengths, np.array(labels_of(m))
     if len(m) < MIN_READINGS_OF_FIT:
         return None, np.zeros(len(m), dtype=bool), np.zeros((len(m), lengths))
-    if (~out).sum() < MIN_READINGS_OF_FIT:  # the first readings are judged by each other, the others by them
+    if (~out).sum() < MIN_READINGS_OF_FIT:  # the first ones judge each other
         out[:MAX_REFITTED_READINGS] = False
     named = [flag > 0 for name, flag in m.conditions.items() if name.startswith((SESSION_PREFIX, "tool_"))]
     for own in (*(labels == name for name in set(labels)), *named):

@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 # Hosts that are this machine itself: no token is needed.
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
 # Time between two looks at a source for new readings [s].
 POLL_INTERVAL_S = 0.2
-HEADERS = {
+SECURITY_HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
@@ -121,7 +121,7 @@ class LivePage:
         responses = optional("starlette.responses", INSTALL_HINT)
         host = request.headers.get("host", "")
         why = ""
-        if self.token is None and urlsplit(f"//{host}").hostname not in LOOPBACK:
+        if self.token is None and urlsplit(f"//{host}").hostname not in LOOPBACK_HOSTS:
             why = "this page is for the machine that it runs on: casadical measure --host ADDRESS gives it to others"
         given = request.query_params.get("token") or request.cookies.get("token", "")
         if self.token is not None and not secrets.compare_digest(given.encode(), self.token.encode()):
@@ -130,10 +130,10 @@ class LivePage:
         if request.method == "POST" and origin is not None and urlsplit(origin).netloc != host:
             why = "another page sent this command"
         if why:
-            refused: Response = responses.PlainTextResponse(why, 403, HEADERS)
+            refused: Response = responses.PlainTextResponse(why, 403, SECURITY_HEADERS)
             return refused
         response: Response = await call(request)
-        response.headers.update(HEADERS)
+        response.headers.update(SECURITY_HEADERS)
         if self.token is not None:
             response.set_cookie("token", self.token, httponly=True, samesite="strict")
         return response
@@ -234,7 +234,7 @@ def serve(
     Raises InputError.
     """
     uvicorn = optional("uvicorn", INSTALL_HINT)
-    token = None if host in LOOPBACK else secrets.token_urlsafe(16)
+    token = None if host in LOOPBACK_HOSTS else secrets.token_urlsafe(16)
     page = LivePage(session, source, pause, token)
     app = page.app()
     with bound(host, port) as opened:

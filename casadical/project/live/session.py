@@ -312,9 +312,8 @@ class LiveSession:
                     self.unread = why
                     return None
                 own = self._without_folder(error).splitlines()[0]
-                alike = re.sub("[0-9]+", "", own) == re.sub(
-                    "[0-9]+", "", whole
-                )  # the same reason as that of the readings before
+                # The same reason as that of the readings before: it waits as they do.
+                alike = re.sub("[0-9]+", "", own) == re.sub("[0-9]+", "", whole)
                 self._unreadable[n] = whole if alike else own
         self._write()
         return table
@@ -457,9 +456,8 @@ class LiveSession:
                     "left_out_mean_mm": float(left.mean()) if len(left) >= MAX_REFITTED_READINGS else None,
                     "promise_mm": None if promise is None else float(promise),
                 }
-            touches = (
-                self.m is not None and find_kind(self.m.kind).touches
-            )  # poses that touch something are not planned
+            # Poses that touch something are not planned.
+            touches = self.m is not None and find_kind(self.m.kind).touches
             return with_words({
                 "robot": self.robot.name, "folder": self.folder.resolve().name,
                 "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,

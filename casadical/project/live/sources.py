@@ -100,6 +100,7 @@ def journal(folder: Path) -> Iterator[tuple[Course, Add]]:
     with appending(path, end) as write:
 
         def add(do: str, **event: Any) -> dict[str, Any]:
+            """Write an event to disk, apply it to the state, and return it."""
             whole = {"do": do, "at": datetime.now(UTC).isoformat(timespec="seconds"), **event}
             write(json.dumps(whole) + "\n")
             course.follow(whole)

@@ -28,13 +28,23 @@ from casadical.measurements.vocabulary import UNITS, WORDS
 from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
 
-_ROW = [f"{stem}{unit}" for stem, units in (("a", ("_mm", "_m")), ("alpha", ("_deg", "_rad")), ("d", ("_mm", "_m")),
-        ("theta", ("_deg", "_rad"))) for unit in units]  # fmt: skip
-_LIMITS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
-_BODY = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
-_YES = ("yes", "true", "1")
-_NO = ("no", "false", "0")
-_COLUMNS = ["joint", *_ROW, *_LIMITS, "type", *_BODY, "compliant", "stiffness_Nm_per_rad"]
+# Columns of a table under casadical's names: DH row, joint limits, body, and all of them.
+_ROW_COLUMNS = [
+    f"{stem}{unit}"
+    for stem, units in (
+        ("a", ("_mm", "_m")),
+        ("alpha", ("_deg", "_rad")),
+        ("d", ("_mm", "_m")),
+        ("theta", ("_deg", "_rad")),
+    )
+    for unit in units
+]
+_LIMIT_COLUMNS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
+_BODY_COLUMNS = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
+# Words of the column `compliant`.
+_YES_WORDS = ("yes", "true", "1")
+_NO_WORDS = ("no", "false", "0")
+_ALL_COLUMNS = ["joint", *_ROW_COLUMNS, *_LIMIT_COLUMNS, "type", *_BODY_COLUMNS, "compliant", "stiffness_Nm_per_rad"]
 
 
 def robot_text(path: Path, name: str, convention: str) -> str:
@@ -50,8 +60,9 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     table = read_table(path)
 
     def read() -> str:
-        frame, said = with_our_names(table, _COLUMNS)
-        if not set(frame) & set(_ROW):
+        """Return the comments on headings and all [[joint]] tables as text."""
+        frame, said = with_our_names(table, _ALL_COLUMNS)
+        if not set(frame) & set(_ROW_COLUMNS):
             raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
         records = [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
         where = [f"{path.name}: row {line}" for line in table.line]
@@ -78,14 +89,14 @@ def _refuse_non_finite(table: RawTable) -> None:
 
 def _joint_text(row: Mapping[str, Any], where: str) -> str:
     """Return the [[joint]] of one row as text. Raises InputError."""
-    keys = [key for key in (*_ROW, *_LIMITS, *_BODY, "stiffness_Nm_per_rad") if key in row]
+    keys = [key for key in (*_ROW_COLUMNS, *_LIMIT_COLUMNS, *_BODY_COLUMNS, "stiffness_Nm_per_rad") if key in row]
     numbers = zip(keys, each_of(partial(_number, row, key, where) for key in keys), strict=True)
     given = {key: value for key, value in numbers if value is not None}
     lines = ["[[joint]]"]
     kind = _word(row, "type")
     if kind:
         lines.append(f'type = "{kind}"')
-    lines += [f"{key} = {given[key]!r}" for key in _ROW if key in given]
+    lines += [f"{key} = {given[key]!r}" for key in _ROW_COLUMNS if key in given]
     for unit in ("_deg", "_rad", "_mm", "_m"):
         ends = [given.get(f"{side}{unit}") for side in ("lower", "upper")]
         if ends != [None, None]:
@@ -93,14 +104,16 @@ def _joint_text(row: Mapping[str, Any], where: str) -> str:
                 raise InputError(f"{where}: lower{unit} and upper{unit} belong together; one is missing")
             lines.append(f"limits{unit} = {ends!r}")
     compliant = _word(row, "compliant")
-    if compliant not in ("", *_YES, *_NO):
-        raise InputError(f"{where}: compliant = {compliant!r}; allowed: {', '.join(_YES + _NO)}, or an empty cell")
-    if compliant in _YES:
+    if compliant not in ("", *_YES_WORDS, *_NO_WORDS):
+        raise InputError(
+            f"{where}: compliant = {compliant!r}; allowed: {', '.join(_YES_WORDS + _NO_WORDS)}, or an empty cell"
+        )
+    if compliant in _YES_WORDS:
         lines.append("compliant = true")
     if "stiffness_Nm_per_rad" in given:
         lines.append(f"stiffness_Nm_per_rad = {given['stiffness_Nm_per_rad']!r}")
     if "mass_kg" in given:
-        centre = [given.get(key) or 0.0 for key in _BODY[1:]]
+        centre = [given.get(key) or 0.0 for key in _BODY_COLUMNS[1:]]
         lines.append(f"body = {{ mass_kg = {given['mass_kg']!r}, com_mm = {centre!r} }}")
     return "\n".join(lines) + "\n"
 
@@ -122,9 +135,10 @@ def _word(row: Mapping[str, Any], key: str) -> str:
 
 # Stems in the order in which headings are compared with them: a "mass centre" is no mass, and a
 # "twist angle" is no joint angle.
-_STEMS = ("com", "stiffness", "compliant", "lower", "upper", "mass", "type", "alpha", "d", "theta", "a")
-_LENGTHS = ("a", "d")
-_ANGLES = ("alpha", "theta", "lower", "upper")
+_HEADING_STEMS = ("com", "stiffness", "compliant", "lower", "upper", "mass", "type", "alpha", "d", "theta", "a")
+# Stems of one physical quantity, whose columns have the same unit.
+_LENGTH_STEMS = ("a", "d")
+_ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
 # Lengths without a unit whose median is above this are in millimetres, else in metres.
 MAX_LENGTH_IN_METRES = 10.0
 # Angles without a unit of which one is above this are in degrees, else in radians.
@@ -152,7 +166,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
         unit = units[name] or _assumed_unit(frame, stems, units, stem)
         base, factor = UNITS.get(unit, ("", 1.0))
         ours = {"stiffness": "stiffness_Nm_per_rad", "mass": "mass_kg"}.get(stem, stem)
-        if stem in _LENGTHS + _ANGLES or stem.startswith("com"):
+        if stem in _LENGTH_STEMS + _ANGLE_STEMS or stem.startswith("com"):
             ours = f"{stem}_{base or 'mm'}"
         if ours not in known:
             raise InputError(f"{table.path.name}: column {name!r}: unit {unit!r} does not fit {stem}")
@@ -167,7 +181,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
 def _stem(heading: str) -> str:
     """Return casadical's name of a heading without its unit; empty for an unknown heading."""
     words = set(words_of(heading)[0])
-    for stem in _STEMS:
+    for stem in _HEADING_STEMS:
         if words & WORDS[f"dh_{stem}"]:
             if stem != "com":
                 return stem
@@ -183,8 +197,8 @@ def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, s
     numbers.
     """
     for like, ours, least in (
-        (_LENGTHS, ("mm", "m"), MAX_LENGTH_IN_METRES),
-        (_ANGLES, ("deg", "rad"), MAX_ANGLE_IN_RADIANS),
+        (_LENGTH_STEMS, ("mm", "m"), MAX_LENGTH_IN_METRES),
+        (_ANGLE_STEMS, ("deg", "rad"), MAX_ANGLE_IN_RADIANS),
     ):
         if stem in like:
             names = [name for name, other in stems.items() if other in like]
@@ -192,7 +206,7 @@ def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, s
                 return stated[0]
             numbers = frame[names].apply(pd.to_numeric, errors="coerce").abs().to_numpy(dtype=float)
             sizes = numbers[numbers > 0]
-            # One length in another unit must not decide for all; of angles the greatest does.
+            # The median decides for lengths, as one may be in another unit; for angles the greatest.
             size = 0.0 if not len(sizes) else np.median(sizes) if ours[0] == "mm" else np.nanmax(sizes)
             return ours[0] if size > least else ours[1]
     return ""

@@ -11,6 +11,7 @@ from casadical.measurements.columns import Source
 from casadical.project.problem_file import as_toml
 from casadical.robot.robot import Robot
 
+# robot.toml where neither a URDF nor a DH table is given.
 EXAMPLE_ROBOT = """\
 # An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
 # Units stand in the keys (_mm or _m, _deg or _rad); a wrong or missing one is refused with a message.
@@ -74,6 +75,7 @@ limits_deg = [-170, 170]
 body = { mass_kg = 2, com_mm = [0, 0, -30] }
 """
 
+# The part of robot.toml before the [[joint]] tables, for a DH table.
 ROBOT_HEAD = """\
 # Made from {table}. Every key: docs/robot-file.md. Units stand in the keys (_mm or _m, _deg or _rad).
 casadical = 1
@@ -99,22 +101,29 @@ vector_m_per_s2 = [0, 0, -9.81]
 """
 
 # The two statements on gravity between which `with_measured` chooses.
-_LEVELLED = 'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
-_UPRIGHT = 'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
+_GRAVITY_IN_MEASURING_FRAME = (
+    'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
+)
+_GRAVITY_IN_BASE_FRAME = (
+    'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
+)
 
-_ORIGIN = '# data = "real"                    # or "synthetic"; printed above every result'
+# The line of problem.toml on the origin of measured data.
+_DATA_LINE = '# data = "real"                    # or "synthetic"; printed above every result'
 
-ESTIMATED_MASSES = """\
+# What `with_masses` adds to robot.toml.
+ESTIMATED_MASSES_LINE = """\
 masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
 """
-MASS_PRIOR = """\
+MASS_PRIOR_TABLE = """\
 [width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
 mass_share = {share:g}
 com_mm = {centre:g}
 # compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
 """
 
-_PROBLEM = """\
+# problem.toml.
+_PROBLEM_TEMPLATE = """\
 # What is calibrated, from what. Every key: docs/measurements.md.
 casadical = 1
 title = "{title}"
@@ -177,9 +186,9 @@ def problem_text(
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
     share += "refit = true                       # the robots that are written: once judged, fitted to all poses\n"
     compliant = any(j.compliance is not None for j in robot.joints)
-    return _PROBLEM.format(
+    return _PROBLEM_TEMPLATE.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
-        data=_ORIGIN if given else 'data = "synthetic"',
+        data=_DATA_LINE if given else 'data = "synthetic"',
         mark="" if given else mark,
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"',
@@ -258,7 +267,9 @@ def with_measured(robot: str, given: Given) -> str:
     if len(given.tools) > 1:
         keys = own.split("\n", 1)[1]
         tables = [f"[[tool]]  # measured point {n}\nname = {_quoted(n)}\n{keys}" for n in given.tools]
-    return start + "\n\n".join([*tables, after.replace(_LEVELLED, _UPRIGHT) if given.tilted else after])
+    return start + "\n\n".join(
+        [*tables, after.replace(_GRAVITY_IN_MEASURING_FRAME, _GRAVITY_IN_BASE_FRAME) if given.tilted else after]
+    )
 
 
 def _quoted(name: str) -> str:
@@ -273,8 +284,8 @@ def with_masses(text: str, robot: Robot, standard: bool) -> str:
     """
     row_head = "\n[[joint]]\n"
     lines, following = [], [*robot.joints[1:], None]
-    width = MASS_PRIOR.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
-    head, *rows = text.replace("\n[base]", f"{ESTIMATED_MASSES}\n[base]", 1).split(row_head)
+    width = MASS_PRIOR_TABLE.format(share=robot.body_width.share, centre=1e3 * robot.body_width.centre)
+    head, *rows = text.replace("\n[base]", f"{ESTIMATED_MASSES_LINE}\n[base]", 1).split(row_head)
     for row, joint, after in zip(rows, robot.joints, following, strict=True):
         assert joint.body
         # A standard row ends behind the first half of the next modified one, Rx(alpha) Tx(a).
