@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Effect
-from casadical.effects.formula_effect import SIDES, image_columns
+from casadical.effects.formula_effect import CAMERA_SIDES, image_columns
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import read_measurements
@@ -58,7 +58,7 @@ def with_columns(m: Measurements, effects: Sequence[Effect]) -> Measurements:
     # Of an instrument that reads distances, the first of some.
     far = {f"far_{c}_m": np.full(len(m), v) for c, v in zip("xyz", (2.0, -1.0, 0.5), strict=True)}
     wires = {f"wire{k}": np.full(len(m), float(k == 1)) for k in range(1, 5)}
-    names = [c for side in SIDES for what in ("depth", "radial") for c in image_columns(side, what)]
+    names = [c for side in CAMERA_SIDES for what in ("depth", "radial") for c in image_columns(side, what)]
     images = dict(zip(names, np.random.default_rng(0).normal(size=(len(names), len(m))), strict=True))
     m = replace(m, conditions={**m.conditions, **far, **wires, **images})
     found, missing = derive(m, [c for e in effects for c in e.conditions], lambda q, _: np.sin(q))  # loads of no robot

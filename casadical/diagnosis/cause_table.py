@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from casadical.diagnosis.result import Cause, Diagnosis, settings_of
-from casadical.effects.formula_effect import FLAGS
+from casadical.effects.formula_effect import INSTRUMENT_FLAG_COLUMNS
 from casadical.effects.plugins import signature_of
 
 # Factor and unit in which parameters of an SI unit are shown.
@@ -75,7 +75,7 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
     for name, (value, error, unit) in (c.estimates or {}).items():
         if part := re.fullmatch(r"(\D+)(\d)", name):
             for m in d.case.observations.sets:
-                here = m.conditions.get(FLAGS[int(part[2]) - 1], np.zeros(len(m))) > 0
+                here = m.conditions.get(INSTRUMENT_FLAG_COLUMNS[int(part[2]) - 1], np.zeros(len(m))) > 0
                 if here.any():
                     anchors = [*np.unique(m.label[here])] if m.label is not None else []
                     which = " ".join([m.source or f"wire {part[2]}", *map(str, anchors)])

@@ -8,7 +8,12 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import condition_of_reading
 from casadical.diagnosis.observations import Stops, edges_of
-from casadical.effects.formula_effect import FAR, FLAGS, WIRES, image_columns
+from casadical.effects.formula_effect import (
+    ANCHOR_COLUMNS,
+    INSTRUMENT_FLAG_COLUMNS,
+    MAX_DISTANCE_INSTRUMENTS,
+    image_columns,
+)
 from casadical.measurements.kinds.distance import Distance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
@@ -21,7 +26,7 @@ def with_far_ends(
 
     far_x_m .. : anchor in the measuring frame, given or as estimated by the base fit (see
     `Identification.unknown_points`); wire1 .. : 1 where the first such instrument was read, else 0.
-    Each distinct anchor of a table counts as one instrument, up to WIRES in all. Additional rows at
+    Each distinct anchor of a table counts as one instrument, up to MAX_DISTANCE_INSTRUMENTS in all. Additional rows at
     a stop have columns of their own (see `linearisation.condition_of_reading`).
     """
     rows = len(stops.of)
@@ -34,9 +39,11 @@ def with_far_ends(
         _, which = np.unique(far[at], axis=0, return_inverse=True)
         wire[at] = 1 + count + which.ravel()
         count = int(wire[at].max())
-    if not 0 < count <= WIRES:
+    if not 0 < count <= MAX_DISTANCE_INSTRUMENTS:
         return m
-    of_row = {f: (wire == k).astype(float) for k, f in enumerate(FLAGS, 1)} | dict(zip(FAR, far.T, strict=True))
+    of_row = {f: (wire == k).astype(float) for k, f in enumerate(INSTRUMENT_FLAG_COLUMNS, 1)} | dict(
+        zip(ANCHOR_COLUMNS, far.T, strict=True)
+    )
     return _by_turn(m, of_row, stops)
 
 

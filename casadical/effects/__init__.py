@@ -1,4 +1,4 @@
-"""Effects that a base model leaves out: one symbolic term each, entering the model at one method."""
+"""Effects that a base model omits: symbolic terms, each with its insertion points in the model."""
 
 from casadical.effects.base import Context, Effect
 from casadical.effects.registry import *  # noqa: F403 - every effect, by its line there

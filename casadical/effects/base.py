@@ -1,10 +1,12 @@
-"""The base of all effects, the seams at which one may enter the model, and what it may look at there.
+"""The base class of all effects, their insertion points in the model, and their inputs.
 
-In the order in which a pose is computed: `energy` (a spring or a mass: it loads the joints), `joint_angle` (added to
-the reading), `link` (behind the joint's own motion), `base`, `tool`, `measurement`. An effect overrides the seams it
-needs; the defaults leave the model as it is. A file of an effect imports what it needs from here.
+The insertion points (seams) in the order in which a pose is computed: `energy` (a spring or a mass,
+which loads the joints), `joint_angle` (added to the reading), `link` (behind the joint's own
+motion), `base`, `tool`, `measurement`. An effect overrides those it needs; the defaults leave the
+model unchanged. A file of an effect imports what it needs from here.
 
-What a simulator has in place of joint compliances and effects: springs, play, dry friction, ratios; plain data.
+Also the counterparts of joint compliances and effects in a simulator, as plain data: springs, play,
+dry friction, ratios.
 """
 
 from __future__ import annotations
@@ -27,16 +29,18 @@ from casadical.effects.settings import setting as setting
 
 @dataclass(frozen=True)
 class Context:
-    """What an effect may look at; every entry but the first is symbolic.
+    """Inputs of an effect at one pose; all but `arm` are symbolic.
 
-    arm : rows, masses, limits, loops, payload
-    torque_scale : shape (n,) [N m or N]: great gravity torques on each joint (see `Robot.torque_scale`)
+    arm : structure of the robot: DH rows, masses, limits, loops, payload
+    torque_scale : shape (n,) [N m or N]: peak gravity torque of each joint (see
+        `Robot.torque_scale`)
     q : shape (n,) [rad or m]: joint readings
     conditions : logged columns by name (payload_kg, temperature_degC, progress, approach1, ...)
     values : the value of every parameter of the model, by name [SI]
     frames : T_01..T_0n, the rigid links' frames in the robot's base frame, each (4, 4)
     gravity : shape (3,) [m/s^2]: in the robot's base frame
-    torque : shape (n,) [N m or N]: of gravity on the actuated joints; None at the seam `energy`, which makes it
+    torque : shape (n,) [N m or N]: gravity torque on the actuated joints; None in `energy`, from
+        which it is derived
 
     Examples
     --------
@@ -63,12 +67,14 @@ class Context:
     torque: Symbolic = None
 
     def load(self, joint: int | None) -> Symbolic:
-        """Gravity torque on a joint (1-based) as a share of its great torques."""
+        """Return the gravity torque on a joint (1-based) as a share of its peak gravity torque."""
         assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int, about: Symbolic = None) -> Symbolic:
-        """Moment [N m] of all weight from a link (1-based) on, about its origin; in the base frame, shape (3,).
+        """Return the moment of all weight from a link (1-based) on, in the base frame, (3,) [N m].
+
+        It is about the origin of the link's frame unless `about` is given.
 
         about : another point in the base frame, shape (3,) [m]
         """
@@ -85,7 +91,10 @@ class Context:
         return total
 
     def turned(self, joint: int) -> Symbolic:
-        """By how much a link turns in its bearing on the one before [rad]: the reading, unless a four-bar drives it."""
+        """Return the angle of a link against the one before it [rad].
+
+        It is the reading of the joint, unless a four-bar drives it.
+        """
         if all(loop.driven != joint for loop in self.arm.loops):
             return self.q[joint - 1]
         row = self.frames[joint - 2][:3, 0].T @ self.frames[joint - 1][:3, :2]
@@ -93,35 +102,43 @@ class Context:
 
     @property
     def great_moment(self) -> Symbolic:
-        """The greatest of the turning joints' great torques [N m]; of an arm that only slides, of its forces [N]."""
+        """Return the greatest peak gravity torque of the revolute joints [N m]; forces [N] if
+        none.
+        """
         return self.greatest(1, self.arm.n)
 
     def greatest(self, first: int, last: int) -> Symbolic:
-        """The greatest great torque of the turning joints (1-based) from the first to the last [N m].
+        """Return the greatest peak gravity torque of the revolute joints from first to last [N m].
 
-        Where none of them turns, of all of them [N]: moments and forces are not compared.
+        Joints are 1-based. Where none of them is revolute, all are compared [N]: moments and forces
+        are never compared with each other.
         """
         return reduce(ca.fmax, [self.torque_scale[j - 1] for j in compared(self.arm.revolute, first, last)])
 
 
 def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
-    """Joints (1-based) of which one has the greatest torque: those that turn, from the first to the last, if any do."""
+    """Return the joints (1-based) whose peak torques are compared: the revolute ones, or all if
+    none.
+    """
     there = range(first, last + 1)
     return [j for j in there if j in turning] or there
 
 
-# Of a rigid joint [N m/rad or N/m]: 10 kN m turn it by 1e-8 rad.
-RIGID = 1e12
+# Stiffness of a rigid joint [N m/rad or N/m]: 10 kN m deflect it by 1e-8 rad.
+RIGID_STIFFNESS = 1e12
 
 
 @dataclass(frozen=True)
 class Drive:
-    """What stands between a joint's command and its link.
+    """The drive train of a joint in a simulator, between its command and its link.
 
     compliance : of its spring [rad/(N m)], 0 for none
-    k1, k3 : of a spring k1 d + k3 d^3 in its place [N m/rad, N m/rad^3]
-    give, give_stiffness : half range [rad] and stiffness [N m/rad] of a second spring in series that ends at stops
-    ratio : turn of the joint per turn commanded; play : half of it [rad]; play_friction, friction : dry [N m]
+    k1, k3 : coefficients of a spring k1 d + k3 d^3 in its place [N m/rad, N m/rad^3]
+    give, give_stiffness : half range [rad] and stiffness [N m/rad] of a second spring in series
+        between stops
+    ratio : rotation of the joint per commanded rotation
+    play : half of the backlash [rad]; play_friction : dry friction within it [N m]
+    friction : dry friction of the joint [N m]
     """
 
     compliance: float = 0.0
@@ -136,16 +153,21 @@ class Drive:
 
     @property
     def stiffness(self) -> float:
-        """Of the actuator [N m/rad]; a joint that hardens has its spring beside the actuator."""
-        return RIGID if self.k1 or not self.compliance else 1 / self.compliance
+        """Return the stiffness of the actuator [N m/rad]; a hardening spring is separate from
+        it.
+        """
+        return RIGID_STIFFNESS if self.k1 or not self.compliance else 1 / self.compliance
 
 
 @dataclass(frozen=True)
 class Balancer:
-    """A spring between a link and the one before it.
+    """A balancing spring between a link and the one before it.
 
-    joint : 1-based; anchor : in levers; phase : reading at which all lie in line [rad]
-    swing : torque of the spring [N m] at its greatest; ahead : by how much its phase is ahead [rad]
+    joint : number of the joint, 1-based
+    anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the
+        arm
+    phase : reading at which spring, joint and lever lie in line [rad]
+    swing : amplitude of the torque of the spring [N m]; ahead : its phase lead [rad]
     pull : torque of the constant pull [N m], as the effect's preload
     """
 
@@ -159,7 +181,11 @@ class Balancer:
 
 @dataclass(frozen=True)
 class Omission:
-    """An effect that has no counterpart, and why; parts : short names of the parameters that have none, empty: all."""
+    """An effect that has no counterpart in a simulator.
+
+    label : of the effect; why : the reason
+    parts : short names of the parameters without counterpart; empty for all
+    """
 
     label: str
     why: str
@@ -171,18 +197,21 @@ class Omission:
 
 @dataclass(frozen=True, eq=False)
 class Counterparts:
-    """A robot's compliances and effects as a simulator knows them.
+    """A robot's compliances and effects in the form in which a simulator has them.
 
-    drives : of each joint; torque_scale, mean_load : great torque of each joint [N m or N], mean one as a share of it
-    revolute : the joints that turn
-    base : stiffness about the base frame's x and y [N m/rad], infinite where it is rigid
-    base_below : how far below the base's origin these axes are [m]
-    flexures : of a link (1-based), stiffness [N m/rad] about its axes of the whole link as a beam, and whether its
-        weight is spread along it
+    drives : drive train of each joint
+    torque_scale : peak gravity torque of each joint [N m or N]; mean_load : mean one as a share of
+        it
+    revolute : numbers of the revolute joints, 1-based
+    base : stiffness of the pedestal about the base frame's x and y [N m/rad], infinite where it is
+        rigid
+    base_below : distance of these axes below the base's origin [m]
+    flexures : by link (1-based), stiffness about its axes of the whole link as a beam [N m/rad],
+        and whether its weight is distributed along it
     balancers : springs between a link and the one before it
-    bodies : of the links, the true ones; payload : the true one
-    payload_factor : its mass as a multiple of the declared one
-    written : what became of each effect, in words; left_out : why others have none
+    bodies : true masses of the links; payload : the true one
+    payload_factor : mass of the payload as a multiple of the declared one
+    written : the counterpart of each effect, in words; left_out : effects without counterpart
     """
 
     drives: tuple[Drive, ...]
@@ -200,32 +229,39 @@ class Counterparts:
     left_out: tuple[Omission, ...] = ()
 
     def drive(self, joint: int | None) -> Drive:
-        """Of a joint (1-based)."""
+        """Return the drive train of a joint (1-based)."""
         assert joint is not None
         return self.drives[joint - 1]
 
     def great(self, joint: int | None) -> float:
-        """The great torque on a joint (1-based) [N m or N]; of None the greatest moment."""
+        """Return the peak gravity torque of a joint (1-based) [N m or N]; for None the greatest."""
         return self.greatest(joint or 1, joint or len(self.torque_scale))
 
     def greatest(self, first: int, last: int) -> float:
-        """As `Context.greatest`."""
+        """Return the greatest peak gravity torque from first to last joint, as
+        `Context.greatest`.
+        """
         return float(max(self.torque_scale[j - 1] for j in compared(self.revolute, first, last)))
 
     def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
-        """With the drive of an effect's joint changed, and a line on it."""
+        """Return the counterparts with changes of the drive of an effect's joint, and a line on
+        it.
+        """
         drives = list(self.drives)
         drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
         return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
 
     def with_springs(self, label: str, sizes: Mapping[str, float], link: int, *, spread: bool = False) -> Counterparts:
-        """With hinges of the foot (link 0) or of a link; an axis that came out negative stays rigid.
+        """Return the counterparts with hinges of the pedestal (link 0) or of a link.
 
-        sizes : turn about each axis under the greatest torque, of a link of the joints at its ends [rad]
-        spread : whether a link's own weight is spread along it
+        An axis of negative compliance stays rigid.
+
+        sizes : rotation about each axis under the peak gravity torque [rad], of a link under that
+            of the joints at its ends
+        spread : whether a link's own weight is distributed along it
         """
         made, great = self, self.greatest(link, link + 1) if link else self.great(None)
-        # A great torque that is none: of a robot without masses [N m or N].
+        # A peak torque this small [N m or N] is that of a robot without masses.
         if great < 1e-6:
             return made.without(label, "no weight loads it")
         k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
@@ -241,28 +277,31 @@ class Counterparts:
         return made.noted(pieces, flexures={**made.flexures, link: (k, spread)})
 
     def noted(self, text: str, **change: object) -> Counterparts:
-        """With what an effect became, and a line on it."""
+        """Return the counterparts with changes by an effect, and a line on it."""
         return replace(self, written=(*self.written, text), **change)  # type: ignore[arg-type]
 
     def without(self, label: str, why: str, parts: tuple[str, ...] = ()) -> Counterparts:
-        """With an effect that has no counterpart (see `Omission`)."""
+        """Return the counterparts with an effect that has none (see `Omission`)."""
         return replace(self, left_out=(*self.left_out, Omission(label, why, parts)))
 
     def without_sign(self, label: str) -> Counterparts:
-        """With the line on an effect whose counterpart would need a negative stiffness."""
+        """Return the counterparts with an effect omitted that would need a negative stiffness."""
         return self.without(label, "no counterpart, for its value or its spring has the wrong sign")
 
 
-# One sigma, in realistic sizes, of an effect once it is in a model: wide, because a user had a reason to put it there,
-# and a robot's own may be many times the usual.
-CHOSEN = 8.0
+# Prior standard deviation of an effect's parameters once it is in a model, in units of their
+# typical size: wide, because
+# a user had a reason to add it, and a robot's own value may be many times the typical one.
+CAUSE_PRIOR_SIGMA = 8.0
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One unmodelled effect. Subclass it, name it, give its parameters, and override the seams it acts at.
+    """Base of one unmodelled effect: a subclass has a name, parameters and insertion points.
 
-    Further fields are settings, in which the effect is not linear (see `setting`).
+    A subclass overrides the methods of the insertion points (`energy`, `joint_angle`, `link`, ...)
+    at which it acts. Additional fields are settings, in which the effect is not linear (see
+    `setting`).
 
     joint : number of the joint, 1-based, of effects that belong to a joint
 
@@ -306,24 +345,24 @@ class Effect:
     joint: int | None = None
 
     name: ClassVar[str] = "none"
-    held: ClassVar[float] = CHOSEN  # one sigma of each parameter once the effect is in a model, in sizes
-    on_list: ClassVar[str] = ""  # standard, extended, unknown (names no cause), or only where it is asked for by name
-    answers_as: ClassVar[str] = ""  # the effect under whose name it is a candidate and an answer, as one more law
-    acts_at: ClassVar[str] = ""  # arm, payload, [turning or rigid] joints; by default joints where it adds an `angle`
-    together: ClassVar[bool] = False  # all joints at once are a candidate, too, where a drive's make is the cause
-    covers: ClassVar[frozenset[str]] = frozenset()  # effects that it holds: beside it they are no causes of their own
-    size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # its parameters, where all settings have the same
-    needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged
-    signature: ClassVar[str] = ""  # what the data show of it (in brackets: mechanical causes that share it)
-    physics: ClassVar[str] = ""  # with its source
-    confused_with: ClassVar[str] = ""  # what looks alike
-    of_measurement: ClassVar[bool] = False  # it acts on what the instrument reports, and leaves the robot as it is
-    from_kind: ClassVar[bool] = False  # its columns come from the kind of measurement: nobody can log them
-    simulated_first: ClassVar[bool] = False  # its counterpart comes before those of others, which bend around it
+    held: ClassVar[float] = CAUSE_PRIOR_SIGMA  # prior sigma of each parameter once in a model, in typical sizes
+    on_list: ClassVar[str] = ""  # list of candidates: standard, extended, unknown (no named cause); empty: on request
+    answers_as: ClassVar[str] = ""  # the effect as a variant of which, and under whose name, it is a candidate
+    acts_at: ClassVar[str] = ""  # arm, payload, [turning or rigid] joints; default: joints if `angle` is overridden
+    together: ClassVar[bool] = False  # whether all joints at once are a candidate too (the make of the drives)
+    covers: ClassVar[frozenset[str]] = frozenset()  # effects that it includes: given it, they are no separate causes
+    size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # typical size (one sigma) and unit by parameter
+    needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged for it to be a candidate
+    signature: ClassVar[str] = ""  # how it appears in the data (in brackets: mechanical causes that share it)
+    physics: ClassVar[str] = ""  # physical explanation with its source
+    confused_with: ClassVar[str] = ""  # causes that are hard to distinguish from it
+    of_measurement: ClassVar[bool] = False  # whether it acts on the instrument's reading, not on the robot
+    from_kind: ClassVar[bool] = False  # whether its columns come from the kind of measurement, not from a log
+    simulated_first: ClassVar[bool] = False  # whether its counterpart is made before those of other effects
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """The effect with its settings on a grid, by default all combinations, wherever it may act (`acts_at`)."""
+        """Return the effect at every place where it may act (`acts_at`), for every grid setting."""
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
         every: Mapping[str, Sequence[int | None]] = {
@@ -341,7 +380,11 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """The candidates, those together that act together; by default each alone, and all joints' if `together`."""
+        """Yield the sets of effects that are judged as one: each candidate, and all joints'
+        together.
+
+        The latter, for each combination of settings, only if `together`.
+        """
         alike: dict[str, list[Effect]] = {}
         for effect in cls.candidates(arm):
             yield (effect,)
@@ -350,16 +393,21 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """The effect that `to_dict` wrote, defaults for what is not given. Raises InputError for a faulty setting."""
+        """Return the effect that `to_dict` wrote, with defaults for what is not given.
+
+        Raises InputError for a faulty setting.
+        """
         return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
-        """Name, joint where it has one, and settings where there are any, as plain data."""
+        """Return name, joint and settings, if any, as plain data."""
         whole = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
         return {key: value for key, value in whole.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Raises InputError where the arm does not have its joint, or one that is a setting."""
+        """Check that the arm has the effect's joint, and those in its settings. Raises
+        InputError.
+        """
         for f in fields(self):
             number = getattr(self, f.name)
             if (f.name == "joint" or f.metadata.get("joint")) and number is not None and number not in arm.numbers:
@@ -367,90 +415,112 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """name, or name@joint."""
+        """Return the identifier of the effect: name, or name@joint."""
         return self.name if self.joint is None else f"{self.name}@{self.joint}"
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Columns that the model needs, logged or derived from logged ones (see `derived_columns`)."""
+        """Return the columns that the model needs, logged or derived (see `derived_columns`)."""
         return self.needs
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Columns with which, once they were logged, it is no candidate: what it stands for is known better then."""
+        """Return columns that make it no candidate if logged, since a better effect uses them."""
         return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Its parameters: name -> (realistic size, one sigma; unit), by default `size`. Zero must mean: no effect."""
+        """Return typical size (one sigma) and unit of each parameter, by name; default: `size`.
+
+        The effect must vanish where all parameters are zero.
+        """
         return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Its parameters, named label.name, without bounds that matter and with a prior that hardly holds them back."""
+        """Return its parameters, named label.name, with wide bounds and wide priors about zero."""
         return tuple(
             Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
             for name, (size, unit) in self.sizes().items()
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of its parameters [SI] by their short names, out of those of a model; zero where there is none."""
+        """Return its parameters [SI] by short name, from those of a model; zero for missing
+        ones.
+        """
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
-        """The effect as it is judged in a campaign of so many poses."""
+        """Return the effect as it is judged in a campaign of `count` poses."""
         return self
 
     @property
     def parts(self) -> Mapping[int, Array]:
-        """Indices, shape (k,), of the parameters of each part whose prior size is estimated, by part; {} by default."""
+        """Return the indices, shape (k,), of each part's parameters, by part; {} by default.
+
+        The prior size of each part is estimated from the data.
+        """
         return {}
 
     def with_sizes(self, factors: Mapping[int, float]) -> Self:
-        """The effect with the prior size of each part times a factor; factors : by part."""
+        """Return the effect with the prior size of each part times a factor; factors : by part."""
         if factors:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
         return self
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
-        """What is shown in place of its parameters where these are too many: (name, value, unit); none by default."""
+        """Return (name, value, unit) shown in place of parameters that are too many; default:
+        none.
+        """
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """The symbol of one of its parameters [unit of the parameter]."""
+        """Return the symbol of one of its parameters [unit of the parameter]."""
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:
-        """Potential energy that it adds [J]."""
+        """Return the potential energy that it adds [J]."""
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """What it adds to the joint variables, shape (n,) [rad or m]; by default `angle`, at its own joint."""
+        """Return what it adds to the joint variables, (n,) [rad or m]; default: `angle` at its
+        joint.
+        """
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
             moved[self.joint - 1] = self.angle(context, context.q[self.joint - 1])
         return moved
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """What it adds to its own joint, whose reading is q [rad or m]."""
+        """Return what it adds to its own joint, whose reading is q [rad or m]."""
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Transform (4, 4) [m] behind link `number` (1-based), in that link's frame; the identity by default."""
+        """Return the transform (4, 4) [m] inserted behind link `number`, in that link's frame.
+
+        number : 1-based. The default is the identity.
+        """
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Transform (4, 4) [m] of the robot's foot, in the base frame; the identity by default."""
+        """Return the transform (4, 4) [m] of the pedestal, in the base frame; default: identity."""
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Transform (4, 4) [m] in front of the tool, in the flange frame; the identity by default."""
+        """Return the transform (4, 4) [m] before the tool, in the flange frame; default:
+        identity.
+        """
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """The measured point, shape (3,) [m], as the instrument reports it."""
+        """Return the measured point, (3,) [m] in the measuring frame, as the instrument reports
+        it.
+        """
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """What a simulator has in its place, besides what it has for others; v : its `own_values` [SI]"""
+        """Return a simulator's counterparts with that of this effect added.
+
+        v : values of its parameters, as of `own_values` [SI]
+        """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

@@ -1,8 +1,8 @@
-"""Effects defined in a file: a table [[definition]] has their formulas, sizes, settings and phrases.
+"""Effects defined in a file: a table [[definition]] has their formulas, sizes, settings and texts.
 
-The package's own list, `listed.effect.toml`, and users' effect and robot files are read by the same rules.
-
-Counterparts in a simulator that a definition may name, each for effects with the parameters that it reads.
+The package's own list, `listed.effect.toml`, and users' effect and robot files have the same
+format. A definition may name a counterpart in a simulator; each is for effects with the parameters
+that it reads.
 """
 
 from __future__ import annotations
@@ -26,32 +26,37 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
 from casadical.effects.formula_effect import (
+    DEFAULT_TARGET_DIRECTION,
     SEAMS,
-    STATIONED,
-    TOWARDS,
+    STATION_SEAMS,
     FormulaEffect,
     check_formula,
     check_values,
     columns_of,
 )
-from casadical.effects.settings import MOST_WHOLE, NEAR, setting
+from casadical.effects.settings import MAX_SETTING_COUNT, NEAR_JOINTS, setting
 
-# tanh(x) is nearest to SLOPE x that stops at STOP, off by OFF at most.
-SLOPE, STOP, OFF = 0.76, 0.92, 0.083
+# The ramp TANH_SLOPE x between stops at +-TANH_STOP is closest to tanh(x), with this greatest
+# error.
+TANH_SLOPE = 0.76
+TANH_STOP = 0.92
+TANH_MAX_ERROR = 0.083
 
 
 def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `k`, the share by which the joint turns too much."""
+    """Return the gear ratio of an effect with `k`, the share by which the joint turns too much."""
     return simulator.with_drive(effect, "gear of the drive", ratio=1 + v["k"])
 
 
 def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `rx` and `ry`, the tilt of the foot under the greatest moment [rad]."""
+    """Return hinges of the pedestal for an effect with its tilt `rx`, `ry` under peak moment
+    [rad].
+    """
     return simulator.with_springs(effect.label, v, 0)
 
 
 def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `deflection`, under the joint's great torque [rad]."""
+    """Return a softer joint spring for an effect with `deflection` under the peak torque [rad]."""
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
     soft = simulator.drive(effect.joint).compliance + v["deflection"] / simulator.great(effect.joint)
@@ -59,7 +64,7 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `constant`, a windup [rad], and `load`, what the great torque adds to it [rad]."""
+    """Return dry friction for an effect with windup [rad] `constant`, and `load` at peak torque."""
     soft = simulator.drive(effect.joint).compliance
     if soft <= 0:
         return simulator.without_sign(effect.label)
@@ -72,16 +77,19 @@ def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `bend`, at which the deflection saturates [rad], and the setting `knee`, the torque there."""
+    """Return a second spring between stops for a deflection that saturates at `bend` [rad].
+
+    The setting `knee` is the torque of saturation as a share of the peak gravity torque.
+    """
     if v["bend"] <= 0:
         return simulator.without_sign(effect.label)
-    stiffness = effect.knee * simulator.great(effect.joint) / (SLOPE * v["bend"])
-    spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * OFF * v['bend']:.1f} urad"
-    return simulator.with_drive(effect, spring, give=STOP * v["bend"], give_stiffness=stiffness)
+    stiffness = effect.knee * simulator.great(effect.joint) / (TANH_SLOPE * v["bend"])
+    spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * TANH_MAX_ERROR * v['bend']:.1f} urad"
+    return simulator.with_drive(effect, spring, give=TANH_STOP * v["bend"], give_stiffness=stiffness)
 
 
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `bend`: the spring k1 d + k3 d^3 nearest to the deflection c tau - bend (tau / great)^3."""
+    """Return the spring k1 d + k3 d^3 closest to a deflection c tau - bend (tau / peak)^3 [rad]."""
     great, load = simulator.great(effect.joint), np.linspace(-1.2, 1.2, 97)
     d = simulator.drive(effect.joint).compliance * great * load - v["bend"] * load**3
     if (np.diff(d) <= 0).any():
@@ -94,7 +102,7 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Of an effect with `mass`, a share, and `x`, `y`, `z`: the true mass, and the centre of the same first moment."""
+    """Return the true payload of an effect with `mass`, a share, and first moment x, y, z."""
     declared = simulator.payload
     if declared is None:
         return simulator.without(effect.label, "no counterpart in MuJoCo")
@@ -115,14 +123,14 @@ COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]],
 }
 
 
-LISTED = Path(__file__).with_name("listed.effect.toml")
-_NAME = re.compile(r"[a-z][a-z0-9_]*")
-_PLACE = re.compile(r"\{(\w+)\}")
+LISTED_EFFECTS_FILE = Path(__file__).with_name("listed.effect.toml")
+_NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
+_PLACEHOLDER = re.compile(r"\{(\w+)\}")
 _Value = bool | int | float | str
 
 
 class Grid(TomlTable):
-    """So many values at equal distances."""
+    """A grid of `count` equidistant values from `first` to `last`."""
 
     first: float
     last: float
@@ -130,7 +138,10 @@ class Grid(TomlTable):
 
 
 class Setting(TomlTable):
-    """A number, switch, word or point in which the effect is not linear (see `casadical.effects.setting`)."""
+    """A number, switch, word or point in which an effect is not linear (see `effects.setting`).
+
+    about : its description
+    """
 
     default: _Value | Triple
     grid: list[_Value] | Grid | Literal["near"] = []
@@ -144,6 +155,7 @@ class Setting(TomlTable):
 
     @model_validator(mode="after")
     def _values(self) -> Setting:
+        """Check grid and steps against the default. Raises FaultError."""
         if self.grid == "near" and not self.joint:
             raise FaultError("grid", "only for the number of a joint: joint = true")
         if isinstance(self.grid, list) and not {type(v) for v in self.grid} <= {self.type}:
@@ -154,32 +166,41 @@ class Setting(TomlTable):
 
     @property
     def value(self) -> Any:
-        """The default as an effect has it."""
+        """Return the default value in the form in which an effect has it."""
         return tuple(self.default) if isinstance(self.default, list) else self.default
 
     @property
     def type(self) -> Any:
-        """Of its values."""
+        """Return the type of its values."""
         return tuple[float, float, float] if isinstance(self.default, list) else type(self.default)
 
     @property
     def points(self) -> int:
-        """Values of its grid."""
-        return self.grid.count if isinstance(self.grid, Grid) else 2 if self.grid == NEAR else max(1, len(self.grid))
+        """Return the number of values of its grid."""
+        return (
+            self.grid.count
+            if isinstance(self.grid, Grid)
+            else 2
+            if self.grid == NEAR_JOINTS
+            else max(1, len(self.grid))
+        )
 
     def field(self) -> Any:
-        """As a field of a dataclass."""
+        """Return the setting as a field of a dataclass."""
         grid: Any = self.grid
         if isinstance(grid, Grid):
             grid = [float(v) for v in np.linspace(grid.first, grid.last, grid.count)]
         how = {key: getattr(self, key) for key in ("steps", "signed", "given", "joint", "whole", "tried")}
-        return setting(self.value, NEAR if grid == "near" else tuple(grid), **how)
+        return setting(self.value, NEAR_JOINTS if grid == "near" else tuple(grid), **how)
 
 
 class Definition(TomlTable):
-    """What an effect is; {joint} and {setting} in formulas, names of parameters and columns stand for their values."""
+    """The table that defines an effect, with the attributes of `Effect`.
 
-    name: str = Field(pattern=rf"^{_NAME.pattern}$", max_length=60)
+    {joint} and {setting} in formulas, names of parameters and columns stand for their values.
+    """
+
+    name: str = Field(pattern=rf"^{_NAME_PATTERN.pattern}$", max_length=60)
     on_list: Literal["standard", "extended", "motion", ""] = ""
     answers_as: str = ""
     acts_at: Literal["arm", "joints", "turning joints", "rigid joints", "payload", ""] = ""
@@ -199,7 +220,7 @@ class Definition(TomlTable):
 
 
 class DefinitionFile(TomlTable):
-    """A file with definitions."""
+    """The schema of a file with definitions of effects."""
 
     casadical: Literal[2]
     definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
@@ -210,8 +231,8 @@ class DefinedEffect(FormulaEffect):
     """An effect that a table defines; its settings are the fields that the table names."""
 
     definition: ClassVar[Definition]
-    places: ClassVar[tuple[str, ...]]  # joint and settings that stand in braces in its texts
-    texts_with: ClassVar[Callable[[tuple[str, ...]], _Texts]]  # the texts with the values of the places, in words
+    places: ClassVar[tuple[str, ...]]  # names in braces in its texts: joint and settings
+    texts_with: ClassVar[Callable[[tuple[str, ...]], _Texts]]  # returns the texts with values in their places
     if TYPE_CHECKING:
 
         def __init__(self, joint: int | None = None, *settings: Any, **named: Any) -> None: ...
@@ -220,15 +241,17 @@ class DefinedEffect(FormulaEffect):
 
     def __reduce__(self) -> tuple[Any, ...]:
         settings = {f.name: getattr(self, f.name) for f in fields(self)}
-        return _again, (self.definition.model_dump_json(), type(self).__module__, type(self).__name__, settings)
+        return _unpickled, (self.definition.model_dump_json(), type(self).__module__, type(self).__name__, settings)
 
     @property
     def _texts(self) -> _Texts:
-        return type(self).texts_with(tuple(_word(getattr(self, place)) for place in self.places))
+        return type(self).texts_with(tuple(_as_word(getattr(self, place)) for place in self.places))
 
     @property
     def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Columns that must have been logged; a warmth follows from the temperature."""
+        """Return the columns that must have been logged; a warmth is derived from the
+        temperature.
+        """
         return self._texts.needs
 
     @property
@@ -261,7 +284,7 @@ class DefinedEffect(FormulaEffect):
 
 
 class _Texts(NamedTuple):
-    """Of an effect, its joint and settings in their places."""
+    """Formulas, sizes and columns of an effect with joint and settings in place of braces."""
 
     formulas: Mapping[str, Formula]
     sizes: Mapping[str, tuple[float, str]]
@@ -270,16 +293,17 @@ class _Texts(NamedTuple):
     drivers: tuple[str, ...]
 
 
-def _word(value: Any) -> str:
-    """A value in a name: fractions are rounded to whole numbers."""
+def _as_word(value: Any) -> str:
+    """Return a value as it appears in a name; fractions are rounded to integers."""
     return str(value) if isinstance(value, int | str | tuple | None) else f"{value:.0f}"
 
 
 def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) -> _Texts:
+    """Return the texts of a definition; words : values of the places, as text."""
     of_place = dict(zip(places, words, strict=True))
 
     def filled(text: str) -> str:
-        return _PLACE.sub(lambda place: of_place[place[1]], text)
+        return _PLACEHOLDER.sub(lambda place: of_place[place[1]], text)
 
     sizes = {filled(name): size for name, size in d.sizes.items()}
     needs = tuple(map(filled, d.needs))
@@ -292,12 +316,13 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
 
 
 @cache
-def _made(definition: str, module: str, name: str) -> type[DefinedEffect]:
+def _class_of(definition: str, module: str, name: str) -> type[DefinedEffect]:
+    """Return the class of a definition in JSON."""
     d = Definition.model_validate_json(definition)
     own = [(key, s.type, s.field()) for key, s in d.settings.items()]
     numbered = any(SEAMS[seam].numbered for seam in d.formulas)
     about = [f"{key} : {s.about}" for key, s in d.settings.items() if s.about]
-    places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACE.findall(text)))
+    places = tuple(dict.fromkeys(place for text in _templates(d) for place in _PLACEHOLDER.findall(text)))
     attributes = {
         **{key: getattr(d, key) for key in Definition.model_fields if key in Effect.__annotations__ and key != "needs"},
         "acts_at": d.acts_at or ("joints" if numbered else "arm"),
@@ -315,19 +340,22 @@ def _templates(d: Definition) -> tuple[str, ...]:
     return (*d.formulas.values(), *d.sizes, *d.needs)
 
 
-def _again(definition: str, module: str, name: str, settings: Mapping[str, Any]) -> Effect:
-    """The effect that was pickled."""
-    return _made(definition, module, name)(**settings)
+def _unpickled(definition: str, module: str, name: str, settings: Mapping[str, Any]) -> Effect:
+    """Return an effect that was pickled."""
+    return _class_of(definition, module, name)(**settings)
 
 
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
-    """The class of a definition, the same for equal ones; module : that has it. Raises InputError by key."""
+    """Return the class of a definition, the same one for equal definitions.
+
+    module : name of the module of the class. Raises InputError that names the key.
+    """
     _refuse_names(d)
-    kind = _made(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
+    kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
     with errors_of("formulas: "):
-        whole = kind.texts_with(tuple(_word({"joint": 1, **settings}[place]) for place in kind.places))
+        whole = kind.texts_with(tuple(_as_word({"joint": 1, **settings}[place]) for place in kind.places))
         for seam, formula in whole.formulas.items():
             check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
             check_values(formula, whole.sizes, numbers)
@@ -338,35 +366,38 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
 
 
 def _refuse_names(d: Definition) -> None:
-    """Raises InputError for seams, counterparts and places in braces that do not exist, and for names that clash."""
+    """Check insertion points, counterparts, names in braces, and that names differ.
+
+    Raises InputError.
+    """
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
             raise InputError(f"formulas.{seam}: no seam; allowed: {', '.join(s for s in SEAMS if s != 'joints')}")
         placed = "station" in d.settings and isinstance(d.settings["station"].default, list)
-        if seam in STATIONED and not placed:
+        if seam in STATION_SEAMS and not placed:
             raise InputError(f"formulas.{seam}: it needs a setting `station`, a point")
-        looks = d.settings["towards"].default if "towards" in d.settings else TOWARDS
+        looks = d.settings["towards"].default if "towards" in d.settings else DEFAULT_TARGET_DIRECTION
         if "incidence" in str(d.formulas[seam]) and not (isinstance(looks, (list, tuple)) and any(looks)):
             raise InputError(f"formulas.{seam}: `incidence` takes the setting `towards` as a direction, [0, 0, 1] say")
     if d.counterpart and d.counterpart not in COUNTERPARTS:
         raise InputError(f"counterpart = {d.counterpart!r}: allowed: {', '.join(COUNTERPARTS)}")
-    if math.prod(s.points for s in d.settings.values()) > MOST_WHOLE:
-        raise InputError(f"settings: their grids have more than {MOST_WHOLE} combinations; use coarser ones")
+    if math.prod(s.points for s in d.settings.values()) > MAX_SETTING_COUNT:
+        raise InputError(f"settings: their grids have more than {MAX_SETTING_COUNT} combinations; use coarser ones")
     for name, (size, _) in d.sizes.items():
         if not 0 < size <= 1e3:
             raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")
     taken = {"t", "r", "joint", *(d.settings.keys() & d.sizes.keys())}
     for name in (*d.settings, *d.sizes):
-        if name in taken or not _NAME.fullmatch(_PLACE.sub("1", name)):
+        if name in taken or not _NAME_PATTERN.fullmatch(_PLACEHOLDER.sub("1", name)):
             raise InputError(f"{name}: a name of small letters, digits and _ of its own is needed, not t, r or joint")
     for text in _templates(d):
-        for place in _PLACE.findall(text):
+        for place in _PLACEHOLDER.findall(text):
             if place != "joint" and place not in d.settings:
                 raise InputError(f"{text!r}: no setting {place!r}; allowed: {', '.join(('joint', *d.settings))}")
 
 
 def effect_classes(definitions: Iterable[Definition], module: str = "effect file") -> tuple[type[DefinedEffect], ...]:
-    """Their classes. Raises InputError that names the table and the key."""
+    """Return the classes of definitions. Raises InputError that names the table and the key."""
     kinds = []
     for k, d in enumerate(definitions, 1):
         with errors_of(f"definition[{k}]."):
@@ -375,7 +406,7 @@ def effect_classes(definitions: Iterable[Definition], module: str = "effect file
 
 
 def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
-    """Effects that a file defines, by name. Raises InputError."""
+    """Return the classes of effects that a file defines, by name. Raises InputError."""
     file = check(DefinitionFile, load_toml(path), path.name)
     with errors_of(f"{path.name}: "):
         return {kind.name: kind for kind in effect_classes(file.definition, module)}

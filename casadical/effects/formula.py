@@ -1,8 +1,9 @@
-"""Formulas given as text: checked against a list of names and functions, then computed; text is never executed.
+"""Formulas given as text: validated against lists of names and functions, then evaluated.
 
-The text is split into a tree by Python's own parser, which runs nothing. Every node of the tree must be on the list
-here; numbers, length and depth are limited, and by interval arithmetic every value on the way. A formula is a number,
-or three in brackets, `[a, b, 0] * max(0, t - 0.5)`.
+Text is never executed: Python's own parser splits it into a syntax tree without running it. Every
+node of the tree must be of an allowed type; numbers, length and depth are limited, and so is, by
+interval arithmetic, every intermediate value. A formula is a number, or three in brackets,
+`[a, b, 0] * max(0, t - 0.5)`.
 """
 
 import ast
@@ -20,11 +21,15 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.reading import LARGEST_NUMBER
 
-MOST_CHARACTERS, MOST_NODES, MOST_LEVELS, MOST_POWER = 400, 120, 20, 6
-# Of numbers other than zero.
-LEAST, GREATEST = 1e-15, 1e9
-# Name -> number of arguments; the function of expressions, and that of numbers and arrays.
-_KNOWN: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
+MAX_FORMULA_CHARACTERS = 400
+MAX_FORMULA_NODES = 120
+MAX_FORMULA_DEPTH = 20
+MAX_FORMULA_POWER = 6
+# Bounds on the absolute value of constants other than zero.
+SMALLEST_CONSTANT = 1e-15
+LARGEST_CONSTANT = 1e9
+# Number of arguments, CasADi function and numpy function, by name.
+_FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
     "sin": (1, ca.sin, np.sin),
     "cos": (1, ca.cos, np.cos),
     "tanh": (1, ca.tanh, np.tanh),
@@ -36,25 +41,32 @@ _KNOWN: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
     "min": (2, ca.fmin, np.minimum),
     "max": (2, ca.fmax, np.maximum),
 }
-FUNCTIONS = {name: count for name, (count, _, _) in _KNOWN.items()}
-SYMBOLIC = {name: symbolic for name, (_, symbolic, _) in _KNOWN.items()}
-NUMERIC = {name: numeric for name, (_, _, numeric) in _KNOWN.items()}
-_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-_OPERATIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+ARGUMENT_COUNTS = {name: count for name, (count, _, _) in _FUNCTION_TABLE.items()}
+SYMBOLIC_FUNCTIONS = {name: symbolic for name, (_, symbolic, _) in _FUNCTION_TABLE.items()}
+NUMERIC_FUNCTIONS = {name: numeric for name, (_, _, numeric) in _FUNCTION_TABLE.items()}
+_OPERATOR_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+_OPERATOR_FUNCTIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 
 
 @dataclass(frozen=True)
 class Formula:
-    """A checked formula. names : that it uses, in order; components : 1, or 3 of a formula in brackets"""
+    """A validated formula.
+
+    text : as given; names : variables and parameters in it, in order
+    components : 1, or 3 for a vector in brackets
+    """
 
     text: str
     names: tuple[str, ...]
     components: int
 
-    def values(self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = SYMBOLIC) -> list[Any]:
-        """Its value, one or three, from those of its names: expressions, numbers or arrays.
+    def values(
+        self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = SYMBOLIC_FUNCTIONS
+    ) -> list[Any]:
+        """Return its components, one or three, from the values of its names.
 
-        functions : what the functions' names stand for, SYMBOLIC or NUMERIC
+        names : expressions, numbers or arrays by name
+        functions : implementations by name, SYMBOLIC_FUNCTIONS or NUMERIC_FUNCTIONS
         """
         value = _value(_tree(self.text), names, functions)
         return value if isinstance(value, list) else [value]
@@ -62,46 +74,49 @@ class Formula:
 
 @lru_cache(maxsize=8192)
 def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
-    """A formula from its text; own : names that may be those of functions, too, where nothing is called.
+    """Return the formula of a text.
 
+    own : names of parameters and settings, which may equal those of functions
     Raises InputError that states what is wrong, in which column, and what is allowed.
     """
     tree = _tree(text)
-    _refuse_large(text, tree)
+    _refuse_complex(text, tree)
     names: dict[str, None] = {}
     components = _check(text, tree, names)
     for node in _names_of(tree):
-        if node.id in FUNCTIONS and node.id not in own:
-            raise _wrong(text, node, f"{node.id} is a function; write {node.id}(...)")
+        if node.id in ARGUMENT_COUNTS and node.id not in own:
+            raise _error_at(text, node, f"{node.id} is a function; write {node.id}(...)")
     return Formula(text, tuple(names), components)
 
 
 def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str) -> None:
-    """Raises InputError for a name that is not known; allowed : those that are, in words."""
+    """Check that all names are known; allowed : those that are, in words. Raises InputError."""
     for node in _names_of(_tree(formula.text)):
         if not known(node.id):
-            raise _wrong(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
+            raise _error_at(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
 
 
 Interval = tuple[float, float]
-# What a value divided by nearly nothing is taken to be: times this.
-_POLE = 1e15
+# Bound on the reciprocal of an interval that contains zero.
+_MAX_RECIPROCAL = 1e15
 
 
 def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
-    """Between which its values lie, all components together, by interval arithmetic; ranges : of its names.
+    """Return bounds of all components of a formula by interval arithmetic.
 
-    Raises InputError for a value on the way that is beyond `LARGEST_NUMBER`, or cannot be computed.
+    ranges : bounds of the value of a name
+    Raises InputError for an intermediate value beyond `LARGEST_NUMBER`, or that cannot be computed.
     """
     return _bounds(formula.text, _tree(formula.text), ranges)
 
 
 def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Interval:
+    """Return the bounds of a node of a formula. Raises InputError."""
     parts = [_bounds(text, each, ranges) for each in ast.iter_child_nodes(node) if isinstance(each, ast.expr)]
     if isinstance(node, ast.Constant):
         low = high = float(node.value)  # type: ignore[arg-type]
     elif isinstance(node, ast.Name):
-        low, high = ranges(node.id) if node.id not in FUNCTIONS else (0.0, 0.0)
+        low, high = ranges(node.id) if node.id not in ARGUMENT_COUNTS else (0.0, 0.0)
     elif isinstance(node, ast.UnaryOp):
         low, high = parts[0] if isinstance(node.op, ast.UAdd) else (-parts[0][1], -parts[0][0])
     elif isinstance(node, ast.Call):
@@ -111,11 +126,12 @@ def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Int
     else:
         low, high = min(part[0] for part in parts), max(part[1] for part in parts)
     if not -LARGEST_NUMBER <= low <= high <= LARGEST_NUMBER:
-        raise _wrong(text, node, f"may become greater than {LARGEST_NUMBER:g}; keep its arguments small")
+        raise _error_at(text, node, f"may become greater than {LARGEST_NUMBER:g}; keep its arguments small")
     return low, high
 
 
 def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interval:
+    """Return the bounds of a function of arguments with bounds. Raises InputError."""
     assert isinstance(node.func, ast.Name)
     name, (low, high) = node.func.id, parts[0]
     if name in ("sin", "cos", "tanh", "sign", "step"):
@@ -126,22 +142,23 @@ def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interva
         return math.exp(max(min(low, 700.0), -700.0)), math.exp(max(min(high, 700.0), -700.0))
     if name == "sqrt":
         if high < 0:
-            raise _wrong(text, node, "is the root of a negative number")
+            raise _error_at(text, node, "is the root of a negative number")
         return math.sqrt(max(low, 0.0)), math.sqrt(high)
     choose = min if name == "min" else max
     return choose(low, parts[1][0]), choose(high, parts[1][1])
 
 
 def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Interval) -> Interval:
+    """Return the bounds of an operation on two intervals. Raises InputError."""
     if isinstance(node.op, ast.Add):
         return left[0] + right[0], left[1] + right[1]
     if isinstance(node.op, ast.Sub):
         return left[0] - right[1], left[1] - right[0]
     if isinstance(node.op, ast.Div):
         if right == (0.0, 0.0):
-            raise _wrong(text, node.right, "is zero; nothing can be divided by it")
+            raise _error_at(text, node.right, "is zero; nothing can be divided by it")
         pole = right[0] <= 0 <= right[1]
-        right = (-_POLE, _POLE) if pole else (1 / right[1], 1 / right[0])
+        right = (-_MAX_RECIPROCAL, _MAX_RECIPROCAL) if pole else (1 / right[1], 1 / right[0])
     square = isinstance(node.op, ast.Mult) and ast.dump(node.left) == ast.dump(node.right)
     if square or isinstance(node.op, ast.Pow):
         power = 2 if square else int(right[0])
@@ -151,100 +168,111 @@ def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Inte
     return min(products), max(products)
 
 
-def _wrong(text: str, node: ast.expr | int, why: str) -> InputError:
+def _error_at(text: str, node: ast.expr | int, why: str) -> InputError:
+    """Return an error that names the formula and the column."""
     column = node if isinstance(node, int) else node.col_offset + 1
     return InputError(f"formula {text!r}, column {column}: {why}")
 
 
 @lru_cache(maxsize=8192)
 def _tree(text: str) -> ast.expr:
+    """Return the syntax tree of a formula. Raises InputError."""
     if not text.strip():
         raise InputError("formula: it is empty; a formula such as 'a * max(0, abs(tau3) - 0.3)' is needed")
-    if len(text) > MOST_CHARACTERS:
-        raise InputError(f"formula: it has {len(text)} characters; at most {MOST_CHARACTERS} are allowed")
+    if len(text) > MAX_FORMULA_CHARACTERS:
+        raise InputError(f"formula: it has {len(text)} characters; at most {MAX_FORMULA_CHARACTERS} are allowed")
     for k, c in enumerate(text, 1):
         if not (c.isascii() and (c.isalnum() or c in "_ .,+-*/()[]")):
-            raise _wrong(text, k, f"character {c!r}; allowed are letters, digits and _ . , + - * / ( ) [ ]")
+            raise _error_at(text, k, f"character {c!r}; allowed are letters, digits and _ . , + - * / ( ) [ ]")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             return ast.parse(text.strip(), mode="eval").body
     except SyntaxError as error:
-        raise _wrong(text, error.offset or 1, f"it cannot be read: {error.msg}") from None
+        raise _error_at(text, error.offset or 1, f"it cannot be read: {error.msg}") from None
     except (ValueError, RecursionError, MemoryError, SyntaxWarning, DeprecationWarning):
-        raise _wrong(text, 1, "it cannot be read; write operators between numbers, names and brackets") from None
+        raise _error_at(text, 1, "it cannot be read; write operators between numbers, names and brackets") from None
 
 
 def _names_of(tree: ast.expr) -> list[ast.Name]:
-    """Every name that is not a called function's."""
+    """Return every name that is not that of a called function."""
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     return [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
 
 
-def _refuse_large(text: str, tree: ast.expr) -> None:
+def _refuse_complex(text: str, tree: ast.expr) -> None:
+    """Check that a formula is not too long or deeply nested. Raises InputError."""
     count, level, row = 0, 0, [tree]
     while row:
         count, level = count + len(row), level + 1
-        if level > MOST_LEVELS:
-            raise _wrong(text, row[0], f"nested more than {MOST_LEVELS} levels deep")
+        if level > MAX_FORMULA_DEPTH:
+            raise _error_at(text, row[0], f"nested more than {MAX_FORMULA_DEPTH} levels deep")
         row = [child for node in row for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
-    if count > MOST_NODES:
-        raise _wrong(text, tree, f"{count} names, numbers and operations; at most {MOST_NODES} are allowed")
+    if count > MAX_FORMULA_NODES:
+        raise _error_at(text, tree, f"{count} names, numbers and operations; at most {MAX_FORMULA_NODES} are allowed")
 
 
 def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
-    """Number of components of a node, 1 or 3; names are collected. Raises InputError."""
+    """Return the number of components of a node, 1 or 3, and add its names to `names`.
+
+    Raises InputError.
+    """
     if isinstance(node, ast.Constant):
         value = node.value
         if isinstance(value, bool) or not isinstance(value, int | float):
-            raise _wrong(text, node, f"{value!r} is no number")
-        if value and not LEAST <= abs(value) <= GREATEST:  # also an integer that is no double
-            raise _wrong(text, node, f"number out of range; allowed are 0 and {LEAST:g} to {GREATEST:g}")
+            raise _error_at(text, node, f"{value!r} is no number")
+        if value and not SMALLEST_CONSTANT <= abs(value) <= LARGEST_CONSTANT:  # also an integer that is no double
+            raise _error_at(
+                text, node, f"number out of range; allowed are 0 and {SMALLEST_CONSTANT:g} to {LARGEST_CONSTANT:g}"
+            )
         return 1
     if isinstance(node, ast.Name):
         names[node.id] = None
         return 1
     if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub | ast.UAdd):
         return _check(text, node.operand, names)
-    if isinstance(node, ast.BinOp) and type(node.op) in _SIGNS:
+    if isinstance(node, ast.BinOp) and type(node.op) in _OPERATOR_SIGNS:
         return _checked_operation(text, node, names)
     if isinstance(node, ast.Call):
         return _checked_call(text, node, names)
     if isinstance(node, ast.List):
         if len(node.elts) != 3 or any(_check(text, each, names) != 1 for each in node.elts):
-            raise _wrong(text, node, "brackets hold three components, [x, y, z]")
+            raise _error_at(text, node, "brackets hold three components, [x, y, z]")
         return 3
     allowed = "numbers, names, + - * / **, (...), [x, y, z] and functions"
-    raise _wrong(text, node, f"{type(node).__name__.lower()} is not allowed; allowed are {allowed}")
+    raise _error_at(text, node, f"{type(node).__name__.lower()} is not allowed; allowed are {allowed}")
 
 
 def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> int:
+    """Return the number of components of an operation. Raises InputError."""
     left, right = (_check(text, side, names) for side in (node.left, node.right))
-    sign = _SIGNS[type(node.op)]
+    sign = _OPERATOR_SIGNS[type(node.op)]
     if sign == "**":
         power = node.right.value if isinstance(node.right, ast.Constant) else None
-        if left != 1 or not isinstance(power, int) or not 1 <= power <= MOST_POWER:
-            raise _wrong(text, node.right, f"a power must be a whole number from 1 to {MOST_POWER}")
+        if left != 1 or not isinstance(power, int) or not 1 <= power <= MAX_FORMULA_POWER:
+            raise _error_at(text, node.right, f"a power must be a whole number from 1 to {MAX_FORMULA_POWER}")
         return 1
     if sign in "+-" and left != right:
-        raise _wrong(text, node, "one side has three components, the other one")
+        raise _error_at(text, node, "one side has three components, the other one")
     if (sign == "/" and right == 3) or (sign == "*" and left == right == 3):
-        raise _wrong(text, node, "three components can be multiplied or divided by a number only")
+        raise _error_at(text, node, "three components can be multiplied or divided by a number only")
     return max(left, right)
 
 
 def _checked_call(text: str, node: ast.Call, names: dict[str, None]) -> int:
+    """Return the number of components of a function call, 1. Raises InputError."""
     name = node.func.id if isinstance(node.func, ast.Name) else ""
-    if name not in FUNCTIONS:
-        raise _wrong(text, node, f"unknown function {name!r}; allowed are {', '.join(FUNCTIONS)}")
-    if node.keywords or len(node.args) != FUNCTIONS[name]:
-        raise _wrong(text, node, f"{name} takes {FUNCTIONS[name]} argument{'s'[: FUNCTIONS[name] - 1]}")
+    if name not in ARGUMENT_COUNTS:
+        raise _error_at(text, node, f"unknown function {name!r}; allowed are {', '.join(ARGUMENT_COUNTS)}")
+    if node.keywords or len(node.args) != ARGUMENT_COUNTS[name]:
+        raise _error_at(text, node, f"{name} takes {ARGUMENT_COUNTS[name]} argument{'s'[: ARGUMENT_COUNTS[name] - 1]}")
     if any(_check(text, each, names) != 1 for each in node.args):
-        raise _wrong(text, node, f"{name} takes no three components")
+        raise _error_at(text, node, f"{name} takes no three components")
     return 1
 
 
 def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
+    """Return the value of a node, a number or a list of three."""
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):
@@ -263,11 +291,11 @@ def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Cal
         assert isinstance(node.right, ast.Constant)
         assert isinstance(node.right.value, int)
         return math.prod([left] * node.right.value)
-    return _each(_OPERATIONS[type(node.op)], left, _value(node.right, names, functions))
+    return _each(_OPERATOR_FUNCTIONS[type(node.op)], left, _value(node.right, names, functions))
 
 
 def _each(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
-    """An operation on numbers, or on each of three components."""
+    """Return an operation on two numbers, or on each of three components."""
     if not isinstance(left, list) and not isinstance(right, list):
         return operation(left, right)
     sides = [side if isinstance(side, list) else [side] * 3 for side in (left, right)]
@@ -275,5 +303,5 @@ def _each(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
 
 
 def names_in(formulas: Collection[Formula]) -> tuple[str, ...]:
-    """Names that formulas use, each once."""
+    """Return the names that formulas use, each once."""
     return tuple(dict.fromkeys(name for f in formulas for name in f.names))

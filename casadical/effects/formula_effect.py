@@ -1,8 +1,9 @@
-"""Effects whose formulas are text: where a formula may act, what it may name, and what it then does to the model.
+"""Effects whose formulas are text: their insertion points, names, and contributions to the model.
 
-Those of the list, those that a user defines in a file (see `definition`) and laws found in data alike. A `Law` is what
-is added at one place of the robot, as a formula of what is known at a pose; `casadical diagnose --laws` writes it.
-A formula is data: it is parsed and never executed (see `formula`).
+They are the effects of the package's list, those that a user defines in a file (see `definition`),
+and laws: expressions found in data. A `Law` is added at one insertion point as a formula of what is
+known at a pose; `casadical diagnose --laws` writes it. A formula is parsed and never executed (see
+`formula`).
 """
 
 import re
@@ -18,11 +19,15 @@ from casadical.core.basics import InputError
 from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect
-from casadical.effects.formula import NUMERIC, Formula, Interval, bounds, parse, refuse_unknown
+from casadical.effects.formula import NUMERIC_FUNCTIONS, Formula, Interval, bounds, parse, refuse_unknown
 
 
 class Seam(NamedTuple):
-    """components : of a formula there; numbered : whether it needs the number of a joint or link"""
+    """An insertion point of formulas in the model.
+
+    components : number of components of a formula there, 1 or 3
+    unit : of its value; numbered : whether it needs the number of a joint or link
+    """
 
     components: int
     unit: str
@@ -51,40 +56,46 @@ SEAMS = {
     "response": Seam(1, "rad", True),
     "responses": Seam(1, "rad"),
 }
-# Of joint logs, and what a formula there may name (see `motion`): of its own joint, at every sample.
+# Insertion points in joint logs, and names of signals of its own joint that a formula there may use
+# (see `motion`).
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
-MOTION = frozenset({
+MOTION_NAMES = frozenset({
     "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
     "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
     "delayed", "filtered", "heat", "rest", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
 })  # fmt: skip
-# The same of any joint, by its number.
-MOTION_OF = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
-# Columns by their name in a formula, where it is another one.
-COLUMNS = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-COLUMN = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
-_OF_POSE = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
-OF_JOINT = re.compile(r"q|tau|approach|move")
-_NUMBERED = re.compile(
+# Names of signals of any joint, with its number.
+MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
+# Column of each name in a formula that differs from its column's.
+COLUMN_BY_NAME = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
+COLUMN_NAME = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
+_POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
+JOINT_NAME = re.compile(r"q|tau|approach|move")
+_NUMBERED_NAME = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
-# Of a beam from an instrument: its length, its direction about the vertical, its cosine with the way the target looks
-# (by default the flange's third axis); of its head the sense of the last turn about the vertical, by its station.
-_BEAM = ("r", "azimuth", "incidence")
-HEAD = "head"
-TOWARDS = (0.0, 0.0, 1.0)
-# Seams at which an instrument stands at a station.
-STATIONED = ("beam", "across")
-# Of the measured point, at the seams behind it.
-_POINT = ("point_x", "point_y", "point_z")
-# Of instruments that read distances: where the far end is, and which one read a pose, numbered in the order of tables
-# (see `diagnosis.observations`).
-WIRES = 4
-FAR = ("far_x_m", "far_y_m", "far_z_m")
-FLAGS = tuple(f"wire{k}" for k in range(1, WIRES + 1))
-# Where a camera that measures poses is: fixed, or on the flange.
-SIDES = ("fixed", "carried")
-ALLOWED = (
+# Names for the beam of an instrument: its length [m], its direction about the vertical [rad], and
+# the cosine of its angle
+# with the target's direction (by default the flange's third axis). HEAD_NAME is the sense of the
+# last rotation of the
+# instrument's head about the vertical, -1 to 1.
+_BEAM_NAMES = ("r", "azimuth", "incidence")
+HEAD_NAME = "head"
+DEFAULT_TARGET_DIRECTION = (0.0, 0.0, 1.0)
+# Insertion points that need the position (station) of an instrument.
+STATION_SEAMS = ("beam", "across")
+# Names of the coordinates of the measured point [m], at insertion points behind it.
+_POINT_NAMES = ("point_x", "point_y", "point_z")
+# Instruments that measure distances: their largest number, columns of the anchor of a distance [m],
+# and columns that are 1
+# where an instrument measured a pose, numbered in the order of tables (see
+# `diagnosis.observations`).
+MAX_DISTANCE_INSTRUMENTS = 4
+ANCHOR_COLUMNS = ("far_x_m", "far_y_m", "far_z_m")
+INSTRUMENT_FLAG_COLUMNS = tuple(f"wire{k}" for k in range(1, MAX_DISTANCE_INSTRUMENTS + 1))
+# Where a camera that measures poses is mounted: fixed, or on the flange.
+CAMERA_SIDES = ("fixed", "carried")
+ALLOWED_NAMES = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
     "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
@@ -95,22 +106,22 @@ ALLOWED = (
 
 @dataclass(frozen=True)
 class FormulaEffect(Effect):
-    """An effect that adds the values of formulas at some seams."""
+    """An effect that adds the values of formulas at some insertion points."""
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
-        """Seam -> formula of what is added there."""
+        """Return the formula of what is added, by insertion point."""
         raise NotImplementedError
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """Names in its formulas that are neither parameters nor settings."""
+        """Return the names in its formulas that are neither parameters nor settings."""
         raise NotImplementedError
 
     def refuse_joints(self, arm: Arm) -> None:
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
-            numbered = _NUMBERED.fullmatch(name)
+            numbered = _NUMBERED_NAME.fullmatch(name)
             if numbered and int(numbered[1]) not in (*arm.numbers, *([0] if name[0] == "m" else [])):
                 text = next(iter(self.formulas.values())).text
                 raise InputError(f"formula {text!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")
@@ -118,11 +129,15 @@ class FormulaEffect(Effect):
             raise InputError(f"{self.name}: seam = {seam!r}; robot {arm.name!r} declares no payload")
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Parameters and settings by their names in the formulas."""
+        """Return parameters and settings by their names in the formulas."""
         raise NotImplementedError
 
     def values_at(self, seam: str, context: Context, more: Mapping[str, Symbolic] | None = None) -> list[Symbolic]:
-        """Of the formula at a seam, one or three; none where it has none there. more : names that are known there"""
+        """Return the components, one or three, of the formula at an insertion point; [] without
+        one.
+
+        more : values of additional names at this point
+        """
         formula = self.formulas.get(seam)
         if formula is None:
             return []
@@ -161,25 +176,25 @@ class FormulaEffect(Effect):
         return self._frame("tool ", context)
 
     def _frame(self, where: str, context: Context) -> Symbolic:
-        """Transform (4, 4) of a shift, a tilt or both."""
+        """Return the transform (4, 4) [m] of a shift, a tilt or both."""
         shift, tilt = (self.values_at(f"{where}{what}", context) for what in ("shift", "tilt"))
         if tilt:
             return small_frame(*(shift or (0, 0, 0)), *tilt)
         return translate(*shift) if shift else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        moved, names = point, dict(zip(_POINT, ca.vertsplit(point), strict=True))
+        moved, names = point, dict(zip(_POINT_NAMES, ca.vertsplit(point), strict=True))
         if "point" in self.formulas:
             moved = moved + ca.vertcat(*self.values_at("point", context, names))
-        for seam in {*STATIONED, "distance"} & self.formulas.keys():
-            far = [context.conditions[c] for c in FAR] if seam == "distance" else self.station  # type: ignore[attr-defined]
+        for seam in {*STATION_SEAMS, "distance"} & self.formulas.keys():
+            far = [context.conditions[c] for c in ANCHOR_COLUMNS] if seam == "distance" else self.station  # type: ignore[attr-defined]
             beam = point - ca.vertcat(*far)
             r = ca.sqrt(ca.sumsqr(beam) + 1e-12)
             of_beam = {"r": r, "azimuth": ca.atan2(beam[1], beam[0])}
             if "incidence" in self.formulas[seam].names:
-                mark = np.array(getattr(self, "towards", TOWARDS))
+                mark = np.array(getattr(self, "towards", DEFAULT_TARGET_DIRECTION))
                 of_beam["incidence"] = ca.dot(beam, context.frames[-1][:3, :3] @ (mark / np.linalg.norm(mark))) / r
-            of_beam |= dict(zip([HEAD], (context.conditions[c] for c in self.of_head), strict=False))
+            of_beam |= dict(zip([HEAD_NAME], (context.conditions[c] for c in self.of_head), strict=False))
             aside = ca.vertcat(-beam[1], beam[0], 0) / ca.sqrt(beam[0] ** 2 + beam[1] ** 2 + 1e-12)
             way = aside if seam == "across" else beam / r
             moved = moved + way * self.values_at(seam, context, {**names, **of_beam})[0]
@@ -187,41 +202,48 @@ class FormulaEffect(Effect):
 
     @property
     def of_head(self) -> tuple[str, ...]:
-        """The column of the sense of the head's last turn, where a formula names it."""
-        named = any(HEAD in f.names for seam, f in self.formulas.items() if seam in STATIONED)
-        return (head_column(self.station),) if named and HEAD not in self.needs else ()  # type: ignore[attr-defined]
+        """Return the column of the sense of the head's last rotation, if a formula uses it."""
+        named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
+        return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
 
 
 def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
-    """A formula that fits its seam; own : names of its parameters and settings.
+    """Return the formula of a text, validated for its insertion point.
 
+    own : names of its parameters and settings
     Raises InputError that names the column, what is wrong and what is allowed.
     """
     formula = parse(text, frozenset(own))
     if formula.components != SEAMS[seam].components:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
-    there = {*own, *(_BEAM if seam in (*STATIONED, "distance") else ()), *([HEAD] if seam in STATIONED else ())}
-    there |= set(_POINT if seam in (*STATIONED, "distance", "point") else ())
+    there = {
+        *own,
+        *(_BEAM_NAMES if seam in (*STATION_SEAMS, "distance") else ()),
+        *([HEAD_NAME] if seam in STATION_SEAMS else ()),
+    }
+    there |= set(_POINT_NAMES if seam in (*STATION_SEAMS, "distance", "point") else ())
     if seam in MOTION_SEAMS:
-        allowed = ", ".join([*own, *sorted(MOTION), "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"])
-        refuse_unknown(formula, lambda name: name in there | MOTION or bool(MOTION_OF.fullmatch(name)), allowed)
+        allowed = ", ".join([*own, *sorted(MOTION_NAMES), "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"])
+        refuse_unknown(
+            formula, lambda name: name in there | MOTION_NAMES or bool(MOTION_NAME_OF_JOINT.fullmatch(name)), allowed
+        )
         return formula
-    refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED}")
+    refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED_NAMES}")
     return formula
 
 
 def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
-    """Raises InputError for a formula that is not zero without its parameters, or not a number with them, or too great.
+    """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
-    settings : values that it has
+    settings : values of its settings, by name. Raises InputError.
     """
     ranges = {name: _range_of(name) for name in formula.names} | {n: (float(v), float(v)) for n, v in settings.items()}
     bounds(formula, lambda name: ranges[name])
     rng = np.random.default_rng(0)
     at: dict[str, Any] = {n: rng.uniform(*ranges[n], 200) for n in formula.names if n not in settings} | dict(settings)
     with np.errstate(all="ignore"):
-        without = formula.values(at | dict.fromkeys(parameters, np.zeros(200)), NUMERIC)
-        whole = formula.values(at, NUMERIC)
+        without = formula.values(at | dict.fromkeys(parameters, np.zeros(200)), NUMERIC_FUNCTIONS)
+        whole = formula.values(at, NUMERIC_FUNCTIONS)
     if any(np.nan_to_num(v).any() for v in without):
         raise InputError(f"formula {formula.text!r}: it must be zero where {', '.join(parameters)} are zero")
     wrong = np.broadcast_to(~np.isfinite(sum(whole)), 200)
@@ -230,62 +252,70 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
         raise InputError(f"formula {formula.text!r}: it is no number where {there}")
 
 
-# Of names in formulas [SI]; of others, which are angles, lengths and parameters: _USUAL.
-_RANGES = {
+# Ranges of values [SI] for which formulas are checked, by name, and for all other names.
+_RANGE_BY_NAME = {
     "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
-    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD: (-1.0, 1.0),
+    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD_NAME: (-1.0, 1.0),
 }  # fmt: skip
-_USUAL = (-4.0, 4.0)
+_DEFAULT_RANGE = (-4.0, 4.0)
 
 
 def _range_of(name: str) -> Interval:
-    if name in MOTION and name not in _RANGES:
-        return _USUAL
+    """Return the range of values for which a name is checked."""
+    if name in MOTION_NAMES and name not in _RANGE_BY_NAME:
+        return _DEFAULT_RANGE
     if re.fullmatch(r"heat\d+_\d+s", name):
-        return 0.0, _USUAL[1]
-    return _RANGES.get("g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _USUAL)
+        return 0.0, _DEFAULT_RANGE[1]
+    return _RANGE_BY_NAME.get(
+        "g" if re.fullmatch("g[xyz]", name) else re.sub(r"\d.*", "", name).rstrip("_"), _DEFAULT_RANGE
+    )
 
 
 def _known(name: str, seam: str) -> bool:
-    """Whether a formula at a seam may name this quantity of a pose or this column."""
-    if seam == "joints" and OF_JOINT.fullmatch(name):
+    """Return whether a formula at an insertion point may use this quantity or column."""
+    if seam == "joints" and JOINT_NAME.fullmatch(name):
         return True
-    if seam.startswith("payload") and not name.startswith("q") and not COLUMN.fullmatch(name):
+    if seam.startswith("payload") and not name.startswith("q") and not COLUMN_NAME.fullmatch(name):
         return False
-    # Loads follow from the energy, not the other way round.
+    # Loads are derived from the energy, so that it cannot depend on them.
     if seam == "energy" and name.startswith("tau"):
         return False
-    return bool(COLUMN.fullmatch(name) or _OF_POSE.fullmatch(name))
+    return bool(COLUMN_NAME.fullmatch(name) or _POSE_NAME.fullmatch(name))
 
 
 def head_column(station: Iterable[float]) -> str:
-    """Name of the sense of the last turn of the head of an instrument that stands there [m]."""
+    """Return the column of the sense of the last head rotation of an instrument at a station
+    [m].
+    """
     return f"head_{'_'.join(f'{1e3 * v:.0f}' for v in station)}mm".replace("-", "m")
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:
-    """Columns of a camera's vector in the measuring frame, made of measured poses (see `diagnosis.instrument_columns`).
+    """Return the columns of a camera's vector [m] in the measuring frame, computed from poses.
 
-    side : of SIDES; what : depth, the part of the way to the target along the lens's axis, or radial, the part across
-        it times its slope squared. A fixed camera's frame is the measuring frame with the third axis along the lens,
-        that of one on the flange the tool frame.
+    side : one of CAMERA_SIDES
+    what : depth, the component of the vector to the target along the optical axis, or radial, the
+        component across it times its slope squared
+    A fixed camera's frame is the measuring frame, with its third axis along the optical axis; that
+    of one on the flange is the tool frame (see `diagnosis.instrument_columns`).
     """
     x, y, z = (f"{side}_{what}_{c}_m" for c in "xyz")
     return x, y, z
 
 
 def columns_of(names: Collection[str]) -> list[str]:
-    """Columns that names in a formula stand for."""
-    return [COLUMNS.get(n, n) for n in names if COLUMN.fullmatch(n)]
+    """Return the columns of those names in a formula that are columns."""
+    return [COLUMN_BY_NAME.get(n, n) for n in names if COLUMN_NAME.fullmatch(n)]
 
 
 def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = None) -> Symbolic:
-    """The value of a name in a formula (see ALLOWED). Raises KeyError for a column that is not there.
+    """Return the value of a name in a formula (see ALLOWED_NAMES).
 
-    moments : those that were composed for other names, by link
+    moments : cache of scaled moments by link, to which new ones are added
+    Raises KeyError for a column that is not there.
     """
-    if not _OF_POSE.fullmatch(name):
-        return context.conditions[COLUMNS.get(name, name)]
+    if not _POSE_NAME.fullmatch(name):
+        return context.conditions[COLUMN_BY_NAME.get(name, name)]
     axis = "xyz".find(name[-1])
     if name[0] == "g":
         g = ca.DM(context.arm.gravity)
@@ -302,29 +332,32 @@ def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = 
 
 
 def _moment(context: Context, link: int) -> Symbolic:
-    """About a link's origin, in its frame; of link 0, the foot, about the first joint's origin in the base frame."""
+    """Return the moment of weight about a link's origin, in its frame, shape (3,) [N m].
+
+    For link 0, the pedestal, it is about the first joint's origin, in the base frame.
+    """
     if link == 0:
         return context.moment(1)
     return context.frames[link - 1][:3, :3].T @ context.moment(link)
 
 
 def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
-    """Transform (4, 4) behind a link (1-based) that is longer by a share of its length."""
+    """Return the transform (4, 4) [m] behind a link (1-based) longer by a share of its length."""
     before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
     here = context.frames[number - 1]
-    # The link's own length, seen in its frame: what lies between its origin and the one before.
+    # The vector from the previous link's origin to this one's, in this link's frame.
     along = here[:3, :3].T @ (here[:3, 3] - before[:3, 3])
     moved = ca.SX.eye(4)
     moved[:3, 3] = growth * along
     return moved
 
 
-_FACTOR = re.compile(r"[a-z]")
+_FACTOR_NAME = re.compile(r"[a-z]")
 
 
 @lru_cache(maxsize=1024)
 def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
-    """Raises InputError for a law that is none; once for all the stations where it is tried."""
+    """Check the formula of a law, once for all stations where it is tried. Raises InputError."""
     formula = check_formula(text, seam, factors)
     if unused := [name for name in factors if name not in formula.names]:
         raise InputError(f"formula {text!r}: factor {unused[0]!r} is not in it")
@@ -333,13 +366,17 @@ def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
 
 @dataclass(frozen=True)
 class Law(FormulaEffect):
-    """seam : where it acts, one of SEAMS; joint : number of the joint or link there
+    """An effect found in data: one expression at one insertion point.
 
-    formula : what is added there [rad, m or kg/kg]; of the seam `joints` with q, tau, approach, move of each joint
-    factors : names of its parameters, single letters, and their realistic sizes; without them it must be zero
-    station : where the instrument stands, in the measuring frame [m], for the seams `beam` and `across`, there with r,
-        the range [m]; towards : which way the target looks, in the flange's frame, for `incidence`
-    count : number of joints, for the seam `joints`
+    seam : insertion point, one of SEAMS; joint : number of the joint or link there
+    formula : what is added there [rad, m or kg/kg]; for `joints`, q, tau, approach and move are
+        those of each joint
+    factors : names of its parameters, single letters, and their typical sizes; the formula must be
+        zero where they are
+    station : position of the instrument in the measuring frame [m], for `beam` and `across`, where
+        r is the range [m]
+    count : number of joints, for `joints`
+    towards : direction of the target in the flange's frame, for `incidence`
     """
 
     seam: str = "joint"
@@ -347,7 +384,7 @@ class Law(FormulaEffect):
     factors: tuple[tuple[str, float], ...] = (("a", 30e-6),)
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
     count: int = 6
-    towards: tuple[float, float, float] = TOWARDS
+    towards: tuple[float, float, float] = DEFAULT_TARGET_DIRECTION
 
     name: ClassVar[str] = "law"
     on_list: ClassVar[str] = "unknown"
@@ -361,7 +398,11 @@ class Law(FormulaEffect):
         if numbered != (self.joint is not None):
             raise InputError(f"law: joint {'is missing' if numbered else 'does not belong'} at the seam {self.seam!r}")
         names = [name for name, _ in self.factors]
-        if not names or len(set(names)) < len(names) or not all(_FACTOR.fullmatch(n) and n not in "tr" for n in names):
+        if (
+            not names
+            or len(set(names)) < len(names)
+            or not all(_FACTOR_NAME.fullmatch(n) and n not in "tr" for n in names)
+        ):
             raise InputError(f"law: factors = {names}; allowed are different single letters, not t or r, one at least")
         if not any(self.towards):
             raise InputError("law: towards = (0, 0, 0) is no direction; the flange's third axis is (0, 0, 1)")
@@ -371,13 +412,13 @@ class Law(FormulaEffect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """None: laws are searched for (see `casadical.discover`), or given."""
+        """Return no candidates: laws are searched for (see `casadical.discover`), or given."""
         return ()
 
     @property
     def of_measurement(self) -> bool:  # type: ignore[override]
-        """Whether it acts on what the instrument reports."""
-        return self.seam in (*STATIONED, "distance", "point")
+        """Return whether it acts on the instrument's reading rather than on the robot."""
+        return self.seam in (*STATION_SEAMS, "distance", "point")
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
@@ -385,7 +426,7 @@ class Law(FormulaEffect):
 
     @property
     def place(self) -> str:
-        """Where it acts, in words."""
+        """Return where it acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
         words["across"] = "the beam's side"
         return words.get(self.seam, self.seam).format(self.joint)
@@ -404,7 +445,13 @@ class Law(FormulaEffect):
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
-        needed = ["payload_kg"] if self.seam.startswith("payload") else list(FAR) if self.seam == "distance" else []
+        needed = (
+            ["payload_kg"]
+            if self.seam.startswith("payload")
+            else list(ANCHOR_COLUMNS)
+            if self.seam == "distance"
+            else []
+        )
         return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:
@@ -424,7 +471,7 @@ class Law(FormulaEffect):
     def joint_angle(self, context: Context) -> Symbolic:
         moved = super().joint_angle(context)
         for j in range(1, context.arm.n + 1) if self.seam == "joints" else ():
-            own = {name: variable(context, f"{name}{j}") for name in self.drivers if OF_JOINT.fullmatch(name)}
+            own = {name: variable(context, f"{name}{j}") for name in self.drivers if JOINT_NAME.fullmatch(name)}
             own |= {name: self.value(context, f"{name}{j}") for name, _ in self.factors}
             moved[j - 1] = self.values_at("joints", context, own)[0]
         return moved

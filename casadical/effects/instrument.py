@@ -1,4 +1,4 @@
-"""The measuring frame and the reflector move, at once or slowly, or stand elsewhere in a later session."""
+"""Effects of the measurement: motion of the measuring frame or the reflector, and new sessions."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -13,9 +13,10 @@ from casadical.effects.base import Context, Effect, setting
 
 @dataclass(frozen=True)
 class FrameDrift(Effect):
-    """The measuring frame creeps against the robot with time.
+    """Drift of the measuring frame against the robot with time.
 
-    shape : power of time; 1 creeps steadily, less settles, more comes late.
+    shape : exponent of time; 1 for a steady drift, below 1 for one that settles, above 1 for a late
+        one
     """
 
     shape: float = setting(1.0, (0.5, 1.0, 2.0), steps=True)
@@ -30,7 +31,7 @@ class FrameDrift(Effect):
     size = dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
 
     def course(self, context: Context) -> Symbolic:
-        """Share of the whole drift that has happened, 0 to 1."""
+        """Return the share of the whole drift that has happened, 0 to 1."""
         return (context.conditions["progress"] + 1e-6) ** self.shape
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
@@ -42,7 +43,7 @@ class FrameDrift(Effect):
 
 @dataclass(frozen=True)
 class FrameSettling(FrameDrift):
-    """The measuring frame moves against the robot after the start, ever more slowly, until it rests.
+    """Exponential settling of the measuring frame against the robot after the start of a campaign.
 
     settles : time constant as a share of the campaign
     """
@@ -65,18 +66,20 @@ class FrameSettling(FrameDrift):
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
 
-# For steps of several numbers each: they follow the data better between two times.
-FEW_TIMES = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
+# Times of candidate steps, as shares of the campaign; few, since a step of six parameters fits
+# between two times too.
+STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 
 
 @dataclass(frozen=True)
 class FrameStep(Effect):
-    """A frame of the robot, or the measuring frame, shifts and turns at once during the campaign.
+    """A step of a link's frame, or of the measuring frame, in all six degrees of freedom.
 
-    at : when, as a share of the campaign; without a joint, the measuring frame moves against the robot's foot
+    at : time of the step, as a share of the campaign
+    Without a joint the measuring frame moves against the robot's base, else the frame of that link.
     """
 
-    at: float = setting(0.5, FEW_TIMES, steps=True)
+    at: float = setting(0.5, STEP_TIME_GRID, steps=True)
 
     name = "frame_step"
     on_list = "extended"
@@ -88,9 +91,10 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in FEW_TIMES)
+        return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:
+        """Return the six components of the step at a pose, zero before it."""
         after = context.conditions["progress"] > self.at
         return [self.value(context, name) * after for name in self.size]
 
@@ -106,9 +110,9 @@ class FrameStep(Effect):
 
 @dataclass(frozen=True)
 class SmrOffset(Effect):
-    """The optical centre of the reflector lies beside the centre of its sphere.
+    """Offset of the optical centre of a reflector from the centre of its sphere.
 
-    station : where the instrument stands, in the measuring frame [m]; most have their own origin there
+    station : position of the instrument in the measuring frame [m]; most have their origin there
     """
 
     station: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -134,7 +138,12 @@ class SmrOffset(Effect):
 
 @dataclass(frozen=True)
 class Session(Effect):
-    """which : its name in the column `session`; base, tool : whether it has its own; zeros : of so many first joints"""
+    """Differences of a later session from the first: base frame, tool point and joint zero offsets.
+
+    which : its name in the column `session`
+    base_too, tool_too : whether it has its own base frame and tool point
+    zeros : number of the first joints that have their own zero offsets
+    """
 
     which: str = setting("", given=True)
     base_too: bool = setting(True, given=True)
@@ -157,7 +166,7 @@ class Session(Effect):
 
     @property
     def column(self) -> str:
-        """The condition that is 1 in this session, else 0."""
+        """Return the name of the column that is 1 in this session, else 0."""
         return f"session_{self.which}"
 
     @property
@@ -171,6 +180,7 @@ class Session(Effect):
         return (base if self.base_too else {}) | (tool if self.tool_too else {}) | zeros
 
     def _now(self, context: Context, name: str) -> Symbolic:
+        """Return a parameter in this session, and zero in others."""
         return self.value(context, name) * context.conditions[self.column]
 
     def joint_angle(self, context: Context) -> Symbolic:

@@ -1,4 +1,4 @@
-"""Each revolute joint's own error as a periodic curve of its own angle, of all joints at once."""
+"""The error of each revolute joint as a periodic curve of its own angle, for all joints at once."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,23 +11,31 @@ from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 
-# One sigma of a harmonic of a joint about which nothing is known yet [rad].
-USUAL = 60e-6
-# Up to this order harmonics are alike in size; beyond it they fall with the order.
-KNEE = 17
-# Harmonics of each curve; from so many poses on there are enough readings for more.
-ORDERS, MANY, DENSE = 60, 400, 90
+# Prior standard deviation of a harmonic of a joint without other information [rad].
+TYPICAL_HARMONIC_RAD = 60e-6
+# Up to this order harmonics have one prior size; above it the size is inversely proportional to the
+# order.
+DEFAULT_KNEE_ORDER = 17
+# Highest harmonic of each curve.
+DEFAULT_ORDERS = 60
+# Number of poses from which the readings determine more harmonics, and the highest harmonic then.
+MIN_POSES_FOR_EXTENDED_ORDERS = 400
+EXTENDED_ORDERS = 90
 
 
 @dataclass(frozen=True)
 class JointErrorCurve(Effect):
-    """spread : one sigma of a harmonic up to the knee, of each joint [rad]; 0 for a joint that has no curve (prismatic)
-    orders : the highest harmonic of a joint's turn; knee : see above
+    """A periodic error curve of each revolute joint: a Fourier series in its own angle.
+
+    spread : prior standard deviation of a harmonic up to the knee, of each joint [rad]; 0 for a
+        joint without a curve (prismatic)
+    orders : highest harmonic of a revolution
+    knee : order above which the prior size of a harmonic is inversely proportional to its order
     """
 
-    spread: tuple[float, ...] = (USUAL,) * 6
-    orders: int = ORDERS
-    knee: int = KNEE
+    spread: tuple[float, ...] = (TYPICAL_HARMONIC_RAD,) * 6
+    orders: int = DEFAULT_ORDERS
+    knee: int = DEFAULT_KNEE_ORDER
 
     name = "joint_error_curve"
     on_list = "standard"
@@ -48,7 +56,9 @@ class JointErrorCurve(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(None, tuple(USUAL * (j in arm.revolute) for j in arm.numbers)),) if arm.revolute else ()
+        return (
+            (cls(None, tuple(TYPICAL_HARMONIC_RAD * (j in arm.revolute) for j in arm.numbers)),) if arm.revolute else ()
+        )
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         return {
@@ -60,11 +70,18 @@ class JointErrorCurve(Effect):
         }
 
     def for_poses(self, count: int) -> "JointErrorCurve":
-        return replace(self, orders=DENSE) if count >= MANY and self.orders == ORDERS else self
+        """Return the effect with more harmonics where there are enough poses."""
+        return (
+            replace(self, orders=EXTENDED_ORDERS)
+            if count >= MIN_POSES_FOR_EXTENDED_ORDERS and self.orders == DEFAULT_ORDERS
+            else self
+        )
 
     @property
     def parts(self) -> dict[int, Array]:
-        """Indices, shape (k,), of each joint's parameters among all of the effect's, by joint."""
+        """Return the indices, shape (k,), of each joint's parameters among the effect's, by
+        joint.
+        """
         joints = [j for j, spread in enumerate(self.spread, 1) if spread > 0]
         return {j: np.arange(2 * self.orders * k, 2 * self.orders * (k + 1)) for k, j in enumerate(joints)}
 
@@ -74,7 +91,7 @@ class JointErrorCurve(Effect):
         return ("harmonics of each joint", str(self.orders), ""), ("one sigma of each, joint by joint", sizes, "urad")
 
     def with_sizes(self, factors: Mapping[int, float]) -> "JointErrorCurve":
-        """The effect with the size of each joint's curve times a factor; factors : by joint."""
+        """Return the effect with the prior size of each joint's curve times a factor, by joint."""
         return replace(self, spread=tuple(s * factors.get(j, 1.0) for j, s in enumerate(self.spread, 1)))
 
     def joint_angle(self, context: Context) -> Symbolic:
@@ -92,7 +109,7 @@ class JointErrorCurve(Effect):
 
 
 def series(q: Symbolic, sines: Sequence[Symbolic], cosines: Sequence[Symbolic]) -> Symbolic:
-    """Sum of sines and cosines of the multiples 1, 2, ... of an angle, by adding the angle once for each order."""
+    """Return a Fourier series of an angle, without constant term, by angle addition formulas."""
     s1, c1 = ca.sin(q), ca.cos(q)
     s, c, total = s1, c1, ca.SX(0)
     for a, b in zip(sines, cosines, strict=True):

@@ -1,4 +1,4 @@
-"""Play in a gear; bearings that run out or have play."""
+"""Effects of backlash in a gear, and of bearings with run-out or play."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -9,16 +9,20 @@ from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Counterparts, Effect, setting
 
-FRICTIONS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
+# Friction torques of the candidates, as shares of the joint's peak gravity torque.
+FRICTION_GRID = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Play in a gear, taken up by the gravity torque, or by the approach where there is little torque.
+    """Backlash of a gear, taken up by the gravity torque, or by the approach where the torque is
+    small.
 
-    The flank changes where gravity overcomes friction.
+    The contact changes its flank where gravity overcomes friction.
 
-    friction : torque below which the approach decides; width : of the change; shares of the joint's great torques
+    friction : torque below which the direction of approach decides, as a share of the joint's peak
+        gravity torque
+    width : of the transition between both flanks, as a share of the joint's peak gravity torque
     """
 
     friction: float = 0.05
@@ -37,14 +41,14 @@ class Backlash(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        return (cls(j, f, f * w) for j in arm.numbers for f in FRICTIONS for w in (0.3, 0.6, 1.2))
+        return (cls(j, f, f * w) for j in arm.numbers for f in FRICTION_GRID for w in (0.3, 0.6, 1.2))
 
     @property
     def conditions(self) -> tuple[str, ...]:
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        # The link lies behind its last motion.
+        # Friction holds the link behind its last motion.
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
 
@@ -58,9 +62,9 @@ class Backlash(Effect):
 
 @dataclass(frozen=True)
 class BacklashByLoad(Backlash):
-    """Play in a gear that the gravity torque alone takes up: what backlash is where the approach was not logged.
+    """Backlash taken up by the gravity torque alone, a candidate where the approach was not logged.
 
-    Without friction, so that it does not matter from where the pose was approached; see `Backlash`.
+    Without friction the direction of approach has no influence (see `Backlash`).
     """
 
     friction: float = 0.0
@@ -83,12 +87,13 @@ class BacklashByLoad(Backlash):
 
 @dataclass(frozen=True)
 class AxisWobble(Effect):
-    """A joint's axis tilts and shifts as it turns.
+    """Run-out of a bearing: a joint's axis tilts and shifts periodically as it turns.
 
-    A wave of the bearing ring that turns with the link, or of the one that stands still.
+    The wave is that of the bearing ring that turns with the link, or of the fixed one.
 
-    cycles : 1 or 2 a turn; still : whether the wave is seen from the link before the joint, where it has one cycle less
-    and one more as seen from the link behind it
+    cycles : 1 or 2 per revolution
+    still : whether the wave is fixed in the link before the joint; in the link behind it, it then
+        appears with one cycle fewer and one more
     """
 
     cycles: int = setting(1, (1, 2))
@@ -120,17 +125,19 @@ class AxisWobble(Effect):
 
 
 def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-    """A vector across the axis as seen from a link that has turned by q."""
+    """Return a vector across the axis in the frame of a link that has turned by q [rad]."""
     return ca.cos(q) * x + ca.sin(q) * y, ca.cos(q) * y - ca.sin(q) * x
 
 
 @dataclass(frozen=True)
 class BearingPlay(Effect):
-    """Play of a bearing across its axis: it tilts under the moment of the weight beyond it and moves along the load.
+    """Play of a bearing: it tilts under the moment of the weight beyond it and moves along the
+    load.
 
-    soft : moment at which the play is taken up, as a share of the great torques there; above 1 it is a spring
+    soft : moment at which the play is taken up, as a share of the peak gravity torques there; above
+        1 it acts as a spring
 
-    The last joint's bearing stands for the tool flange too.
+    The bearing of the last joint includes the tool flange.
     """
 
     soft: float = setting(0.3, (0.1, 0.3))
@@ -150,7 +157,8 @@ class BearingPlay(Effect):
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        # Moments across the axis are like the greatest torque that joints here or one joint before carry.
+        # Moments across the axis are scaled by the peak gravity torque of this joint and the one
+        # before.
         moment = turn @ context.moment(number) / context.greatest(max(number - 1, 1), number)
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
         share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size

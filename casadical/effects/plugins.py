@@ -1,4 +1,4 @@
-"""Every effect by its name: those of the registry and of installed plug-ins.
+"""Lookup of effects by name: those of the package and those of installed plug-ins.
 
 A plug-in is a class in another package, under the entry point group `casadical.effects`:
 
@@ -15,7 +15,7 @@ from casadical.effects import registry
 from casadical.effects.base import Effect
 from casadical.effects.definition import DefinedEffect, Definition, effect_classes
 
-GROUP = "casadical.effects"
+ENTRY_POINT_GROUP = "casadical.effects"
 
 
 @cache
@@ -27,9 +27,9 @@ def known_effects() -> Mapping[str, type[Effect]]:
     """
     own: list[type[Effect]] = [kind for kind in vars(registry).values() if isinstance(kind, type)]
     classes = {kind.name: kind for kind in own}
-    for point in sorted(entry_points(group=GROUP), key=lambda point: point.name):
+    for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name):
         origin = f"plug-in {point.name} = {point.value!r}" + (f" of {point.dist.name}" if point.dist else "")
-        kind = _loaded(point, origin)
+        kind = _loaded_effect(point, origin)
         if point.name != kind.name:
             raise InputError(f"{origin}: its class is named {kind.name!r}; both need the same name")
         if kind.name in classes:
@@ -38,7 +38,8 @@ def known_effects() -> Mapping[str, type[Effect]]:
     return classes
 
 
-def _loaded(point: EntryPoint, origin: str) -> type[Effect]:
+def _loaded_effect(point: EntryPoint, origin: str) -> type[Effect]:
+    """Return the class of an entry point. Raises InputError: it fails to load, or is no effect."""
     try:
         kind = point.load()
     except Exception as error:  # whatever another package's module raises
@@ -49,23 +50,26 @@ def _loaded(point: EntryPoint, origin: str) -> type[Effect]:
 
 
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
-    """The effect of a name.
+    """Return the class of an effect.
 
     name : as in the table of docs/diagnosis.md
-    own : classes that count besides
-    Raises InputError: no such effect; those that there are.
+    own : additional classes to search
+    Raises InputError, with the names of all effects, for an unknown one.
     """
     known = {**known_effects(), **{kind.name: kind for kind in own}}
     if name not in known:
         raise InputError(
             f"no effect {name!r} is installed; there are {', '.join(sorted(known))}. One of your own is registered by "
-            f"the entry point group {GROUP!r} of the package that holds it"
+            f"the entry point group {ENTRY_POINT_GROUP!r} of the package that holds it"
         )
     return known[name]
 
 
 def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
-    """Effects that a file defines. Raises InputError for a faulty one, and for a name that there is already."""
+    """Return the classes of effects that a file defines.
+
+    Raises InputError for a faulty definition, and for a name that is taken.
+    """
     kinds = effect_classes(definitions)
     for k, kind in enumerate(kinds, 1):
         if kind.name in known_effects() or kind.name in [other.name for other in kinds[: k - 1]]:
@@ -74,11 +78,14 @@ def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
 
 
 def defined_in_files(effects: Iterable[Effect]) -> list[Definition]:
-    """Definitions, each once, of effects that are not installed: a file with such an effect holds them, too."""
+    """Return the definitions, each once, of effects that are not installed.
+
+    A file with such an effect contains its definition, too.
+    """
     kinds = dict.fromkeys(type(e) for e in effects if isinstance(e, DefinedEffect) and e.name not in known_effects())
     return [kind.definition for kind in kinds]
 
 
 def signature_of(name: str) -> str:
-    """What the data show of an effect, in words; empty for a name that is none."""
+    """Return how an effect appears in the data, in words; empty for an unknown name."""
     return known_effects()[name].signature if name in known_effects() else ""

@@ -1,13 +1,13 @@
-"""Every effect of the package, a line each; their order is that of the candidates of a diagnosis.
+"""Every effect of the package, one per line, in the order of the candidates of a diagnosis.
 
-Those that are formulas are defined in `listed.effect.toml`, the others are classes with mechanics of their own.
+Effects that are formulas are defined in `listed.effect.toml`; the others are classes.
 """
 # ruff: noqa: E402, I001
 
-from casadical.effects.definition import LISTED as _LISTED
+from casadical.effects.definition import LISTED_EFFECTS_FILE as _LISTED_EFFECTS_FILE
 from casadical.effects.definition import read_definitions as _read
 
-_defined = _read(_LISTED, __name__)
+_defined = _read(_LISTED_EFFECTS_FILE, __name__)
 
 GearEccentricity = _defined["gear_eccentricity"]
 TransmissionRipple = _defined["transmission_ripple"]

@@ -1,7 +1,7 @@
-"""What is on no list: smooth errors of all joints in one joint, in two, in time; of the point in the measuring frame.
+"""Unlisted effects: smooth errors in joints, load and time, and of points in the measuring frame.
 
-Each is a Gaussian process written as harmonics whose size falls with their order, so that it is an effect like any
-other and its marginal likelihood competes with those of named causes on equal terms.
+Each is a Gaussian process written as harmonics whose prior size falls with their order, so that it
+is an effect like any other and its marginal likelihood is comparable with those of named causes.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,14 +16,19 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link
 
-SIZE = 30e-6
-SIZE_LENGTH = 30e-6
+# Prior standard deviation of the first term of a series: of a joint error [rad], and of a
+# displacement
+# [m].
+TYPICAL_ANGLE_RAD = 30e-6
+TYPICAL_LENGTH_M = 30e-6
 
 
 @dataclass(frozen=True)
 class _Smooth(Effect):
+    """Base of effects that name no cause."""
+
     on_list = "unknown"
-    # Its label, with the places of settings in it.
+    # Template of its label, with settings in braces.
     words: ClassVar[str] = ""
 
     @property
@@ -31,14 +36,17 @@ class _Smooth(Effect):
         return self.words.format(**vars(self))
 
     def _harmonics(self, context: Context, q: Symbolic) -> Symbolic:
-        """Sum of the parameters s1, c1, s2 .. times sine and cosine of the multiples of an angle."""
+        """Return the Fourier series of an angle with the parameters s1, c1, s2 and so on."""
         waves = {"s": ca.sin, "c": ca.cos}
         return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
 
 
 @dataclass(frozen=True)
 class _Series(_Smooth):
-    """Errors of all joint variables as a series; `terms` gives its functions and their share of the size."""
+    """Errors of all joint variables as a series in the functions that `terms` gives.
+
+    moved : number of joints
+    """
 
     moved: int = 6
 
@@ -47,11 +55,15 @@ class _Series(_Smooth):
         return (cls(None, arm.n),)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return name, share of the size, and value of each function.
+
+        Without context the values are meaningless; names and shares count.
+        """
         raise NotImplementedError
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         names = [(n, s) for n, s, _ in self.terms(None)]
-        return {f"q{i}_{n}": (SIZE * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
+        return {f"q{i}_{n}": (TYPICAL_ANGLE_RAD * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
 
     def joint_angle(self, context: Context) -> Symbolic:
         terms = self.terms(context)
@@ -62,7 +74,7 @@ class _Series(_Smooth):
 
 @dataclass(frozen=True)
 class SmoothInJoint(_Series):
-    """A smooth function of joint `driver`."""
+    """Errors of all joints that are a smooth function of the angle of joint `driver`."""
 
     driver: int = setting(1, joint=True)
 
@@ -80,7 +92,7 @@ class SmoothInJoint(_Series):
 
 @dataclass(frozen=True)
 class AnyOfOwnAngle(_Smooth):
-    """An error of one joint that is any function of its own angle, as a damaged tooth or a stained disc gives."""
+    """An error of one joint that is any function of its own angle (damaged tooth, stained disc)."""
 
     orders: int = 12
 
@@ -89,7 +101,7 @@ class AnyOfOwnAngle(_Smooth):
     words = "any function of q{joint} in joint {joint}"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {f"{n}{h}": (SIZE, "rad") for h in range(1, self.orders + 1) for n in "sc"}
+        return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self._harmonics(context, q)
@@ -97,7 +109,7 @@ class AnyOfOwnAngle(_Smooth):
 
 @dataclass(frozen=True)
 class AnyOfOtherAngle(_Smooth):
-    """An error of one joint that is any function of another joint's angle, as a belt, a cable or a hose gives."""
+    """An error of one joint that is any function of another joint's angle (belt, cable, hose)."""
 
     driver: int = setting(1, joint=True)
     orders: int = 4
@@ -110,7 +122,7 @@ class AnyOfOtherAngle(_Smooth):
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {f"{n}{h}": (2 * SIZE / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
+        return {f"{n}{h}": (2 * TYPICAL_ANGLE_RAD / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         return self._harmonics(context, context.q[self.driver - 1])
@@ -118,7 +130,7 @@ class AnyOfOtherAngle(_Smooth):
 
 @dataclass(frozen=True)
 class SmoothInJoints(_Series):
-    """A smooth function of two joints together."""
+    """Errors of all joints that are a smooth function of the angles of two joints."""
 
     first: int = setting(1, joint=True)
     second: int = setting(2, joint=True)
@@ -138,7 +150,7 @@ class SmoothInJoints(_Series):
 
 @dataclass(frozen=True)
 class SmoothInTime(_Series):
-    """A smooth function of time, of the joints, the measuring frame and the tool."""
+    """Errors of joints, measuring frame and tool that are smooth functions of time."""
 
     name = "unknown_in_time"
     words = "smooth in time"
@@ -150,7 +162,10 @@ class SmoothInTime(_Series):
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         points = {
-            f"{w}{c}_{n}": (SIZE_LENGTH * s, "m") for w in ("m", "e") for c in "xyz" for n, s, _ in self.terms(None)
+            f"{w}{c}_{n}": (TYPICAL_LENGTH_M * s, "m")
+            for w in ("m", "e")
+            for c in "xyz"
+            for n, s, _ in self.terms(None)
         }
         return {**super().sizes(), **points}
 
@@ -163,13 +178,16 @@ class SmoothInTime(_Series):
         return T
 
     def _moved(self, context: Context, what: str) -> Symbolic:
+        """Return the displacement, shape (3,) [m], of the measuring frame (m) or the tool (e)."""
         terms = self.terms(context)
         return ca.vertcat(*(sum(self.value(context, f"{what}{c}_{n}") * f for n, _, f in terms) for c in "xyz"))
 
 
 @dataclass(frozen=True)
 class WarmUp(_Smooth):
-    """The arm warms up exponentially, though nobody measured it: zeros drift and links grow.
+    """Exponential warm-up of an arm without measured temperature: zeros drift and links grow.
+
+    moved : number of joints
 
     settles : time constant as a share of the campaign
     """
@@ -187,9 +205,10 @@ class WarmUp(_Smooth):
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {f"q{i}": (SIZE, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
+        return {f"q{i}": (TYPICAL_ANGLE_RAD, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
 
     def _warmth(self, context: Context) -> Symbolic:
+        """Return the share of the warm-up that has happened, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
     def joint_angle(self, context: Context) -> Symbolic:
@@ -201,7 +220,10 @@ class WarmUp(_Smooth):
 
 @dataclass(frozen=True)
 class SmoothInSpace(_Smooth):
-    """A quadratic distortion of the measuring space, as an instrument's scale or refraction error gives."""
+    """A quadratic distortion of the measuring space (scale or refraction of an instrument).
+
+    reach : length that scales the coordinates [m]
+    """
 
     reach: float = 2.0
 
@@ -214,7 +236,7 @@ class SmoothInSpace(_Smooth):
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
         products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
-        return {f"{c}_{p}": (SIZE_LENGTH, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
+        return {f"{c}_{p}": (TYPICAL_LENGTH_M, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
         x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
@@ -230,7 +252,7 @@ class SmoothInSpace(_Smooth):
 
 @dataclass(frozen=True)
 class SmoothInLoad(_Series):
-    """Errors of all joints that follow the direction of gravity in the flange and the approach directions."""
+    """Errors of all joints that depend on gravity in the flange, loads and approach directions."""
 
     name = "unknown_in_load"
     words = "smooth in load and approach"

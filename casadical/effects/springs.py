@@ -1,4 +1,4 @@
-"""Springs beside those of the joints (a balancer, a hose), wrong masses of the links, and links that bend."""
+"""Effects of springs (balancer, hose), wrong link masses, and elastic links and pedestals."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -12,20 +12,21 @@ from casadical.core.parts import Arm, Body
 from casadical.core.transforms import Symbolic, apply, small_frame, translate
 from casadical.effects.base import Balancer, Context, Counterparts, Effect, setting
 
-PHASES = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
+# Phases of the candidates [rad].
+PHASE_GRID_RAD = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
-    """An unmodelled balancing spring on joint 2.
+    """A balancing spring on joint 2 that the base model omits.
 
     anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 
-    # The nearer to 1, the sharper the torque where the spring is shortest.
+    # The closer to 1, the more sharply the torque changes where the spring is shortest.
     anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
-    phase: float = setting(0.0, PHASES, steps=True, signed=True)
+    phase: float = setting(0.0, PHASE_GRID_RAD, steps=True, signed=True)
 
     name = "gravity_compensator"
     on_list = "standard"
@@ -35,7 +36,7 @@ class GravityCompensator(Effect):
         "preload the sine over the spring's length (Klimchik et al. 2013)."
     )
     confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
-    # Shares of the joint's great torque.
+    # Shares of the joint's peak gravity torque.
     size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     @classmethod
@@ -62,10 +63,10 @@ class GravityCompensator(Effect):
 
 @dataclass(frozen=True)
 class HoseDrag(Effect):
-    """A hose or cable from the forearm to the tool pulls at the wrist.
+    """The pull of a hose or cable from the forearm to the tool at the wrist.
 
-    clip : where the hose is held, as a share of the way from the elbow to the wrist
-    side : how far beside the forearm, as a share of its length
+    clip : position of its clip, as a share of the way from the elbow to the wrist
+    side : distance of the clip from the forearm, as a share of its length
     """
 
     clip: float = setting(0.7, (0.3, 0.6, 0.9))
@@ -79,7 +80,7 @@ class HoseDrag(Effect):
         "wrist joints through their own springs, by the slope of its length."
     )
     confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
-    # Torque at the last joint but one, as a share of its great torques.
+    # Torque at the last joint but one, as a share of its peak gravity torque.
     size = {"tension": (0.1, ""), "spring": (0.2, "")}
 
     @classmethod
@@ -103,8 +104,12 @@ class HoseDrag(Effect):
 
 @dataclass(frozen=True)
 class LinkMasses(Effect):
-    """share, centre : one sigma of each link's mass as a share of the declared one, and of each coordinate of its mass
-    centre [m]; zero for a link without declared mass, and where both are known exactly (see `Arm.body_width`)
+    """Errors of the declared masses and mass centres of the links.
+
+    share : prior standard deviation of each link's mass, as a share of the declared one
+    centre : prior standard deviation of each coordinate of a link's mass centre [m]
+    Both are zero for a link without declared mass, and where they are known exactly (see
+    `Arm.body_width`).
     """
 
     share: tuple[float, ...] = (0.2,) * 6
@@ -113,7 +118,7 @@ class LinkMasses(Effect):
     name = "link_masses"
     on_list = "standard"
     signature = "torque errors of the links' own weight (masses and mass centres of the robot file)"
-    # The widths are what the user says of the declared values, not the size of a usual effect.
+    # The standard deviations are declared by the user and need no wider prior.
     held = 1.0
     physics = (
         "Gravity on the true links differs from that on the declared ones; it acts through the joints' springs. Masses "
@@ -153,7 +158,7 @@ class LinkMasses(Effect):
         return total
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """True masses, and the centres whose first moments are those of the effect."""
+        """Return the counterparts with the true masses and mass centres."""
         bodies = list(simulator.bodies)
         for k, body in enumerate(bodies):
             factor = 1 + v.get(f"m{k + 1}", 0.0)
@@ -168,7 +173,10 @@ class LinkMasses(Effect):
 
 
 def _undeclared(arm: Arm, row: int) -> float:
-    """Half of a link's length [m] where its mass centre stands at its frame's origin, as if nobody had declared it."""
+    """Return half of a link's length [m] if its mass centre is at its frame's origin, else 0.
+
+    Such a mass centre was probably not declared.
+    """
     body = arm.joints[row].body
     if body is None or np.any(body.com):
         return 0.0
@@ -180,7 +188,10 @@ def _undeclared(arm: Arm, row: int) -> float:
 
 @dataclass(frozen=True)
 class BaseCompliance(Effect):
-    """below : how far below the base's origin the foot turns [m]"""
+    """Elastic tilt of the pedestal under the overturning moment.
+
+    below : distance of the tilt axes below the base's origin [m]
+    """
 
     below: float = setting(0.0, (0.0, 0.25, 1.0))
 
@@ -206,10 +217,13 @@ class BaseCompliance(Effect):
 
 @dataclass(frozen=True)
 class LinkFlexure(Effect):
-    """A turn is that of the link's end about its axis, under the greatest torque of the joints at its two ends.
+    """Elastic bending and torsion of a link under the weight beyond it.
+
+    Its parameters are the rotations of the link's end about its axes, under the peak gravity torque
+    of the joints at its two ends.
 
     member : the link (1-based) that bends, not the last one
-    spread : whether its own weight is spread along it, not at its mass centre
+    spread : whether its own weight is distributed along it rather than at its mass centre
     """
 
     member: int = setting(2, joint=True)
@@ -227,12 +241,12 @@ class LinkFlexure(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable["LinkFlexure"]:
-        """The links long enough to bend: a beam's sag goes with the cube of its length; short links are castings.
+        """Return the effect for links that are long enough: the sag is cubic in the length.
 
-        Where their weights are declared, with these at the mass centres or spread.
+        Where weights are declared, they are at the mass centres, or distributed along the links.
         """
         lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
-        # A link shorter than this share of the longest bends a thirtieth of it.
+        # A link of less than 0.3 of the longest one's length sags by less than a thirtieth of it.
         links = (np.flatnonzero(lengths >= 0.3 * lengths.max(initial=0.0)) + 1).tolist()
         bodies = (arm.joints[k - 1].body for k in links)
         heavy = any(body.mass > 0 for body in bodies if body)
@@ -240,7 +254,7 @@ class LinkFlexure(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Each beam alone, and all of them together."""
+        """Yield each link alone, and all of them together."""
         for _, beams in groupby(cls.candidates(arm), key=lambda e: e.spread):
             links = tuple(beams)
             yield from (*((e,) for e in links), links)
@@ -266,7 +280,8 @@ class LinkFlexure(Effect):
         if self.spread and body:
             weight = body.mass * (turn @ context.gravity) / great
             root, even = root - ca.cross(ca.DM(body.com), weight), ca.cross(far, weight)
-        # End slope and deflection of a beam whose moment runs linearly from root to end, and of its own even weight.
+        # Slope and deflection at the end of a beam under a linear moment, and under its distributed
+        # weight.
         slope, sag = k * ((root + end) / 2 + even / 6), k * ((2 * root + end) / 6 + even / 8)
         shift = far + ca.cross(sag, far)
         return (

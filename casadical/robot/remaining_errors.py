@@ -2,13 +2,13 @@
 
 from casadical.core.basics import InputError
 from casadical.effects import JointErrorCurve
-from casadical.effects.joint_error_curve import USUAL
+from casadical.effects.joint_error_curve import TYPICAL_HARMONIC_RAD
 from casadical.robot.robot import RemainingErrors, Robot
 
 
 def doubted(robot: Robot, orders: int = 1) -> Robot:
     """Return the robot with the first harmonics of each turning joint's error beside its own parameters."""
-    spread = tuple(USUAL * (j in robot.revolute) for j in robot.numbers)
+    spread = tuple(TYPICAL_HARMONIC_RAD * (j in robot.revolute) for j in robot.numbers)
     bare = robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
     return bare.with_effect(JointErrorCurve(None, spread, orders=orders))
 

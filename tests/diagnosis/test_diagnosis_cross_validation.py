@@ -19,7 +19,7 @@ from casadical.diagnosis.cross_validation import (
     shrink_interval,
 )
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, Evidence
-from casadical.effects.base import CHOSEN
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.measurements.measurements import Noise
 
 NOISE = Noise(2e-5, 8e-6)
@@ -32,7 +32,7 @@ def refit(e: Evidence, columns: np.ndarray, use: np.ndarray) -> tuple[np.ndarray
         W = np.linalg.inv(np.linalg.cholesky(NOISE.sigma**2 * np.eye(3) + NOISE.repeatability**2 * e.Jq[k] @ e.Jq[k].T))
         A.append(W @ np.hstack([e.J[k], e.E.values[k][:, columns]]))
         b.append(W @ e.r[k])
-    prior = np.concatenate([e.prior, np.full(len(columns), CHOSEN)])
+    prior = np.concatenate([e.prior, np.full(len(columns), CAUSE_PRIOR_SIGMA)])
     mean = np.concatenate([e.delta0, np.zeros(len(columns))])
     A, b = np.vstack([*A, np.diag(1 / prior)]), np.concatenate([*b, mean / prior])
     scale = np.linalg.norm(A, axis=0)

@@ -19,7 +19,7 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.settings_search import learnt_sizes
 from casadical.diagnosis.text import PAGE_WIDTH, page_of
 from casadical.effects import JointErrorCurve, TransmissionRipple
-from casadical.effects.joint_error_curve import DENSE, ORDERS, USUAL
+from casadical.effects.joint_error_curve import DEFAULT_ORDERS, EXTENDED_ORDERS, TYPICAL_HARMONIC_RAD
 from casadical.identification.accuracy import errors
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
@@ -211,10 +211,10 @@ def test_learnt_sizes_stay_where_other_causes_get_further_settings() -> None:
 
 
 def test_many_poses_have_more_harmonics() -> None:
-    curve = JointErrorCurve(None, (USUAL, 0.0, USUAL))
+    curve = JointErrorCurve(None, (TYPICAL_HARMONIC_RAD, 0.0, TYPICAL_HARMONIC_RAD))
     assert curve.for_poses(100) is curve
-    assert curve.for_poses(1000).orders == DENSE
-    assert len(curve.sizes()) == 2 * 2 * ORDERS
+    assert curve.for_poses(1000).orders == EXTENDED_ORDERS
+    assert len(curve.sizes()) == 2 * 2 * DEFAULT_ORDERS
     assert [*curve.parts] == [1, 3]
     assert {name.split("_")[1] for k, name in enumerate(curve.sizes()) if k in curve.parts[3]} == {"q3"}
     with pytest.raises(InputError, match="spread"):

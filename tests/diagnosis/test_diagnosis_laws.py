@@ -52,7 +52,7 @@ from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import brief
 from casadical.diagnosis.text import page_of as diagnosis_page
 from casadical.effects import Effect, Law
-from casadical.effects.formula import NUMERIC, parse
+from casadical.effects.formula import NUMERIC_FUNCTIONS, parse
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
@@ -103,7 +103,7 @@ def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> Non
     for k in (0, len(grid) // 2, len(grid) - 1):
         values = form.values(x, grid[[k]])[:, :, 0]
         for part, text in zip(values, form.texts("q1 + q2", grid[k].tolist()), strict=True):
-            (found,) = parse(text).values({"q1": 0.4 * x, "q2": 0.6 * x}, NUMERIC)
+            (found,) = parse(text).values({"q1": 0.4 * x, "q2": 0.6 * x}, NUMERIC_FUNCTIONS)
             np.testing.assert_allclose(found, part, rtol=1e-9, atol=1e-9)
 
 

@@ -52,7 +52,7 @@ from casadical.diagnosis.search import Step
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
-from casadical.effects.base import CHOSEN
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.identification.identification import base_calibrated, prepare
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Noise
@@ -322,7 +322,12 @@ def test_learnt_sizes_hold_about_the_noise_at_which_they_were_learnt(ratio: floa
     assert set(more.whole.near) == set(near)
     assert more.whole.reference == 3e-5
     assert more.whole.cause_prior is not None
-    assert more.whole.cause_prior.tolist() == [CHOSEN, 0.5 * CHOSEN, CHOSEN, 2 * CHOSEN]
+    assert more.whole.cause_prior.tolist() == [
+        CAUSE_PRIOR_SIGMA,
+        0.5 * CAUSE_PRIOR_SIGMA,
+        CAUSE_PRIOR_SIGMA,
+        2 * CAUSE_PRIOR_SIGMA,
+    ]
 
 
 def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from casadical.core.basics import InputError
-from casadical.effects.formula import NUMERIC, bounds, parse
+from casadical.effects.formula import NUMERIC_FUNCTIONS, bounds, parse
 from casadical.effects.formula_effect import Law
 
 X = np.linspace(-2.0, 2.0, 9)
@@ -23,7 +23,7 @@ X = np.linspace(-2.0, 2.0, 9)
 )
 def test_a_formula_is_computed_alike_with_numbers_and_symbols(text: str, expected: np.ndarray | None) -> None:
     formula = parse(text)
-    (numbers,) = formula.values({"a": 3.0, "x": X}, NUMERIC)
+    (numbers,) = formula.values({"a": 3.0, "x": X}, NUMERIC_FUNCTIONS)
     a, x = ca.SX.sym("a"), ca.SX.sym("x")
     (symbol,) = formula.values({"a": a, "x": x})
     f = ca.Function("f", [a, x], [symbol])
@@ -36,7 +36,7 @@ def test_three_components() -> None:
     formula = parse("[a, b, 0] * x - [0, 0, x] / 2")
     assert formula.components == 3
     assert formula.names == ("a", "b", "x")
-    assert formula.values({"a": 2.0, "b": 3.0, "x": 4.0}, NUMERIC) == [8.0, 12.0, -2.0]
+    assert formula.values({"a": 2.0, "b": 3.0, "x": 4.0}, NUMERIC_FUNCTIONS) == [8.0, 12.0, -2.0]
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_bounds_hold_every_value(text: str, low: float, high: float) -> None:
     formula = parse(text)
     assert bounds(formula, RANGES.__getitem__) == pytest.approx((low, high))
     rng = np.random.default_rng(0)
-    values = formula.values({name: rng.uniform(*ends, 1000) for name, ends in RANGES.items()}, NUMERIC)
+    values = formula.values({name: rng.uniform(*ends, 1000) for name, ends in RANGES.items()}, NUMERIC_FUNCTIONS)
     assert low <= np.min(values) <= np.max(values) <= high
 
 

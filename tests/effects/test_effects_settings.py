@@ -8,7 +8,7 @@ from bench import campaign, robot
 
 from casadical import InputError, Joint, Placement, Robot
 from casadical.effects import FrictionWindup, LinkFlexure, MissingCompliance, NonlinearStiffness
-from casadical.effects.base import RIGID, Counterparts, Drive
+from casadical.effects.base import RIGID_STIFFNESS, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
 from casadical.effects.smooth import AnyOfOtherAngle
@@ -108,7 +108,7 @@ def test_a_bedded_gear_gives_way_softly_between_stops() -> None:
     torque = np.linspace(0, 50, 501)
     line = np.minimum(torque / drive.give_stiffness, drive.give)
     assert np.abs(line - 1e-4 * np.tanh(torque / 50 / 0.4)).max() < 0.085 * 1e-4
-    assert Drive().stiffness == RIGID
+    assert Drive().stiffness == RIGID_STIFFNESS
 
 
 def test_an_effect_without_values_has_no_counterpart() -> None:

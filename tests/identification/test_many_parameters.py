@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 import casadical
 from casadical import identify
-from casadical.effects.joint_error_curve import USUAL, JointErrorCurve
+from casadical.effects.joint_error_curve import TYPICAL_HARMONIC_RAD, JointErrorCurve
 from casadical.identification.least_squares import MANY_PARAMETERS
 from casadical.identification.misfit import wide_fit
 from casadical.identification.remaining_errors import learn_remaining
@@ -30,7 +30,9 @@ def test_many_parameters_end_at_the_optimum(narrow: bool) -> None:
     arm = arms.planar()
     m = replace(arms.positions(built := arms.planted(arm, 4), arms.readings(built, 60, 8), 9), sigma=arms.NOISE)
     width = replace(arm.widths["geometry"], **({"length_bound": 2e-4} if narrow else {}))
-    arm = replace(arm, widths={**arm.widths, "geometry": width}).with_effect(JointErrorCurve(None, (USUAL, USUAL)))
+    arm = replace(arm, widths={**arm.widths, "geometry": width}).with_effect(
+        JointErrorCurve(None, (TYPICAL_HARMONIC_RAD, TYPICAL_HARMONIC_RAD))
+    )
     found = identify(arm, m, ["kinematic", "joint_error_curve"], loss="linear", priors=True)
     assert found.is_optimal()
     assert len(found.names) > MANY_PARAMETERS

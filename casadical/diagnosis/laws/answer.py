@@ -22,7 +22,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
-from casadical.effects.formula_effect import SEAMS, STATIONED, TOWARDS, Law
+from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, SEAMS, STATION_SEAMS, Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
@@ -230,8 +230,8 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     if SEAMS[law.seam][0] == 1:
         text = re.sub(r"(^| \+ )([a-z])\*", scalar, text)
     text = re.sub(r"abs\(([^()]*)\)", r"|\1|", text)
-    beam = f" (instrument at {_point(law.station)} m)" if law.seam in STATIONED else ""
-    if law.towards != TOWARDS:
+    beam = f" (instrument at {_point(law.station)} m)" if law.seam in STATION_SEAMS else ""
+    if law.towards != DEFAULT_TARGET_DIRECTION:
         beam = beam.replace(")", f"; the target looks along {_point(law.towards)} of the flange)")
     return f"{law.place} += {text}{beam}".replace("+ -", "- ")
 

@@ -18,8 +18,8 @@ from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.laws.forms import FORMS, SLOW, WAVE, Driver, Form
 from casadical.diagnosis.laws.problem import Problem, Rough, Seam, Tried, log_mean, scaled
 from casadical.diagnosis.linearisation import POINT_VARIABLES, Linearisation
-from casadical.effects.formula import NUMERIC, parse
-from casadical.effects.formula_effect import HEAD, TOWARDS, Law, head_column
+from casadical.effects.formula import NUMERIC_FUNCTIONS, parse
+from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, HEAD_NAME, Law, head_column
 from casadical.robot.robot import Robot
 
 # Where an instrument stands in the measuring frame [m], or which way its target looks in the flange's.
@@ -72,7 +72,7 @@ def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterat
     places = stations(robot)
     turns = all(head_column(at) in linear.conditions for at in places)
     for seam, drivers in _OF_BEAM.items():
-        for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD not in t):
+        for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD_NAME not in t):
             beam = Beam(
                 linear, robot.base.T[:3, 3], robot.reach, seam, Driver(text, kind, "head" if kind == "linear" else kind)
             )
@@ -97,7 +97,7 @@ class Beam:
     seam: str
     driver: Driver
 
-    def at(self, station: Point, towards: Point = TOWARDS) -> tuple[Seam, Array]:
+    def at(self, station: Point, towards: Point = DEFAULT_TARGET_DIRECTION) -> tuple[Seam, Array]:
         """The place where an instrument at a station acts, and the driver's values there, shape (n,).
 
         towards : which way the target looks, in the flange's frame
@@ -109,12 +109,12 @@ class Beam:
         way = beam / r[:, None]
         met = np.einsum("ni,nji,j->n", way, frame, towards)
         known = {"r": r, "azimuth": np.arctan2(beam[:, 1], beam[:, 0]), "incidence": met}
-        if HEAD in self.driver.text:
-            known[HEAD] = self.linear.conditions[head_column(station)]
+        if HEAD_NAME in self.driver.text:
+            known[HEAD_NAME] = self.linear.conditions[head_column(station)]
         if self.seam == "across":
             aside = np.column_stack([-beam[:, 1], beam[:, 0], np.zeros(len(beam))])
             way = aside / np.sqrt((aside**2).sum(axis=1) + 1e-12)[:, None]
-        (x,) = parse(self.driver.text).values(known, NUMERIC)
+        (x,) = parse(self.driver.text).values(known, NUMERIC_FUNCTIONS)
         law = Law(None, self.seam, "a", station=station, towards=towards)
         return Seam(law, self._by_point @ way[:, :, None]), np.asarray(x)
 
@@ -146,13 +146,13 @@ class Beam:
     def at_all(self, places: Sequence[Point]) -> list[tuple[Seam, Array]]:
         """The places at all stations, and of a target that looks any way, where that counts."""
         ways = [_rounded(np.array(way) / np.linalg.norm(way)) for way in _HALF]
-        every = itertools.product(places, ways if "incidence" in self.driver.text else [TOWARDS])
+        every = itertools.product(places, ways if "incidence" in self.driver.text else [DEFAULT_TARGET_DIRECTION])
         return [self.at(*at) for at in every]
 
     def laws(self, form: Form, there: Sequence[tuple[Seam, Array]]) -> Tried:
         """Those of one form at some places together."""
         beams, x = zip(*there, strict=True)
-        return Tried(beams, self.driver, form, x, nearby=None if HEAD in self.driver.text else self.nearby)
+        return Tried(beams, self.driver, form, x, nearby=None if HEAD_NAME in self.driver.text else self.nearby)
 
     def tried(self, problem: Problem, form: Form, there: Sequence[tuple[Seam, Array]], settings: int = 0) -> Rough:
         """The same, judged. settings : how many were looked at, by default these"""

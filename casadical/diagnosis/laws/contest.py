@@ -34,7 +34,7 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.search import MAX_FORM_SEARCHES
 from casadical.diagnosis.settings_search import refined
-from casadical.effects.base import CHOSEN
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import Law
 from casadical.measurements.measurements import Noise
 
@@ -262,7 +262,7 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
     columns: list[Array] = []
     for law in laws:
         known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
-        e = base.with_base_columns(known, np.full(known.shape[2], CHOSEN))
+        e = base.with_base_columns(known, np.full(known.shape[2], CAUSE_PRIOR_SIGMA))
         e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), cause_prior=None)
         columns.append(_best(Problem(e.at(train)), law, train))
     return columns

@@ -14,8 +14,8 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.parts import Arm
 from casadical.diagnosis.linearisation import Linearisation
-from casadical.effects.formula import NUMERIC, names_in, parse
-from casadical.effects.formula_effect import COLUMN, Law, columns_of
+from casadical.effects.formula import NUMERIC_FUNCTIONS, names_in, parse
+from casadical.effects.formula_effect import COLUMN_NAME, Law, columns_of
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
 
@@ -36,7 +36,7 @@ class Driver:
     @property
     def columns_only(self) -> bool:
         """Whether it follows from logged columns alone, not from the pose."""
-        return all(COLUMN.fullmatch(name) for name in parse(self.text).names)
+        return all(COLUMN_NAME.fullmatch(name) for name in parse(self.text).names)
 
 
 def drivers_of(arm: Arm) -> list[Driver]:
@@ -89,7 +89,7 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     """Drivers that vary over the poses, and their values, shape (n, drivers); the columns must be there."""
     names = names_in([parse(d.text) for d in drivers])
     at = variables(linear, names)
-    values = [np.asarray(parse(d.text).values(at, NUMERIC)[0]) for d in drivers]
+    values = [np.asarray(parse(d.text).values(at, NUMERIC_FUNCTIONS)[0]) for d in drivers]
     # A driver that varies less is none [rad, m, K, kg, or a share].
     kept = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < LARGEST]
     varying = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
@@ -107,7 +107,7 @@ def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver
     """Values of a driver of every joint, shape (n, joints); known : by name, as of `variables`."""
     formula = parse(driver.text)
     joints = [{n: known[n] if n in known else known[f"{n}{j}"] for n in formula.names} for j in linear.robot.numbers]
-    return np.stack([np.asarray(formula.values(at, NUMERIC)[0]) for at in joints], axis=1)
+    return np.stack([np.asarray(formula.values(at, NUMERIC_FUNCTIONS)[0]) for at in joints], axis=1)
 
 
 def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
@@ -153,7 +153,7 @@ class Form:
         """
         names = {"x": x[..., None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
         names |= {n: value[:, None] for n, value in self.also.items()}
-        parts = [parse(part).values(names, NUMERIC)[0] for part in self.parts]
+        parts = [parse(part).values(names, NUMERIC_FUNCTIONS)[0] for part in self.parts]
         return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in parts])
 
     def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:

@@ -27,7 +27,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.diagnosis.noise_evidence import WHITE_FORM
 from casadical.diagnosis.noise_evidence import Form as NoiseForm
-from casadical.effects.base import CHOSEN
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
@@ -389,7 +389,7 @@ class Problem:
         """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
         every = ArrayColumns(self.white(np.concatenate(columns, axis=2)))
-        judged = self.evidence.marginals.with_other_columns(every, CHOSEN)
+        judged = self.evidence.marginals.with_other_columns(every, CAUSE_PRIOR_SIGMA)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
         logs: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
         return logs

@@ -25,7 +25,7 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.motion.base import LogView, Part, base_of, bodies_of
 from casadical.diagnosis.motion.signals import delayed, lagged
 from casadical.effects.definition import DefinedEffect
-from casadical.effects.formula_effect import MOTION_OF, MOTION_SEAMS
+from casadical.effects.formula_effect import MOTION_NAME_OF_JOINT, MOTION_SEAMS
 from casadical.effects.motion import Cause, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
@@ -459,7 +459,7 @@ def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Ar
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
-        numbered = {name: match for name in effect.drivers if (match := MOTION_OF.fullmatch(name))}
+        numbered = {name: match for name in effect.drivers if (match := MOTION_NAME_OF_JOINT.fullmatch(name))}
         if not {numbered[k][1] if k in numbered else k for k in effect.drivers} <= known.keys():
             return []
         where = range(n) if seam.endswith("s") else [(effect.joint or 1) - 1]
