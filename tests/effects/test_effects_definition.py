@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Effect, JointScale, Law, ThermalGrowth, setting
-from casadical.effects.definition import LISTED
+from casadical.effects.definition import LISTED_EFFECTS_FILE
 from casadical.effects.plugins import known_effects
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
@@ -111,7 +111,7 @@ def test_an_effect_goes_to_another_process(tmp_path: Path) -> None:
 
 
 def test_the_list_of_the_package_is_a_file_like_any_other(tmp_path: Path) -> None:
-    text = LISTED.read_text().replace('name = "', 'name = "my_')
+    text = LISTED_EFFECTS_FILE.read_text().replace('name = "', 'name = "my_')
     (tmp_path / "all.effect.toml").write_text(text)
     kinds = read_effects(tmp_path / "all.effect.toml").kinds
     for kind in kinds:
