@@ -94,9 +94,9 @@ def robot_model(
     campaign : for mjcf: measured poses from which the robot is calibrated and diagnosed
     effects : for mjcf: as of `casadical diagnose`
     into : for mjcf: a user's model, whose joints have the names `joints`, by commas
-    springs : for mjcf: whether the user's model gets springs beside its joints
+    springs : for mjcf: whether the user's model gets springs in addition to its joints
     checksum : of the controller's own calibration, for `ur`
-    leave_out : whether effects that have no place there are left out; else they are refused
+    leave_out : whether effects that the format cannot represent are omitted; else they are refused
     show : called with a line of progress
     Returns `text` of the file, `lines` on what it leaves out and what that costs
     Raises InputError: what is given has no part in this form, or effects have no place in it;

@@ -32,7 +32,7 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
         line, effects = str(omission), [e for e in robot.effects if e.label == omission.label]
         if not all(e.of_measurement for e in effects):
             if name := _without_range(robot, effects):
-                line += f"; {_NOT_KNOWN} {name}"
+                line += f"; {_UNKNOWN_LOSS} {name}"
             else:
                 parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
                 mean, most = lost(robot, [f"{omission.label}.{part}" for part in parts])
@@ -65,7 +65,7 @@ def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
     mean, most = rigid_rest(robot.with_only(e for e in robot.effects if e.label not in unknown))
     off = f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most, by the model"
     lines = [f"{', '.join(n for n in names if n not in unknown)}: {off}"] if len(names) > len(unknown) else []
-    return (*lines, *(f"{label}: {_NOT_KNOWN} {name}" for label, name in unknown.items()))
+    return (*lines, *(f"{label}: {_UNKNOWN_LOSS} {name}" for label, name in unknown.items()))
 
 
 def rigid_rest(robot: Robot) -> tuple[float, float]:
@@ -95,7 +95,7 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
 
 
 # Sentence for an effect whose condition has no range in the robot file; its name follows.
-_NOT_KNOWN = "what would be lost is not known, for the robot file gives no range of"
+_UNKNOWN_LOSS = "what would be lost is not known, for the robot file gives no range of"
 
 
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:

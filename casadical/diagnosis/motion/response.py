@@ -227,6 +227,7 @@ def simulated(
     pushed, held, least = 0.0, np.empty(shape), -friction
 
     def slid(push: Array) -> Array:
+        """Turn `push`, in place, into the mean velocities of a step with dry friction."""
         np.minimum(push, friction, out=held)
         np.maximum(held, least, out=held)
         push -= held
@@ -284,7 +285,8 @@ class _Problem:
             for d in (delay[:, 0], delay[:, -1])
         )
 
-        def balance() -> Iterator[Array]:  # step by step, as all steps at once would be large
+        def balance() -> Iterator[Array]:
+            """Yield the angles of rest step by step; all steps at once would be large."""
             for command, more, load in zip(first, last - first, _midpoints(self.load), strict=True):
                 rest = command[..., None] - yields * load[..., None]
                 rest -= offset
@@ -339,11 +341,17 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     heights = [free.above(p.position) for p in problems]
 
     def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, Array]:
+        """Return the parameters of some problems, fitted to the samples that are off the surface.
+
+        there : number of the problem -> weight of each sample, off the surface or not; starts :
+            first parameters
+        """
         parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]
         x = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
         return dict(zip(there, np.split(x, len(parts)), strict=True))
 
     def surface(k: int) -> Floor | None:
+        """Return the surface that problem k shows with its present parameters, or None."""
         p, seen = problems[k], problems[k].weight[..., 0] > 0
         return floor_of(dynamics, p.position[seen], p.angles(x[k][:, :, None])[..., 0][seen])
 

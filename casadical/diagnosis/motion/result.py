@@ -323,6 +323,7 @@ def log_views_of(
         )
 
     def seen(one: JointLog, of: Arm, peak_torque: Array | None = None) -> LogView:
+        """Return the view of one log, without torques if they have no unit."""
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
         return log_view(

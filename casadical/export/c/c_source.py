@@ -187,10 +187,10 @@ def _notes(notes: tuple[str, ...]) -> str:
     return "".join(f" *{line}\n" for line in lines) + " *\n" if notes else ""
 
 
-_SEED = 20201  # random seed of the test vectors; it is fixed so that exports are reproducible
+_VECTOR_SEED = 20201  # random seed of the test vectors, fixed so that exports are reproducible
 
 
-def inside(program: TapeProgram, count: int, seed: int = _SEED) -> Array:
+def inside(program: TapeProgram, count: int, seed: int = _VECTOR_SEED) -> Array:
     """Return random joint readings inside the box [rad or m], shape (count, n)."""
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(NUMPY_TYPE[program.real])
@@ -202,7 +202,7 @@ def self_test_inputs(program: TapeProgram) -> Array:
     They are the middle of the box, 8 of its corners, 16 random points inside and 4 points outside.
     """
     lower, upper, n = program.product.lower, program.product.upper, program.n
-    signs = np.random.default_rng(_SEED).integers(0, 2, (8, n))
+    signs = np.random.default_rng(_VECTOR_SEED).integers(0, 2, (8, n))
     corners = np.where(signs == 1, upper, lower)
     outside = (lower + upper) / 2 + (upper - lower) * np.array([[0.6], [-0.6], [40.0], [-1e6]])
     rows: Array = np.vstack([(lower + upper) / 2, corners, inside(program, 16), outside])
@@ -216,8 +216,8 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
     of these are corners of the box instead, some have an entry that is not finite or extreme.
     """
     T = NUMPY_TYPE[program.real]
-    q = inside(program, count, _SEED + 1)
-    rng = np.random.default_rng(_SEED + 2)
+    q = inside(program, count, _VECTOR_SEED + 1)
+    rng = np.random.default_rng(_VECTOR_SEED + 2)
     odd = np.flatnonzero(np.arange(count) % 8 == 7)
     scales = T(10.0) ** rng.uniform(0, 6, len(odd)).astype(T)
     q[odd] *= scales[:, None]

@@ -52,7 +52,8 @@ TAN_PI_8 = 0.41421356  # ratio from which atan2 reduces by pi/4; any value near 
 # Quadratic polynomial for sqrt(m) on [1, 4), accurate to 0.7 per cent; Heron's steps refine it.
 SQRT_GUESS = (0.5375, 0.4905, -0.0305)
 
-_FLOAT = Coefficients(
+# Constants of float (binary32).
+_FLOAT_COEFFICIENTS = Coefficients(
     coth=(0.16666653752326965, -0.0027696965262293816),
     sin=(-0.166666641831398, 0.008332724682986736, -0.00019582855748012662),
     cos=(0.0416666641831398, -0.0013888279208913445, 2.4542896426282823e-05),
@@ -70,7 +71,8 @@ _FLOAT = Coefficients(
     smallest=float(np.finfo(np.float32).tiny),
     largest=float(np.finfo(np.float32).max),
 )
-_DOUBLE = Coefficients(
+# Constants of double (binary64).
+_DOUBLE_COEFFICIENTS = Coefficients(
     coth=(
         0.1666666666666666,
         -0.002777777777754703,
@@ -121,7 +123,7 @@ _DOUBLE = Coefficients(
     largest=float(np.finfo(np.float64).max),
 )
 # Constants and NumPy types by the name of the real type.
-COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT, "double": _DOUBLE}
+COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT_COEFFICIENTS, "double": _DOUBLE_COEFFICIENTS}
 NUMPY_TYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
@@ -155,7 +157,7 @@ TABLE_LIMIT = 128.0
 # Whole turns that are added to an angle so that its index is positive: the conversion to an
 # integer, which truncates, then rounds down.
 ADDED_TURNS = 32
-_SAMPLES = 8192  # samples per turn from which the harmonics of a function are computed
+_HARMONIC_SAMPLES = 8192  # samples per turn from which the harmonics of a function are computed
 
 
 def spline_table(samples: Array) -> tuple[float, ...]:
@@ -177,7 +179,7 @@ def spline_errors(points: int) -> Array:
 
     points : samples per turn
     """
-    angle = 2 * np.pi * np.arange(1, _SAMPLES // 2 + 1) / points
+    angle = 2 * np.pi * np.arange(1, _HARMONIC_SAMPLES // 2 + 1) / points
     t = np.linspace(-0.01, 1.01, 52)[:, None]  # rounding may place t a hundredth outside its cell
     weights = ((1 - t) ** 3, 4 - 6 * t**2 + 3 * t**3, 1 + 3 * t + 3 * t**2 - 3 * t**3, t**3)
     spline = sum(w * np.exp(1j * angle * (k - 1)) for k, w in enumerate(weights)) / (4 + 2 * np.cos(angle))
@@ -196,29 +198,29 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
     rows, columns = function.jac_sparsity(0, 0).get_triplet()
     if rows != columns:
         raise InputError(f"{_what(function)} has an output that follows another angle than its own")
-    x = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
-    values = np.array(function.map(_SAMPLES)(np.tile(x, (n, 1))))
+    x = 2 * np.pi * np.arange(_HARMONIC_SAMPLES) / _HARMONIC_SAMPLES
+    values = np.array(function.map(_HARMONIC_SAMPLES)(np.tile(x, (n, 1))))
     if not np.isfinite(values).all():
         raise InputError(
             f"{_what(function)} has no finite value for joint "
             f"{np.flatnonzero(~np.isfinite(values).all(1))[0] + 1}; its coefficients must be "
             "finite numbers"
         )
-    some = x[1 :: _SAMPLES // 64]
+    some = x[1 :: _HARMONIC_SAMPLES // 64]
     again = np.array(function.map(len(some))(np.tile(some - 2 * np.pi, (n, 1))))
-    if abs(again - values[:, 1 :: _SAMPLES // 64]).max() > MAX_TABLE_ERROR / 100:
+    if abs(again - values[:, 1 :: _HARMONIC_SAMPLES // 64]).max() > MAX_TABLE_ERROR / 100:
         raise InputError(f"{_what(function)} does not repeat after 2 pi")
     return [_table(function, i, row) if i in rows else ((float(row[0]),), 0.0) for i, row in enumerate(values)]
 
 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
     """Return the smallest table of one output that is accurate enough, and its error bound."""
-    amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _SAMPLES
+    amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _HARMONIC_SAMPLES
     bound = np.inf
     for points in TABLE_SIZES:
         bound = float(amplitude @ spline_errors(points))
         if bound <= MAX_TABLE_ERROR:
-            return spline_table(samples[:: _SAMPLES // points]), bound
+            return spline_table(samples[:: _HARMONIC_SAMPLES // points]), bound
     high = 1 + int(np.flatnonzero(amplitude > 0.01 * amplitude.max())[-1])
     raise InputError(
         f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with "

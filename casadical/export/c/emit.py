@@ -16,8 +16,8 @@ from casadical.export.c.coefficients import COEFFICIENTS, Real, literal, turn_pa
 from casadical.export.c.tape import Node, Tape
 
 # Operations of a tape that are calls of elementary functions, and those that are C operators.
-_CALLS = ("sincos", "tansig", "exp", "sqrt", "atan2")
-_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+_CALLED_FUNCTIONS = ("sincos", "tansig", "exp", "sqrt", "atan2")
+_INFIX_OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
@@ -51,7 +51,7 @@ def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
     """
     nodes = [node for tape in tapes for node in tape.nodes]
     values = constants(real) | {"name": name, "real": f"{name}_real"}
-    texts = [filled(template(f"{op}.c"), values) for op in _CALLS if any(n.op == op for n in nodes)]
+    texts = [filled(template(f"{op}.c"), values) for op in _CALLED_FUNCTIONS if any(n.op == op for n in nodes)]
     for table in dict.fromkeys(n.table for n in nodes if n.table):
         points = len(table) - 3
         parts = turn_parts(COEFFICIENTS[real], points)
@@ -112,9 +112,9 @@ def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str
 def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
     """Return the C expression of an operation; a : texts of its arguments."""
     zero, one = literal(0.0, real), literal(1.0, real)
-    if node.op in _INFIX:
-        return f"{a[0]} {_INFIX[node.op]} {a[1]}"
-    if node.op in _CALLS:
+    if node.op in _INFIX_OPERATORS:
+        return f"{a[0]} {_INFIX_OPERATORS[node.op]} {a[1]}"
+    if node.op in _CALLED_FUNCTIONS:
         return f"{prefix}_{node.op}({', '.join(a)})"
     if node.op == "periodic":
         return f"{prefix}_{table_name(node.table)}({a[0]})"

@@ -15,7 +15,7 @@ from casadical.export.c.tape import COMMUTATIVE_OPERATIONS, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
 RESULT_PLACES = {"sincos": 2}  # number of places that an operation's results take; default 1
-_TAPES = ("forward", "prepare", "advance")  # order of the tapes; network or curves follow
+_TAPE_ORDER = ("forward", "prepare", "advance")  # order of the tapes; network or curves follow
 
 
 class Plan:
@@ -133,7 +133,7 @@ class Plan:
 
 def _order(key: str) -> int:
     """Return the position of a tape in the order of `_TAPES`, for sorting."""
-    return _TAPES.index(key) if key in _TAPES else len(_TAPES)
+    return _TAPE_ORDER.index(key) if key in _TAPE_ORDER else len(_TAPE_ORDER)
 
 
 def _word(value: float, real: Real) -> str:
@@ -160,6 +160,7 @@ def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[l
     ready: dict[str, list[int]] = {}
 
     def done(k: int) -> None:
+        """Mark node k as evaluated, and users whose arguments are complete as ready."""
         for user in users[k]:
             waiting[user] -= 1
             if waiting[user] == 0:
@@ -170,6 +171,7 @@ def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[l
                     ready.setdefault(op, []).append(user)
 
     def batches(op: str) -> Iterator[list[int]]:
+        """Yield ready nodes of an operation until there are none."""
         while op in ready:
             batch = ready.pop(op)
             yield batch

@@ -20,12 +20,12 @@ from casadical.export.c.tape_program import TapeProgram, operations
 
 _LINE_LENGTH = 118  # largest number of characters of a line
 # Statement of a guard: replaces a value that violates it, and clears `fine`.
-_GUARD = """\
+_GUARD_STATEMENT = """\
 v[k] := v[first[k]];
 IF NOT (v[k] {} v[second[k]]) THEN fine := FALSE; v[k] := v[second[k]]; END_IF;
 """
 # Statements of operations that need no template of their own.
-_SIMPLE = {
+_SIMPLE_STATEMENTS = {
     "add": "v[k] := v[first[k]] + v[second[k]];",
     "sub": "v[k] := v[first[k]] - v[second[k]];",
     "mul": "v[k] := v[first[k]] * v[second[k]];",
@@ -41,8 +41,8 @@ _SIMPLE = {
     "select": "v[k] := SEL(v[first[k]] > 0.0, 0.0, v[second[k]]);",
     "not": "v[k] := SEL(v[first[k]] > 0.0, 1.0, 0.0);",
     "sign": "v[k] := SEL(v[first[k]] < 0.0, SEL(v[first[k]] > 0.0, 0.0, 1.0), -1.0);",
-    "guard_min": _GUARD.format(">="),
-    "guard_max": _GUARD.format("<="),
+    "guard_min": _GUARD_STATEMENT.format(">="),
+    "guard_max": _GUARD_STATEMENT.format("<="),
 }
 
 
@@ -143,8 +143,8 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
     arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
     for code, op in enumerate(known):
-        if op in _SIMPLE:
-            body = _SIMPLE[op]
+        if op in _SIMPLE_STATEMENTS:
+            body = _SIMPLE_STATEMENTS[op]
         else:
             more = tables_of(plan, real) if op == "periodic" else {}
             declared, body = filled(template(f"{op}.st"), values | more).split("BODY\n")

@@ -19,8 +19,10 @@ from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
 # CasADi operations that the tape has as well, with their names there.
-_PLAIN = {name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")}
-_PLAIN |= {name: name for name in ("not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
+_EQUAL_OPERATIONS = {
+    name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")
+}
+_EQUAL_OPERATIONS |= {name: name for name in ("not", "sign")} | {"tanh": "tansig", "if_else_zero": "select"}
 # Operations whose arguments may be swapped without changing the result's bits.
 COMMUTATIVE_OPERATIONS = {"add", "mul"}
 
@@ -95,12 +97,12 @@ class _Builder:
         """Return the position of a CasADi operation's result; None if the generated C lacks it."""
         if name == "assign":
             return args[0]
-        if name in _COMPOSED:
-            return _COMPOSED[name](self, *args)
-        if name not in _PLAIN:
+        if name in _COMPOSED_OPERATIONS:
+            return _COMPOSED_OPERATIONS[name](self, *args)
+        if name not in _EQUAL_OPERATIONS:
             return None
-        known = self.tansig(_PLAIN[name], args)
-        return self.add(_PLAIN[name], *args) if known is None else known
+        known = self.tansig(_EQUAL_OPERATIONS[name], args)
+        return self.add(_EQUAL_OPERATIONS[name], *args) if known is None else known
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
         """Return the position of a tansig if this is its last operation, else None.
@@ -146,7 +148,7 @@ class _Builder:
 
 
 # CasADi operations that the tape expresses by others, with their guards.
-_COMPOSED: dict[str, Callable[..., int]] = {
+_COMPOSED_OPERATIONS: dict[str, Callable[..., int]] = {
     "sq": lambda b, x: b.add("mul", x, x),
     "twice": lambda b, x: b.add("add", x, x),
     "inv": lambda b, x: b.add("div", b.constant(1.0), x),
@@ -191,9 +193,10 @@ def tape_of(function: casadi.Function) -> Tape:
     inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
 
     def operation(name: str, *args: int) -> int:
+        """Return the position of an operation's result. Raises InputError: it is not supported."""
         node = builder.operation(name, *args)
         if node is None:
-            allowed = ", ".join(sorted({*_PLAIN.values(), *_COMPOSED}))
+            allowed = ", ".join(sorted({*_EQUAL_OPERATIONS.values(), *_COMPOSED_OPERATIONS}))
             raise InputError(
                 f"function {function.name()!r} uses the operation OP_{name.upper()}, which the "
                 f"generated C does not have; allowed are {allowed}; write the function with these"

@@ -19,13 +19,14 @@ from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Node, Tape, tape_of
 
 Interval = tuple[float, float]  # lower and upper bound of a value
-_EVERYTHING: Interval = (-math.inf, math.inf)
+# interval of a value without bounds
+_REAL_LINE: Interval = (-math.inf, math.inf)
 
 
 def _products(a: Interval, b: Interval) -> Interval:
     """Return the interval of x y for x in a and y in b."""
     if math.inf in (-a[0], a[1], -b[0], b[1]):
-        return _EVERYTHING
+        return _REAL_LINE
     values = [x * y for x in a for y in b]
     return min(values), max(values)
 
@@ -35,10 +36,11 @@ def _magnitude(a: Interval) -> Interval:
     return (0.0 if a[0] <= 0.0 <= a[1] else min(abs(a[0]), abs(a[1]))), max(abs(a[0]), abs(a[1]))
 
 
-_RULES: dict[str, Callable[..., Interval]] = {
+# Intervals of the operations' results, from those of their arguments.
+_INTERVAL_RULES: dict[str, Callable[..., Interval]] = {
     "add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
-    "div": lambda a, b: _EVERYTHING if b[0] <= 0.0 <= b[1] else _products(a, (1.0 / b[1], 1.0 / b[0])),
+    "div": lambda a, b: _REAL_LINE if b[0] <= 0.0 <= b[1] else _products(a, (1.0 / b[1], 1.0 / b[0])),
     "neg": lambda a: (-a[1], -a[0]),
     "sqrt": lambda a: (math.sqrt(max(a[0], 0.0)), math.sqrt(max(a[1], 0.0))),
     "exp": lambda a: (math.exp(min(max(a[0], -44.0), 44.0)), math.exp(max(min(a[1], 44.0), -44.0))),
@@ -57,7 +59,21 @@ _RULES: dict[str, Callable[..., Interval]] = {
     "cos": lambda _a: (-1.0, 1.0),
 }
 # Operations whose result is not rounded, so that their intervals need no widening.
-_EXACT = {"input", "const", "neg", "fabs", "fmin", "fmax", "tansig", "lt", "le", "not", "sign", "select", "sincos"}
+_EXACT_OPERATIONS = {
+    "input",
+    "const",
+    "neg",
+    "fabs",
+    "fmin",
+    "fmax",
+    "tansig",
+    "lt",
+    "le",
+    "not",
+    "sign",
+    "select",
+    "sincos",
+}
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
@@ -81,7 +97,7 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
     if node.op == "mul":
         low, high = _magnitude(args[0])
         return low * low, high * high
-    return _RULES[node.op](*args)
+    return _INTERVAL_RULES[node.op](*args)
 
 
 def _widened(interval: Interval, real: Real) -> Interval:
@@ -89,7 +105,7 @@ def _widened(interval: Interval, real: Real) -> Interval:
     c = COEFFICIENTS[real]
     share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     low, high = (v - abs(v) * share * s - c.smallest * s for v, s in zip(interval, (1.0, -1.0), strict=True))
-    return (low, high) if low >= -c.largest and high <= c.largest else _EVERYTHING
+    return (low, high) if low >= -c.largest and high <= c.largest else _REAL_LINE
 
 
 def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
@@ -101,7 +117,7 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
     box = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
     for node in tape.nodes:
         exact = _bound(node, [intervals[a] for a in node.args], box, real)
-        keep = node.op in _EXACT or (node.op == "mul" and exact == (0.0, 0.0))
+        keep = node.op in _EXACT_OPERATIONS or (node.op == "mul" and exact == (0.0, 0.0))
         intervals.append(exact if keep else _widened(exact, real))
     return intervals
 
@@ -113,7 +129,7 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
     kept: list[Node] = []
     for node in tape.nodes:
         args = tuple(place[a] for a in node.args)
-        low, high = intervals[node.args[0]] if node.args else _EVERYTHING
+        low, high = intervals[node.args[0]] if node.args else _REAL_LINE
         needless = (node.op == "guard_min" and low >= node.value) or (node.op == "guard_max" and high <= node.value)
         if needless and math.isfinite(low) and math.isfinite(high):
             place.append(args[0])
@@ -191,8 +207,8 @@ class Operations:
 
 
 # Kinds of operations by which `operations` counts; whatever is not here is a choice.
-_KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
-_KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
+_OPERATION_KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
+_OPERATION_KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
 
 
 def operations(program: TapeProgram) -> Operations:
@@ -206,7 +222,7 @@ def operations(program: TapeProgram) -> Operations:
     for tape, times in calls.items():
         for node in program.tapes[tape].nodes:
             if node.op not in ("input", "const", "sin", "cos"):
-                count[_KINDS.get(node.op, "choices")] += times
+                count[_OPERATION_KINDS.get(node.op, "choices")] += times
     return Operations(key, dict(count))
 
 

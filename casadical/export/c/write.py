@@ -208,6 +208,7 @@ class Export(Result):
         return self.figures.get("share_converged", 1.0) >= MIN_SHARE_CONVERGED
 
     def blocks(self) -> list[Block]:
+        """Return the report of the export: verdict, comparisons and figures."""
         return self._report_blocks(least=MIN_SHARE_CONVERGED)
 
 

@@ -198,7 +198,7 @@ def _stages(
 
 
 # Caption of the figure.
-_CAPTION = (
+_FIGURE_CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
     "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
     "other poses than those of the gap. Noise alone: as there."
@@ -273,7 +273,7 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
         Axis("mean position error [mm]", ends, log=True, ticks=ticks),
         rows=[name.replace(" and ", "\nand ") for name in names],
         height=150 + 40 * len(names),
-        caption=_CAPTION,
+        caption=_FIGURE_CAPTION,
         marks=[*notes, Rule("x", noise, "green", width=2, text=f"noise alone {noise:.3f} mm")],
         right=76,
     )

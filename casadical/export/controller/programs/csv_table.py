@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import DEG, MM, Given, Number, Target
+from casadical.export.controller.programs.target import M_PER_MM, RAD_PER_DEG, Given, Number, Target
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
@@ -41,7 +41,7 @@ class CsvTable(ProgramLanguage):
         columns, places = Columns.of_file(table), []
         decimals = {"_deg": 7, "_rad": 9, "_mm": 6, "_m": 9}  # some nanometres at the tool
         for i, unit in enumerate(given.units or ("rad",) * joints, 1):
-            allowed = {"_deg": DEG, "_rad": 1.0} if unit == "rad" else {"_mm": MM, "_m": 1.0}
+            allowed = {"_deg": RAD_PER_DEG, "_rad": 1.0} if unit == "rad" else {"_mm": M_PER_MM, "_m": 1.0}
             columns.si(f"q{i}", tuple(allowed))
             suffix = next(u for u in allowed if f"q{i}{u}" in header)
             places.append((header.index(f"q{i}{suffix}"), allowed[suffix], decimals[suffix]))

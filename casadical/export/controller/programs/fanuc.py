@@ -17,7 +17,7 @@ from lark import Token, Tree
 from casadical.core.basics import Array, InputError
 from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, repeated, whole, words
 from casadical.export.controller.programs.language import AngleLanguage
-from casadical.export.controller.programs.target import MM, Given, Number, Posture, Target, numbers
+from casadical.export.controller.programs.target import M_PER_MM, Given, Number, Posture, Target, numbers
 
 # Lark grammar of the positions of a listing, see `ParsedText`.
 FANUC_GRAMMAR = r"""
@@ -32,10 +32,12 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
-# A configuration; an assignment of a tool or user frame; a motion by an increment.
-_CONFIG = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
-_CHANGE = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
-_INCREMENT = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
+# A configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
+_CONFIG_PATTERN = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+# An assignment of a tool or user frame.
+_FRAME_CHANGE_PATTERN = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
+# A motion by a position, not to it.
+_INCREMENT_PATTERN = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
 
 
 class Fanuc(AngleLanguage):
@@ -66,8 +68,8 @@ class Fanuc(AngleLanguage):
                 targets.append((Target(line, f"P[{number}]", False, (), skip_reason="cannot be read"), ("?", "?")))
             else:
                 targets.append(_target(source, line, position, given.joint_units(joints)))
-        steps = {step[1]: _line(text, step) for step in _INCREMENT.finditer(text)}
-        changes = {(change[1], change[2]): _line(text, change) for change in _CHANGE.finditer(text)}
+        steps = {step[1]: _line(text, step) for step in _INCREMENT_PATTERN.finditer(text)}
+        changes = {(change[1], change[2]): _line(text, change) for change in _FRAME_CHANGE_PATTERN.finditer(text)}
         count = Counter(target.name for target, _ in targets)
         for target, frames in targets:
             for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
@@ -116,7 +118,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
         return Target(line, name, joints, (), skip_reason=f"has {twice} twice"), (tool, base)
     units = axes if joints else Fanuc.units
     for key, unit in zip(keys, units, strict=True):
-        said, allowed = str(items[key][-1]).lower(), "mm" if unit == MM else "deg"
+        said, allowed = str(items[key][-1]).lower(), "mm" if unit == M_PER_MM else "deg"
         if said != allowed:
             raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {allowed}")
     external = any(re.fullmatch(r"E\d", key) and float(str(item[1])) != 0 for key, item in items.items())
@@ -127,7 +129,7 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
 
 def _configured(target: Target, config: object) -> Target:
     """Return a target with posture and turns of its CONFIG text, or a reason to skip it."""
-    match = _CONFIG.fullmatch(str(config))
+    match = _CONFIG_PATTERN.fullmatch(str(config))
     if match is None or not isinstance(config, Token):
         return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
     begin = config.start_pos or 0

@@ -35,7 +35,7 @@ STRING: /"[^"\n]*"/
 COMMENT.3: /;[^\n]*/
 %ignore COMMENT
 """
-_POSE = ("X", "Y", "Z", "A", "B", "C")  # components of a pose
+_POSE_KEYS = ("X", "Y", "Z", "A", "B", "C")  # components of a pose
 Pairs = dict[str, Token | Tree[Token]]  # components of an aggregate by name
 Pick = str | Array | None  # a tool or base: its number, its transform (4, 4), or unreadable
 
@@ -112,7 +112,7 @@ class _Module:
                 continue
             # Targets are positions with a configuration, joint readings, and frames of motions.
             values, named = _pairs(right), name in used
-            posed = set(_POSE) <= set(values) and ("S" in values or named)
+            posed = set(_POSE_KEYS) <= set(values) and ("S" in values or named)
             if "A1" in values or posed or (named and bool(values)):
                 listed.append((right, name, ""))
         for move in self.parsed.all("move"):
@@ -131,14 +131,14 @@ class _Module:
 class _Frames:
     """Tools and bases by number, and those that the program selects for all of its targets.
 
-    known : transforms (4, 4) [m] of TOOL_DATA[..] and BASE_DATA[..], by name and line
+    frames : transforms (4, 4) [m] of TOOL_DATA[..] and BASE_DATA[..], by name and line
     of_point : aggregates (FDAT) that give a point its tool and base numbers
     chosen : tools and bases that the program selects, by line
     """
 
     def __init__(self, language: Krl, source: str, modules: list[_Module], given: Given) -> None:
         self.language, self.source, self.given = language, source, given
-        self.known: dict[str, dict[int, Array]] = {}
+        self.frames: dict[str, dict[int, Array]] = {}
         self.of_point: dict[str, Pairs] = {}
         self.chosen: dict[str, dict[int, Pick]] = {"TOOL": {}, "BASE": {}}
         for module in modules:
@@ -153,7 +153,7 @@ class _Frames:
         """Store an assignment if it defines or selects a tool or base."""
         values = _pairs(right) if right.data == "aggregate" else {}
         if name.startswith(("TOOL_DATA[", "BASE_DATA[")) and values:
-            self.known.setdefault(name, {})[line] = self._transform(values, line)
+            self.frames.setdefault(name, {})[line] = self._transform(values, line)
         elif name in ("$TOOL", "$BASE"):
             number = _name(right).partition("[")[2].rstrip("]") if right.data == "ref" else ""
             null = right.data == "ref" and _name(right) == "$NULLFRAME"
@@ -171,7 +171,7 @@ class _Frames:
 
         Raises InputError: a number is missing.
         """
-        pose = [values.get(key) for key in _POSE]
+        pose = [values.get(key) for key in _POSE_KEYS]
         if not all(map(is_number, pose)):
             raise InputError(f"{self.source}: line {line}: a tool or base needs X, Y, Z, A, B, C as numbers")
         si = np.array([float(str(number)) for number in pose]) * self.language.units
@@ -202,7 +202,7 @@ class _Frames:
             if pick in given:
                 return given[pick]
             name = f"{what}_DATA[{pick}]"
-            pick = np.eye(4) if pick == "0" else only_one(self.source, name, self.known.get(name, {}))
+            pick = np.eye(4) if pick == "0" else only_one(self.source, name, self.frames.get(name, {}))
         return given.get("") if pick is None else pick
 
 
@@ -225,7 +225,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
     """
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
     joints = "A1" in values
-    keys = [f"A{i}" for i in range(1, len(axes) + 1)] if joints else _POSE
+    keys = [f"A{i}" for i in range(1, len(axes) + 1)] if joints else _POSE_KEYS
     if lost := [key for key in keys if not is_number(values.get(key))]:
         return Target(line, shown, joints, (), skip_reason=f"without a number for {', '.join(lost)}")
     if (beyond := f"A{len(axes) + 1}") in values:

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.transforms import frame, from_rpy, to_rpy
-from casadical.export.controller.programs.target import DEG, MM, Given, Target
+from casadical.export.controller.programs.target import M_PER_MM, RAD_PER_DEG, Given, Target
 
 
 class ProgramLanguage(ABC):
@@ -24,7 +24,7 @@ class ProgramLanguage(ABC):
 
     name: ClassVar[str]
     suffixes: ClassVar[tuple[str, ...]]
-    units: ClassVar[tuple[float, ...]] = (MM, MM, MM, DEG, DEG, DEG)
+    units: ClassVar[tuple[float, ...]] = (M_PER_MM, M_PER_MM, M_PER_MM, RAD_PER_DEG, RAD_PER_DEG, RAD_PER_DEG)
     pose: ClassVar[str]
     place: ClassVar[str] = "line"
     report_beside: ClassVar[bool] = True

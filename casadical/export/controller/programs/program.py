@@ -39,7 +39,7 @@ from casadical.export.controller.programs.urscript import UrScript
 # Supported languages; a new one is a class in a module of its own and an entry here.
 PROGRAM_LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
 # Why a target with this status is not corrected, for statuses of joints and of poses.
-_MEANINGS = STATUS_MEANINGS | {
+_REFUSAL_MEANINGS = STATUS_MEANINGS | {
     "LEFT": "left as it is",
     "NO_TOOL": "its tool or base is not known: give --tcp or --base",
     "NO_CONFIGURATION": "the program does not say with which arm configuration; with --nearest it is the one "
@@ -139,7 +139,7 @@ class CorrectedProgram(Result):
         blocks = [Words(head + (f", {len(refused)} LEFT as they were:" if refused else ""), "verdict")]
         for r in refused[:20]:
             named = ", ".join(filter(None, (f"{language.place} {r.target.line}", r.target.name)))
-            blocks.append(Words(f"  {named}: {r.status}, {r.why or _MEANINGS[r.status]}"))
+            blocks.append(Words(f"  {named}: {r.status}, {r.why or _REFUSAL_MEANINGS[r.status]}"))
         if len(refused) > 20:
             where = "report" if language.report_beside else "status column"
             blocks.append(Words(f"  and {len(refused) - 20} more; see the {where}"))
@@ -230,7 +230,7 @@ def _row(r: c.Result) -> list[str]:
     """Return the cells of one target in the report."""
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
-    why = "" if r.fine else r.why or _MEANINGS[r.status]
+    why = "" if r.fine else r.why or _REFUSAL_MEANINGS[r.status]
     head = [str(r.target.line), r.target.name, "joints" if r.target.joints else "pose", r.status, why]
     head += [r.target.about, _numbers(r.target), " ".join(texts)]
     return [*head, *("" if f is None else f"{f:.5f}" for f in figures)]

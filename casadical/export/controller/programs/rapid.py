@@ -14,7 +14,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
 from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, whole
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import MM, Given, Posture, Target, numbers
+from casadical.export.controller.programs.target import M_PER_MM, Given, Posture, Target, numbers
 
 # Lark grammar of declarations, motions and assignments, see `ParsedText`.
 RAPID_GRAMMAR = r"""
@@ -35,7 +35,7 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /![^\n]*/
 %ignore COMMENT
 """
-_TARGETS = ("robtarget", "jointtarget")  # data types of targets
+_TARGET_TYPES = ("robtarget", "jointtarget")  # data types of targets
 
 
 class Rapid(ProgramLanguage):
@@ -43,7 +43,7 @@ class Rapid(ProgramLanguage):
 
     name = "ABB RAPID"
     suffixes = (".mod", ".modx", ".prg")
-    units = (MM, MM, MM, 1.0, 1.0, 1.0, 1.0)
+    units = (M_PER_MM, M_PER_MM, M_PER_MM, 1.0, 1.0, 1.0, 1.0)
     pose = "x, y, z in mm and the quaternion q1, q2, q3, q4"
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
@@ -97,7 +97,7 @@ class _Module:
     def __init__(self, language: Rapid, source: str, parsed: ParsedText, given: Given) -> None:
         self.language, self.source, self.given, self.tokens = language, source, given, parsed.tokens
         self.motions, self.declared = parsed.all("motion"), _declared(parsed)
-        self.known_targets = {name for kind, name, _ in self.declared if kind in _TARGETS}
+        self.known_targets = {name for kind, name, _ in self.declared if kind in _TARGET_TYPES}
         self.changed: dict[str, int] = {}
         for change in parsed.all("assignment"):
             self.changed.setdefault(_variable(change).partition(".")[0], change.meta.line)
@@ -123,7 +123,7 @@ class _Module:
         """Return each target, and the name (or a key of its own) under which `uses` has it."""
         made: list[tuple[int, Target, str]] = []
         for kind, name, value in self.declared:
-            if kind in _TARGETS:
+            if kind in _TARGET_TYPES:
                 made += [(v.meta.start_pos, self._target(kind, n, v), name) for n, v in _elements(name, value)]
         for motion in self.motions:
             arguments = parts(motion, "argument")
@@ -134,7 +134,9 @@ class _Module:
                 made.append((value.meta.start_pos, self._target(kind, "in the motion", value), key))
         # Declarations of targets whose value is not a list of numbers are skipped with a reason.
         for typed, variable, sign in zip(self.tokens, self.tokens[1:], self.tokens[2:], strict=False):
-            unread = typed.lower() in _TARGETS and sign.value == ":=" and variable.lower() not in self.known_targets
+            unread = (
+                typed.lower() in _TARGET_TYPES and sign.value == ":=" and variable.lower() not in self.known_targets
+            )
             if unread:
                 left = Target(variable.line or 0, str(variable), False, (), skip_reason="its value is an expression")
                 made.append((variable.start_pos or 0, left, ""))
@@ -170,14 +172,14 @@ class _Module:
         frames: list[Array | None] = []
         givens = (self.given.tools, self.given.bases)
         for kind, word, given in zip(("tooldata", "wobjdata"), named, givens, strict=True):
-            known = self._known(kind, word, given)
+            known = self._frame_named(kind, word, given)
             if isinstance(known, str):
                 target, known = target.leave(known), None
             frames.append(known)
         tool, work = (word or "?" for word in named)
         return replace(target, tool=frames[0], base=frames[1], about=f"tool {tool}, base {work}")
 
-    def _known(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
+    def _frame_named(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
         """Return a named frame (4, 4) [m], why it cannot be used, or None if it is unknown.
 
         kind : tooldata or wobjdata; given : transforms from outside the program. Raises InputError.

@@ -10,8 +10,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-DEG = np.pi / 180  # rad per degree
-MM = 1e-3  # metres per millimetre
+RAD_PER_DEG = np.pi / 180  # rad per degree
+M_PER_MM = 1e-3  # metres per millimetre
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,8 @@ class Number:
     def written(self, value: float) -> str:
         """Return another value [SI] as text in this number's unit."""
         _, _, fraction = self.text.lower().partition("e")[0].partition(".")
-        finest = {DEG: 6, MM: 4, 1.0: 9}[self.unit]  # below a tenth of a micrometre at the tool
+        # decimals whose rounding error is below a tenth of a micrometre at the tool
+        finest = {RAD_PER_DEG: 6, M_PER_MM: 4, 1.0: 9}[self.unit]
         decimals = max(len(fraction), finest) if self.decimals is None else self.decimals
         text = f"{value / self.unit:.{decimals}f}"
         return text[1:] if float(text) == 0 and text.startswith("-") else text
@@ -123,7 +124,7 @@ class Given:
 
     def joint_units(self, joints: int) -> tuple[float, ...]:
         """Return the unit of each joint in a program, degree or millimetre, as a factor to SI."""
-        return tuple(MM if unit == "m" else DEG for unit in self.units or ("rad",) * joints)
+        return tuple(M_PER_MM if unit == "m" else RAD_PER_DEG for unit in self.units or ("rad",) * joints)
 
 
 def numbers(tokens: Iterable[Any], units: Iterable[float], decimals: int | None = None) -> tuple[Number, ...]:

@@ -17,7 +17,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame
 from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, words
 from casadical.export.controller.programs.language import ProgramLanguage
-from casadical.export.controller.programs.target import DEG, Given, Number, Target, numbers
+from casadical.export.controller.programs.target import RAD_PER_DEG, Given, Number, Target, numbers
 
 # Lark grammar of assignments and calls, see `ParsedText`.
 URSCRIPT_GRAMMAR = r"""
@@ -37,7 +37,7 @@ COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
 # Motion commands, with their number of targets.
-_MOTIONS = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
+_TARGETS_OF_MOTION = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
 
 
 class UrScript(ProgramLanguage):
@@ -143,8 +143,8 @@ class _Program:
                 if str(word) in self.variables:
                     self.variables[str(word)].read += 1
             self._take(arguments[0], near, call)
-        elif name in _MOTIONS:
-            for argument in arguments[: _MOTIONS[name]]:
+        elif name in _TARGETS_OF_MOTION:
+            for argument in arguments[: _TARGETS_OF_MOTION[name]]:
                 self._take(argument, None, call)
 
     def _take(self, argument: Tree[Token], near: Tree[Token] | None, call: Tree[Token]) -> None:
@@ -237,7 +237,7 @@ def _numbers(value: Tree[Token]) -> tuple[Number, ...] | None:
     for part in value.children:
         token, unit = part, 1.0
         if isinstance(part, Tree) and part.data == "call" and str(part.children[0]) == "d2r":
-            token, unit = parts(part, "argument")[0].children[-1], DEG
+            token, unit = parts(part, "argument")[0].children[-1], RAD_PER_DEG
         if is_number(token):
             read += numbers([token], [unit])
         elif not (isinstance(part, Token) and part.type == "POSE"):
