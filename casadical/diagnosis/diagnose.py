@@ -224,9 +224,9 @@ def _prepared(
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
     """Return the diagnosis without its causes if an expression explains the data better.
 
-    The best expression is attached otherwise. Without causes, it is searched in place of unanchored
-    noise. Effects with learnt sizes have more freedom than any expression and are not compared; nor
-    are distances between poses.
+    An expression that was claimed is attached to it. Without causes, it is searched in place of
+    unanchored noise. Effects with learnt sizes have more freedom than any expression and are not
+    compared; nor are distances between poses.
     """
     effects, e = found.effects(), found.case.evidence
     # The verdict may be "explained" by outliers alone.

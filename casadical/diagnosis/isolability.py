@@ -1,9 +1,9 @@
-"""What a set of poses can show before any position is measured: how much of each effect the base model absorbs, what
-stays visible at a realistic size, and which effects look alike; what a campaign cannot show, and what it rules out.
+"""Isolability of effects in a set of poses: absorption by the base model and look-alikes.
 
-The visible signal is what is left of an effect's columns beside the base model's, whose parameters are re-estimated
-with every cause, in the noise's metric; an effect of n poses and visible signal r per coordinate, in units of the
-noise, has noncentrality 3 n r^2.
+It needs no measured positions. It also tells which causes a campaign cannot show, and which ones it
+rules out. The visible signal is the part of an effect's columns that is orthogonal to the base
+model's, whose parameters are re-estimated with every cause, in the noise's metric; an effect with
+visible signal r per coordinate, in units of the noise, at n poses has noncentrality 3 n r^2.
 """
 
 from collections.abc import Sequence
@@ -36,19 +36,25 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Of more poses than this, evenly spaced ones say which effects look alike.
+# Largest number of poses by which effects are compared; of more poses, evenly spaced ones are used.
 MAX_SIMILARITY_POSES = 500
-# Columns that are in memory at a time: bytes of their rows, and how many whose spans are compared with all others.
-MAX_COLUMN_BYTES, MAX_COLUMNS_AT_ONCE = 16_000_000, 512
+# Memory of the columns that are processed at once [bytes].
+MAX_COLUMN_BYTES = 16_000_000
+# Number of columns whose spans are compared with all others at once.
+MAX_COLUMNS_AT_ONCE = 512
+# Noise of a laser tracker [m] and of the joints' repeatability [rad].
 TYPICAL_NOISE = Noise(20e-6, 8e-6)
 
-# An effect is invisible if the base absorbs so much of it, or if it must be so many times its usual size to be found.
-MAX_ABSORBED_SHARE, MAX_FINDABLE_MULTIPLE = 0.98, 5.0
-# Effects below this rms [mm] move nothing.
+# An effect is invisible if the base model absorbs a larger share of its energy ...
+MAX_ABSORBED_SHARE = 0.98
+# ... or if it is found only from a larger multiple of its usual size.
+MAX_FINDABLE_MULTIPLE = 5.0
+# Effects with a smaller rms displacement [mm] do not act at all.
 MIN_SIZE_MM = 1e-6
-# Multiples of its usual size from which a cause is ruled out.
+# Multiples of the usual size from which a cause may be ruled out.
 RULED_OUT_MULTIPLES = (1.0, 2.0, MAX_FINDABLE_MULTIPLE)
 
+# Explanation of the table's columns.
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
@@ -58,13 +64,15 @@ NOTES = (
 
 @dataclass(frozen=True, eq=False)
 class Isolability(Result):
-    """What a design can tell, at the effects' realistic sizes.
+    """Isolability of the candidates in a set of poses, at the effects' realistic sizes.
 
-    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the share of that signal's
-        energy that the base model takes over; visible_mm, the rms of the rest; visible_to_noise, per coordinate in
-        units of the noise; findable_from, the multiple of its realistic size from which it is found nine times in ten
-    alike : share of the visible signal of each candidate (row) that another one (column) reproduces, 0 to 1
-    missing : label -> columns that would have to be logged
+    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the
+        share of that signal's energy that the base model absorbs; visible_mm, the rms of the rest;
+        visible_to_noise, per coordinate in units of the noise; findable_from, the multiple of its
+        realistic size from which it is found nine times in ten
+    alike : share of the visible signal of each candidate (row) that another one (column)
+        reproduces, 0 to 1
+    missing : columns that would have to be logged, by label of the effect
     """
 
     line: ClassVar[str] = " of {{ it.effects | length }} candidates"
@@ -74,12 +82,16 @@ class Isolability(Result):
     missing: dict[str, tuple[str, ...]]
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
-        """Candidates that reproduce more than a share of a candidate's visible signal, the worst first."""
+        """Return the candidates that reproduce more than a share of a candidate's visible signal.
+
+        label : of the candidate; above : the share, 0 to 1. Values are the shares, the largest
+            first.
+        """
         names, shares = self.alike.columns, self.alike.loc[label].to_numpy(dtype=float)
         return {str(names[k]): float(shares[k]) for k in ranked(shares) if shares[k] > above and names[k] != label}
 
     def blocks(self) -> list[Words | Table]:
-        """A row per effect: size, what the base absorbs, what stays visible, its rivals; and what was not logged."""
+        """Return the table with a row per effect, its explanation, and what was not logged."""
         rows = []
         for label, row in self.effects.iterrows():
             rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:3]]
@@ -100,7 +112,10 @@ class Isolability(Result):
         return [*blocks, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
 
     def to_json(self, campaign: str = "") -> dict[str, Any]:
-        """As plain data; campaign : name of the poses. A share that is nothing, a size never found, are left out."""
+        """Return plain data for JSON; campaign : name of the poses.
+
+        Shares of at most 0.1 are left out; a multiple at which an effect is never found is None.
+        """
         rows = {
             str(k): {c: (float(f"{v:.5g}") if np.isfinite(v) else None) for c, v in row.items()}
             for k, row in self.effects.iterrows()
@@ -117,13 +132,16 @@ def isolability(
     noise: Noise = TYPICAL_NOISE,
     whole: bool = False,
 ) -> Isolability:
-    """Isolability of effects at the poses of a (planned) campaign; positions are not looked at.
+    """Return the isolability of effects at the poses of a (planned) campaign.
 
-    robot : nominal; or a diagnosis, whose candidates are judged at its own poses, calibrated geometry and noise
-    m : poses, measured or planned; None of a diagnosis: its own
-    effects : as of `diagnose`
-    noise : that is expected
-    whole : whether an effect counts as one cause in all its joints together, not joint by joint
+    Measured positions are not used.
+    robot : nominal robot; or a diagnosis, whose candidates are evaluated at its own poses,
+        calibrated geometry and noise
+    m : poses, measured or planned; None for a diagnosis
+    effects : see `diagnose`
+    noise : expected noise
+    whole : whether an effect counts as one cause in all its joints together instead of joint by
+        joint
     Raises InputError: a name that is no effect, or where poses are missing.
 
     Examples
@@ -152,7 +170,7 @@ def isolability(
 
 
 def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolability:
-    """Isolability at the poses of a case; also : effects that are in the base model, too."""
+    """Return the isolability at a case's inlier poses; also : effects added to the base model."""
     listed = [c for c in case.candidates if c.listed]
     groups = {c.label: [case.group(v) for v in c.variants] for c in listed}
     evidence = case.evidence.with_base(np.unique(case.group(also))) if also else case.evidence
@@ -160,7 +178,7 @@ def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolabilit
 
 
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:
-    """Each name as one cause: the middle setting of every parameter in every joint."""
+    """Return each effect, by name, as one cause in all joints with the middle settings."""
     causes: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
     for c in candidates:
         by_parameters: dict[tuple[str, ...], list[tuple[Effect, ...]]] = {}
@@ -174,6 +192,7 @@ def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...
 def _judged(
     evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
 ) -> Isolability:
+    """Return the isolability of groups of columns; groups : those of each label's settings."""
     n, rho = len(evidence.r), noise.repeatability / noise.sigma
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]
@@ -188,9 +207,9 @@ def _judged(
             "visible_to_noise": np.sqrt(energy[1] / evidence.count) / noise.sigma,
         }
     )
-    # A grid of settings counts by its mean.
+    # A candidate is rated by the mean over its grid of settings.
     effects = table.groupby("label", sort=False).mean()
-    # Noncentrality at which one among a hundred or so candidates is found nine times in ten.
+    # At a noncentrality of 36 one among about a hundred candidates is found nine times in ten.
     effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
     some = (
         evidence if n <= MAX_SIMILARITY_POSES else evidence.at(np.linspace(0, n - 1, MAX_SIMILARITY_POSES).astype(int))
@@ -200,9 +219,12 @@ def _judged(
 
 
 def _squares(evidence: Evidence, rho: float) -> Array:
-    """Sum of squares of each column as it is, beside the base model, and so in the noise's metric, shape (3, columns).
+    """Return three sums of squares of each column, shape (3, columns).
 
-    rho : joint repeatability over the instrument's sigma. Some columns at a time, for there may be many poses.
+    They are of the column itself, of its part orthogonal to the base model, and of this part in the
+    metric of the noise.
+    rho : ratio of joint repeatability to the instrument's sigma. Columns are processed in blocks,
+        because there may be many poses.
     """
     step = max(1, MAX_COLUMN_BYTES // (24 * len(evidence.r)))
     projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
@@ -215,23 +237,26 @@ def _squares(evidence: Evidence, rho: float) -> Array:
 
 
 def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
-    """Share of each candidate's visible energy in the span of another's columns: mean over its settings, best of the
-    other's; E : visible columns, shape (rows, columns)."""
+    """Return the share of each candidate's visible energy in the span of another's columns.
+
+    It is the mean over the candidate's settings and the best of the other's.
+    E : visible columns, shape (rows, columns); columns : of each setting; owner : its label
+    """
     which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):
         alike = np.flatnonzero(widths == width)
         for some in np.array_split(alike, min(1 + len(alike) * width // MAX_COLUMNS_AT_ONCE, len(alike))):
             U, s, _ = np.linalg.svd(np.stack([E[:, columns[k]] for k in some]), full_matrices=False)
-            # Directions of an effect that carry less than this share of its strongest one are round-off.
+            # Directions with a singular value below 1e-6 of an effect's largest one are round-off.
             there = s > 1e-6 * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
             inner = (U.transpose(0, 2, 1).reshape(-1, len(E)) @ E) ** 2 * there.reshape(-1, 1)
             by_rival[some] = inner.reshape(len(some), -1, E.shape[1]).sum(axis=1)[:, which]
     starts = np.cumsum([0, *widths])[:-1]
     energy = np.array([(E[:, c] ** 2).sum() for c in columns])
     share = np.add.reduceat(by_rival, starts, axis=1) / np.maximum(energy, 1e-30)
-    # Settings that show nothing (coupling to an idle joint) do not count.
-    # Signals of less energy [m^2], a nanometre, are round-off.
+    # Settings without a signal (coupling to an idle joint) do not count: energies below 1e-18 m^2,
+    # a nanometre, are round-off.
     share[:, energy < 1e-18] = np.nan
     by_setting = pd.DataFrame(share, index=pd.Index(owner), columns=pd.Index(owner))
     best = by_setting.groupby(level=0, sort=False).max()
@@ -239,12 +264,12 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
 
 
 def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
-    """What these kinds of readings cannot tell at all, each with what would; the ends of "these data cannot ..."."""
+    """Return what these kinds of readings cannot determine, as ends of "these data cannot ..."."""
     return tuple(undetermined(d.identification.measurements, d.identification.unknown_points))
 
 
 def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
-    """Label of a cause -> those that these data cannot tell from it, with the share that looks alike."""
+    """Return, by cause, the labels that these data cannot distinguish from it."""
     table = poses.alike if poses else pd.DataFrame()
     return {
         c.label: ", ".join(
@@ -259,7 +284,7 @@ def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]
 
 
 def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
-    """Why -> effects that these poses cannot show, those of several joints gathered; claimed causes left out."""
+    """Return the effects that these poses cannot show, by reason; claimed causes are left out."""
     if poses is None:
         return {}
     seen = poses.effects.drop(index=[c.label for c in d.causes], errors="ignore")
@@ -277,10 +302,12 @@ def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
 
 
 def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
-    """Listed causes that are not there: multiple of the usual size -> labels that would be found from there on.
+    """Return the labels of listed causes that are ruled out, by multiple of their usual size.
 
-    Nine times in ten, in these poses, beside the named causes and the description of the unknown; and the evidence is
-    against each of them. What the description takes up, as a curve of one joint does its gear, is not ruled out.
+    From this multiple on, they would be found nine times in ten in these poses, given the named
+    causes and the description of the unlisted one; and the evidence is against each of them. A
+    cause that the description absorbs, as a curve of a joint absorbs its gear's errors, is not
+    ruled out.
     """
     if unlisted is None or unlisted.beside is None:
         return {}

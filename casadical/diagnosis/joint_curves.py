@@ -1,4 +1,4 @@
-"""The joint error curves of a diagnosis, each with its band and its share; as rows and as plain data."""
+"""Joint error curves of a diagnosis, each with its 95 % band and its share of the evidence."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -16,6 +16,7 @@ from casadical.diagnosis.structure import sines
 from casadical.effects.joint_error_curve import JointErrorCurve
 from casadical.measurements.measurements import Noise
 
+# Titles of the columns of `JointCurves.rows`.
 CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 
 
@@ -23,13 +24,14 @@ CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 class JointCurve:
     """One joint's error as a function of its reading.
 
-    angle : over a turn, shape (k,) [rad]
-    value, error : the curve there with its standard error, shapes (k,) [rad]
+    joint : number of the joint, 1-based
+    angle : readings over a turn, shape (k,) [rad]
+    value, error : error of the joint there and its standard error, shapes (k,) [rad]
     covered : mask of the angles near which there are readings, shape (k,); elsewhere the prior
         alone determines the curve
-    rms, rms_error : of the curve and of its standard error at the readings [rad]
-    lost : log evidence that is lost without it; share : of what is lost by all joints
-    middle : frequencies between which the middle half of the curve's square lies [cycles a turn]
+    rms, rms_error : rms of the curve and of its standard error at the readings [rad]
+    lost : log evidence that is lost without the curve; share : its share of the sum over all joints
+    middle : frequencies between which the middle half of the curve's square lies [cycles per turn]
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("covered", "covered_parts", "deg", 1),)
@@ -47,27 +49,28 @@ class JointCurve:
 
     @property
     def seen(self) -> bool:
-        """Whether the readings show anything of the curve: its rms is above two standard errors."""
+        """Return whether the curve is significant: its rms is above two standard errors."""
         return self.lost > 0 and self.rms > 2 * self.rms_error
 
     @property
     def covered_parts(self) -> list[tuple[float, float]]:
-        """Stretches of a turn near which there are readings [rad]."""
+        """Return the intervals of a turn near which there are readings [rad]."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.covered, [False]])))
         return [(float(self.angle[a]), float(self.angle[b - 1])) for a, b in edges.reshape(-1, 2)]
 
 
 @dataclass(frozen=True, eq=False)
 class JointCurves:
-    """The curves of all joints in their order; orders : highest harmonic of the curves."""
+    """Error curves of all joints in order; orders : highest harmonic [cycles per turn]."""
 
     joints: tuple[JointCurve, ...] = field(metadata=WRITTEN)
     orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """A row for each joint under `CURVE_COLUMNS`, the greatest share first.
+        """Return a row of text for each joint under `CURVE_COLUMNS`, the greatest share first.
 
-        Of a curve that is not seen the row tells how large it may be: two standard errors more.
+        For a curve that is not significant the row has an upper bound: two standard errors above
+        its rms.
         """
         rows = []
         for c in sorted(self.joints, key=lambda c: -c.share):
@@ -78,7 +81,7 @@ class JointCurves:
 
 
 def joint_curves(found: Diagnosis) -> JointCurves:
-    """The curves of a diagnosis that names joint_error_curve.
+    """Return the error curves of a diagnosis that names joint_error_curve.
 
     Raises InputError: where no joint_error_curve is among the causes.
     """
@@ -90,15 +93,15 @@ def joint_curves(found: Diagnosis) -> JointCurves:
 
 
 def curve_of(causes: Sequence[Cause]) -> JointErrorCurve | None:
-    """The joint error curve among causes, if there is one."""
+    """Return the joint error curve among the causes' effects, or None."""
     effects = (e for c in causes for e in c.effects)
     return next((e for e in effects if isinstance(e, JointErrorCurve)), None)
 
 
 def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise) -> JointCurves:
-    """The curves of an effect that is in the model of a case.
+    """Return the error curves of an effect in the model of a case.
 
-    columns : of all causes, in order, shape (k,), as whole numbers
+    columns : indices of the columns of all causes, in rising order, shape (k,); noise : of the fit
     """
     e, q = case.evidence, case.m.q[case.kept]
     fit = new_fit(e, columns, noise, combined=False)
@@ -133,12 +136,12 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
 
 
 def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
-    """A curve and its standard error, shapes (k,)."""
+    """Return a curve and its standard error, shapes (k,)."""
     return shapes @ x, np.sqrt(((shapes @ covariance) * shapes).sum(axis=1))
 
 
 def _covered(angle: Array, q: Array, reach: float) -> Array:
-    """Whether there is a reading within reach of each angle, around the turn."""
+    """Return the mask of angles with a reading within reach [rad], modulo a turn, shape (k,)."""
     around = np.sort((q + np.pi) % (2 * np.pi)) - np.pi
     around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
     after = np.searchsorted(around, angle).clip(1, len(around) - 1)
@@ -146,7 +149,10 @@ def _covered(angle: Array, q: Array, reach: float) -> Array:
 
 
 def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
-    """Log evidence lost by leaving out one joint's curve, the noise level estimated again."""
+    """Return, by joint, the log evidence lost without its curve, the noise re-estimated.
+
+    own : indices of each curve's parameters in the fit
+    """
     square = float((fit.whitened_residual**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
     lost = {}
     for j, places in own.items():

@@ -1,4 +1,4 @@
-"""A diagnosis as plain data and as files to keep."""
+"""Serialisation of a diagnosis: as data for JSON, and as files."""
 
 from pathlib import Path
 from typing import Any
@@ -19,9 +19,10 @@ from casadical.robot.robot_file import to_toml
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
-    """Return the answer in the campaigns' format; lengths in mm, readable by any tool.
+    """Return the diagnosis as data for JSON, with lengths in mm.
 
-    campaign : its name; more : of `analyse`; what was not computed is left out
+    campaign : name of the campaign; more : of `analyse`; analyses that were not computed are left
+        out
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -77,10 +78,11 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
 def diagnosis_files(
     folder: str | Path, found: Diagnosis, more: Details, name: str, *, unlisted: bool = False
 ) -> dict[Path, str]:
-    """What `casadical diagnose --out` writes, by file: the robot with its causes, all figures, and the page.
+    """Return the text of each file that `casadical diagnose --out` writes: robot, data and report.
 
-    more : of `analyse`; name : of the campaign
-    unlisted : whether the description of the unknown, where there is one, is in the robot's model, too
+    folder : of the files; more : of `analyse`; name : of the campaign
+    unlisted : whether the robot's model includes the description of the unlisted cause, if there is
+        one
     Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """
     folder = Path(folder)

@@ -1,12 +1,11 @@
-"""What to measure next: poses at which the causes in question predict the most different positions.
+"""Design of experiments: next poses at which rival causes predict different positions.
 
-How far apart the predictions of causes are: the expected log Bayes factor that each further pose gives.
-
-Each cause's prediction at a new pose is normal: fitted to the data there are, together with the base model, and as
-uncertain as that fit leaves it. Poses are added one by one where they most increase the expected log Bayes factor in
-favour of the truth, whichever of the causes that is: the divergence of one cause's data from the other's prediction,
-learning from the poses picked before (Box and Hill 1967; where the base is well known, T-optimality of Atkinson and
-Fedorov 1975). The truth with the smallest factor so far has the largest weight.
+Each cause's prediction at a new pose is normal: base model and cause are fitted to the present
+data, with the posterior covariance of that fit. Poses are added one by one where they most increase
+the expected log Bayes factor in favour of the truth, whichever of the causes that is: the
+divergence of one cause's data from the other's prediction, given the data at the poses chosen
+before (Box and Hill 1967; T-optimality of Atkinson and Fedorov 1975 if the base model is well
+determined). The truth with the smallest factor so far has the largest weight.
 """
 
 from collections.abc import Sequence
@@ -35,9 +34,10 @@ from casadical.pose_selection.workspace import Workspace
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """What one cause predicts at all poses of the pool.
+    """Prediction of one cause at all poses of the pool, as residuals of the base model.
 
-    mean : shape (K, 3) [m]; spread : square root of its covariance, shape (K, 3, parameters): spread spread'
+    mean : predicted residual, shape (K, 3) [m]
+    spread : root of its covariance spread @ spread.T, shape (K, 3, parameters) [m]
     """
 
     mean: Array
@@ -45,29 +45,33 @@ class Prediction:
 
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
-    """Mean and spread at new poses of base model and one cause fitted to the case's data."""
+    """Return the prediction at new poses of base model and one cause fitted to the case's data.
+
+    variant : effects of the cause; poses : linearisation of the base model at the new poses
+    """
     old, combinations = case.base.everywhere(case.evidence, np.flatnonzero(case.kept))
     E = poses.columns(variant)
-    # Unknown points of the campaign, which new poses do not see.
+    # Predictions do not depend on the campaign's unknown points.
     points = np.zeros((*poses.J.shape[:2], len(case.base.prior) - poses.J.shape[2]))
     J = np.concatenate([poses.J, points], axis=2)
     for units in (case.units, combinations):
         J = J if units is None else J @ units
     new = np.concatenate([J, E * widths(variant)], axis=2)
-    # One sigma, in sizes, of a cause's parameters before the data.
+    # The prior standard deviation of a cause's parameters is two sizes.
     fit = new_fit(replace(old, cause_prior=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 
 def noise_at(noise: Noise, poses: Linearisation) -> Array:
-    """Covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
+    """Return the covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
     return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
 
 class Predictive:
-    """A cause's predictive distribution at all poses, as it learns from the data at those picked.
+    """A cause's predictive distribution at all poses, updated with the data at the chosen poses.
 
-    own : covariance of the data at each pose, shape (K, 3, 3); inverse, volume : of it, and log determinant
+    own : covariance of the data at each pose, shape (K, 3, 3) [m^2]
+    inverse, volume : its inverse, shape (K, 3, 3), and its log determinant, shape (K,)
     """
 
     def __init__(self, prediction: Prediction, noise: Array) -> None:
@@ -80,7 +84,7 @@ class Predictive:
         self.volume: Array = np.linalg.slogdet(own)[1]
 
     def learn(self, pose: int) -> Array:
-        """Take in the data at a pose, as a Kalman filter does; its gain at all poses, shape (K, 3, 3)."""
+        """Update with the data at a pose (Kalman filter); return the gain, shape (K, 3, 3)."""
         spread = self.first.spread
         toward = self._known @ spread[pose].T
         gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
@@ -90,8 +94,11 @@ class Predictive:
 
 
 class Comparison:
-    """What the data of a truth differ by from a model's prediction: mean, shape (K, 3), and root of the covariance less
-    the pose's own noise, shape (K, 3, any)."""
+    """Difference between the data that a truth generates and a model's prediction.
+
+    mean : expected difference, shape (K, 3) [m]
+    root : root of its covariance without the pose's own noise, shape (K, 3, any) [m]
+    """
 
     def __init__(self, model: Predictive, truth: Predictive) -> None:
         self.model, self.truth = model, truth
@@ -99,14 +106,14 @@ class Comparison:
         self.root: Array = truth.first.spread
 
     def gains(self) -> Array:
-        """What each pose adds to the expected log Bayes factor in favour of the truth, shape (K,): a divergence."""
+        """Return each pose's gain of the expected log Bayes factor for the truth, shape (K,)."""
         square = self.model.noise + self.root @ self.root.transpose(0, 2, 1)
         square += self.mean[:, :, None] * self.mean[:, None, :]
         far = (self.model.inverse * square).sum(axis=(1, 2)) - 3
         return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
 
     def follow(self, pose: int, gain: Array) -> None:
-        """The model has learnt at a pose, with this gain."""
+        """Update after the model was updated at a pose with this gain."""
         own = np.linalg.cholesky(self.model.noise[pose])
         self.mean = self.mean - gain @ self.mean[pose]
         self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ own], axis=2)
@@ -116,9 +123,10 @@ Pairs = Sequence[tuple[Predictive, Predictive]]
 
 
 def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
-    """Greedy choice of n poses and what they separate, summed as they are added: of the truth with the smallest sum.
+    """Choose n poses greedily; return their indices and the separation after each.
 
-    asked, also : pairs to distinguish; only the former count as what is separated
+    The separation is the smallest cumulative expected log Bayes factor over all truths.
+    asked, also : pairs to distinguish; only the former count in the separation
     """
     pairs = [*asked, *also]
     comparisons = [d for a, b in pairs for d in (Comparison(a, b), Comparison(b, a))]
@@ -139,13 +147,17 @@ def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
     return picked, course
 
 
+# Number of candidate poses that are drawn.
 DEFAULT_POOL_SIZE = 800
-# Settings of a cause that are looked at, and by how much their log likelihood may be less than the best one's.
-MAX_VARIANTS_PER_CAUSE, MAX_LOG_LIKELIHOOD_DEFICIT = 2, 4.0
-# Readings beyond the campaign's own range by less than this [rad or m] are nothing new.
+# Number of settings of a cause that are compared ...
+MAX_VARIANTS_PER_CAUSE = 2
+# ... if their log likelihood is less than the best one's by at most this [nats].
+MAX_LOG_LIKELIHOOD_DEFICIT = 4.0
+# Readings beyond the campaign's range by less than this are not reported as new [rad or m].
 RANGE_TOLERANCE = 0.02
-# Torque of this share of a great one counts as none.
+# Share of the peak gravity torque below which a joint counts as idle.
 IDLE_TORQUE_SHARE = 0.15
+# Label that stands for no cause at all.
 NO_CAUSE = "none"
 
 
@@ -160,24 +172,27 @@ def next_poses(
     payloads: Sequence[float] = (),
     pool: int = DEFAULT_POOL_SIZE,
 ) -> pd.DataFrame:
-    """The next n poses to measure, the most informative first.
+    """Return a table of the next n poses to measure, the most informative first.
 
-    Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of the campaign that
-    the pose repeats, if any; state, cold or warm, where a cause follows the temperature; new, what the campaign had
-    not (a wider range of a joint, another payload, approach or thermal state); separation, the expected log Bayes
-    factor in favour of the truth among the labels, of this pose and those before it, the smallest of all truths;
-    and, empty, the columns to be logged, those of the campaign's own kinds of measurement among them.
+    Columns: order; q1_deg ...; payload_kg and approach1 ... where they matter; repeats, the row of
+    the campaign that the pose repeats, if any; state, cold or warm, where a cause depends on the
+    temperature; new, what the campaign did not contain (a wider range of a joint, another payload,
+    approach or thermal state); separation, the expected log Bayes factor in favour of the truth
+    among the labels, by this pose and those before it, the smallest over all truths; and, empty,
+    the columns to be logged, including those of the campaign's own kinds of measurement.
 
     found : a diagnosis, or the case of one
-    n : how many poses
-    labels : causes to distinguish, as the case's candidates name them; "none" for no cause at all; by default those
-        that the diagnosis has in question (`Diagnosis.in_question`), and an empty table where there are none
+    n : number of poses
+    labels : labels of the causes to distinguish; "none" for no cause at all; by default those that
+        the diagnosis has in question (`Diagnosis.in_question`), with an empty table if there are
+        none
     seed : of the drawn poses
-    beside : others from which each of them is to be distinguished as well, but not from each other; by default "none",
-        and with the default labels the most probable other cause
-    workspace : where poses may lie; by default the robot's own ranges, loops as open as they were in the campaign
-    payloads : states [kg] that can be mounted; by default none, the declared one and the campaign's
-    pool : how many poses are drawn to choose from; the campaign's own are added
+    beside : other labels from which each of these is to be distinguished as well, but not from each
+        other; by default "none", and with the default labels the most probable other cause
+    workspace : region in which poses may lie; by default the robot's own ranges, with loops as open
+        as in the campaign
+    payloads : masses [kg] that can be mounted; by default none, the declared one and the campaign's
+    pool : number of poses that are drawn to choose from; the campaign's own are added
     Raises InputError: fewer than two labels or one that the case does not know.
 
     Examples
@@ -210,7 +225,7 @@ def next_poses(
 
 
 class _Cause(NamedTuple):
-    """A label with settings that the data allow, and the noise that these leave."""
+    """A label with settings that the data allow, and the most likely noise with these."""
 
     label: str
     variant: tuple[Effect, ...]
@@ -218,7 +233,10 @@ class _Cause(NamedTuple):
 
 
 def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
-    """Each label with its most likely settings and another; of those beside, one each. Raises InputError."""
+    """Return each label with its most likely and other likely settings. Raises InputError.
+
+    beside : other labels, with their most likely settings only
+    """
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
     known = {c.label: c for c in case.candidates}
@@ -244,6 +262,10 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
 def table_of(
     case: Case, effects: tuple[Effect, ...], drawn: LaterPoses, picked: list[int], gained: list[float]
 ) -> pd.DataFrame:
+    """Return the table of the chosen poses (see `next_poses`).
+
+    picked : indices of the poses; gained : separation after each
+    """
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
     for (name, unit), q in zip(case.robot.reading_units.items(), rows.q.T, strict=True):
@@ -266,7 +288,7 @@ def table_of(
 
 
 def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
-    """For each pose, what of it the campaign had not: a wider range, another payload, approach or thermal state."""
+    """Return in words what is new in each pose compared with the campaign."""
     own = case.m.conditions
     lower, upper = case.m.q.min(axis=0) - RANGE_TOLERANCE, case.m.q.max(axis=0) + RANGE_TOLERANCE
     payloads = campaign_payloads(case.robot, case.m)
@@ -287,9 +309,11 @@ def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
 
 
 def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:
-    """Probability that the more probable of the two most similar causes is true: now, and after these poses.
+    """Return the probability of a right decision now and after these poses.
 
-    poses : of `next_poses`. After them the log odds are normal about their expected gain D with variance 2 D, whichever
+    The decision is between the first two causes in question.
+    poses : of `next_poses`. After them the log odds are normal about their expected gain D with
+        variance 2 D, whichever
     cause is true.
     """
     first, second = found.in_question[:2]
@@ -300,7 +324,10 @@ def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[f
 
 
 def probability_after(share: float, gain: float) -> float:
-    """Probability of a right choice between two causes, of which one has this share, after an expected log factor."""
+    """Return the probability of a right choice between two causes after more data.
+
+    share : present probability of the first cause; gain : expected log Bayes factor for the truth
+    """
     if gain <= 0:
         return max(share, 1 - share)
     odds, width = log(share / (1 - share)), sqrt(2 * gain)
@@ -308,7 +335,7 @@ def probability_after(share: float, gain: float) -> float:
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
-    """What kind of poses they are, in words."""
+    """Return in words how many poses repeat others, and their payloads and approaches."""
     kinds = []
     if repeats := int((poses["repeats"] != "").sum()):
         kinds.append(f"{repeats} repeat earlier ones in other circumstances")
@@ -326,7 +353,7 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
-    """Joints whose gravity torque is near zero in more of the poses than of the campaign's."""
+    """Return in words at most two joints that are idle more often than in the campaign."""
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
