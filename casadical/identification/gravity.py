@@ -83,7 +83,7 @@ def as_json(found: Identification) -> list[dict[str, float]]:
 
 
 def in_words(found: Identification) -> str:
-    """Return a sentence on the deflections where masses are estimates; empty for declared masses."""
+    """Return a sentence on the deflections if masses are estimates; empty for declared masses."""
     if found.robot.masses != "estimated" or not (every := gravity_deflections(found)):
         return ""
     why = "the masses are estimates from the reach, so that no stiffness follows"

@@ -101,20 +101,20 @@ def determined(robot: Robot, log: JointLog) -> Identifiability | None:
 
 
 def _friction_columns(v: Array) -> Array:
-    """Return the regressors of offset, Coulomb and viscous friction at velocities v, shape (N, 3)."""
+    """Return regressors of offset, Coulomb and viscous friction at velocities v, shape (N, 3)."""
     # Coulomb friction changes its sign smoothly over 0.01 rad/s or m/s.
     return np.column_stack([np.ones(len(v)), np.tanh(v / 0.01), v])
 
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
-    """Return sentences on what the model lacks for a log, and on joints in another order or sign."""
+    """Return sentences on data that the log needs, and on joints in another order or sign."""
     states = None if lacks_masses(robot) else states_of(log)
     ends = () if states is None else (*_torque_scale_faults(robot, log, states), *_column_faults(robot, log, states))
     return (*_missing_data(robot, log), *ends)
 
 
 def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
-    """Yield a sentence for each datum of arm or drives that the log would need and that is unknown."""
+    """Yield a sentence for each unknown datum of arm or drives that the log would need."""
     signed = log.torque is not None or (log.current is not None and not log.current_unsigned)
     if lacks_masses(robot) or robot.masses == "estimated":
         yield (
@@ -155,7 +155,7 @@ def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterato
 
 
 def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Yield a sentence for a joint with the opposite sign, or two exchanged joints, by the torques."""
+    """Yield a sentence for a joint with reversed sign, or two exchanged joints, by the torques."""
     dynamics, n, names = Dynamics(robot), robot.n, log.joints
     against = "the torque or current of {} counts against its angle"
     plain = _unexplained_shares(dynamics, states)

@@ -233,7 +233,7 @@ class LeastSquares:
 
     @cached_property
     def prior_mean(self) -> Array:
-        """Prior mean of each variable, shape (size,); zero (nominal) with the robot's own priors."""
+        """Prior mean of each variable, shape (size,); zero, nominal, by the robot's own priors."""
         mean = np.zeros(self.size)
         mean[: len(self.names)] = (self._prior[0] - self._parameter("value")) / self.scale
         return mean
@@ -351,7 +351,7 @@ class LeastSquares:
         return next((each for each in at if each[1].any()), None)
 
     def information(self, v: Array) -> Array:
-        """Return J'WJ at v without the priors, shape (size, size), with the weights W of the loss."""
+        """Return J'WJ at v without priors, shape (size, size); W are the weights of the loss."""
         return self._sums(v).information
 
     def residuals(self, v: Array) -> list[Array]:
@@ -381,7 +381,7 @@ class LeastSquares:
         return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
-        """Compute cost, gradient and information over all residuals, a part of the poses at a time."""
+        """Compute cost, gradient and information over all residuals, in parts of the poses."""
         cost = square = 0.0
         gradient, information = np.zeros(self.size), np.zeros((self.size, self.size))
         residuals: list[tuple[int, Array]] = []
@@ -506,7 +506,7 @@ class LeastSquares:
         return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
-        """Return the problem with other initial positions of the unknown points, shape (K, 3) [m]."""
+        """Return the problem with other initial unknown points, shape (K, 3) [m]."""
         other = replace(self)
         other.kept.made.update(points=points)
         return other
@@ -562,7 +562,7 @@ class Linearised(LeastSquares):
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
-        """Return the same with other sigmas: of a coordinate [m] and an angle [rad] for each set."""
+        """Return the same with other sigmas: coordinate [m] and angle [rad] for each set."""
         other = replace(self, sigmas=sigmas)
         other.kept.made.update(labels=self.labels, points=self.points)
         return other

@@ -136,7 +136,7 @@ class WideFit:
         return self._last[rhos]
 
     def log_likelihood(self, rhos: tuple[float, ...]) -> float:
-        """Return the log likelihood with these ratios, starting from the variances of the best fit."""
+        """Return the log likelihood with these ratios, starting from the best fit's variances."""
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
             # Four iterations suffice from the variances of another fit.

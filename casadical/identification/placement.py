@@ -345,7 +345,7 @@ def median_error(robot: Robot, m: Measurements) -> float:
         try:
             e = errors(place_frames(robot, m), m)
             near = np.flatnonzero(e <= 5 * np.median(e))
-            if 12 <= len(near) < len(e):  # placed again without gross errors, which distort base and tool
+            if 12 <= len(near) < len(e):  # gross errors distort base and tool
                 e = errors(place_frames(robot, m[near]), m)
         except np.linalg.LinAlgError:
             return np.inf

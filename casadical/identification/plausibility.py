@@ -60,9 +60,9 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
 
 
 def refuse_undefined(robot: Robot, m: Measurements) -> None:
-    """Raise InputError with the row where a robot with effects has no finite position.
+    """Refuse readings at which a robot with effects has no finite position, such as a zero divisor.
 
-    An example is a divisor of zero.
+    Raises InputError with the row.
     """
     for k in range(0, len(m) if robot.effects else 0, MAX_CACHED_DATA_POSES):
         some = m[k : k + MAX_CACHED_DATA_POSES]

@@ -100,7 +100,7 @@ class Prior(Shown):
         return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
-        """Raise InputError where frozen values would be used outside of the range they cover."""
+        """Refuse frozen values outside of the range that they cover. Raises InputError."""
         if not len(self.knowledge.readings):
             raise InputError(
                 "frozen: the prior's file does not say on which readings it was learnt ([learnt.readings]); use it as "
@@ -125,7 +125,7 @@ class Prior(Shown):
         return all(np.abs(q[:, j] - end).min() < 1e-9 for j, ends in enumerate(theirs) for end in ends)
 
     def in_words(self, sets: Sequence[Measurements]) -> str:
-        """Return sentences on what was carried over, how it is used, and whether its ranges apply."""
+        """Return sentences on what was carried over, its use, and whether its ranges apply."""
         what = ", ".join(self.labels) or "geometry and compliance"
         source = f"Prior from {self.knowledge.campaign or 'another campaign'}: {what}"
         if self.learnt_from(sets):
@@ -236,9 +236,10 @@ def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
 
 
 def refuse_another(robot: Robot, other: Robot, what: str) -> None:
-    """Raise InputError unless the other robot can be the same one in the same convention and units.
+    """Refuse another robot, which cannot be the same one in the same convention and units.
 
     what : word for the other one in messages
+    Raises InputError.
     """
     if other.n != robot.n:
         raise InputError(

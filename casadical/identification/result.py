@@ -220,7 +220,10 @@ class Identification(Result):
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Identified parameters at a bound; zero compliance is a rigid joint, and does not count."""
+        """Identified parameters at a bound, rigid joints excepted.
+
+        A compliance of zero is a rigid joint.
+        """
         return tuple(n for n in self._stopped if n not in self._rigid)
 
     @property
@@ -268,16 +271,16 @@ class Identification(Result):
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:
-        """Standard deviations of a coordinate [m] and an angle [rad] by the residuals, for each set."""
+        """Sigmas of a coordinate [m] and an angle [rad] that the residuals show, for each set."""
         scale = float(np.sqrt(self.variance))
         return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter: name, group, nominal, value, std_error, low, high (95 %), unit, status,
-        reason.
+        """A row per parameter, with its estimate, 95 % interval and status.
 
-        Where an identified one has the standard error of its prior, the reason says so.
+        The columns are name, group, nominal, value, std_error, low, high (95 %), unit, status,
+        reason. Where an identified one has the standard error of its prior, the reason says so.
         """
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.held}
@@ -306,7 +309,7 @@ class Identification(Result):
 
     @property
     def shown(self) -> pd.DataFrame:
-        """`parameters` without those of effects with too many parameters, such as joint_error_curve."""
+        """`parameters` without those of effects with many, such as joint_error_curve."""
         return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
 
     def correlations(self, above: float = 0.95) -> pd.DataFrame:

@@ -202,7 +202,7 @@ class _Solver:
         return self._optimum.copy(), str(self._solve.stats(1)["return_status"])
 
     def let_go(self) -> None:
-        """Break the circular references, to free much memory; the solver cannot be used afterwards."""
+        """Break the circular references to free memory; the solver cannot be used afterwards."""
         del self._run, self._buffer, self._solve, self._keep
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
@@ -231,7 +231,7 @@ class _Solver:
 
 
 class _Solvers(threading.local):
-    """The cached solvers of one thread, by size, maximum iterations, and whether they are watched."""
+    """Cached solvers of one thread, by size, maximum iterations, and whether they are watched."""
 
     def __init__(self) -> None:
         self.of = lru_cache(maxsize=16)(_Solver)

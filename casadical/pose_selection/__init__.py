@@ -1,4 +1,4 @@
-"""Which poses to measure, how many are enough, and the predicted accuracy."""
+"""Selection of poses to measure, their number, and the accuracy to expect."""
 
 from casadical.measurements.measurements import Noise
 from casadical.pose_selection.candidates import Circumstances

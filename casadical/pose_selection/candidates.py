@@ -1,4 +1,4 @@
-"""Poses that could be measured, and under which circumstances: payloads, approaches, repeats, time."""
+"""Candidate poses and the circumstances of their measurement: payload, approach, repeats, time."""
 
 from __future__ import annotations
 
@@ -13,27 +13,31 @@ from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.pose_selection.information import by_joints
+from casadical.pose_selection.information import joint_jacobian
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
+# Columns that follow from the time of a measurement.
 _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
+# Columns with the direction of approach of a joint.
 _APPROACH = re.compile(r"approach\d+")
-# The column of candidates that says which socket holds the tool, counted from 0.
-SOCKET = "socket"
-# How columns of the sessions begin.
-SESSION = "session_"
+# The column of candidates with the number of the socket that holds the tool, from 0.
+SOCKET_COLUMN = "socket"
+# Prefix of the columns of sessions.
+SESSION_PREFIX = "session_"
 
 
 @dataclass(frozen=True)
 class Circumstances:
-    """How poses are measured.
+    """The circumstances under which poses are measured.
 
-    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect needs two
+    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect
+        needs two
     every_payload : whether each reading is measured with all of them instead of one
-    both_approaches : whether each reading is approached twice, with all joints moving in opposite directions
-    repeats : how often each reading is measured, in passes over all poses
+    both_approaches : whether each reading is approached twice, with all joints moving in opposite
+        directions
+    repeats : number of measurements of each reading, in passes over all poses
     seconds : time per pose [s]
     warmup_K : assumed rise of temperature [K]
     warmup_minutes : its time constant [min]
@@ -54,14 +58,14 @@ class Circumstances:
     warmup_minutes: float = 35.0
 
     def states(self, robot: Robot) -> tuple[float, ...]:
-        """Payloads [kg] of the campaign."""
+        """Return the payloads [kg] of the campaign."""
         declared = robot.payload.mass if robot.payload else 0.0
         if self.payloads:
             return self.payloads
         return (0.0, declared) if any("payload_kg" in e.needs for e in robot.effects) else (declared,)
 
     def size(self, robot: Robot) -> int:
-        """How many measurements are made at one reading."""
+        """Return the number of measurements at one reading."""
         return self.repeats * (1 + self.both_approaches) * (len(self.states(robot)) if self.every_payload else 1)
 
 
@@ -69,7 +73,9 @@ class Circumstances:
 class Candidates:
     """N readings, each to be measured g times under its own circumstances.
 
-    q : shape (N, joints) [rad or m]; conditions : by name, shape (N, g); turn : in which pass, shape (g,)
+    q : shape (N, joints) [rad or m]
+    conditions : column -> values, shape (N, g)
+    turn : pass of each measurement, shape (g,)
     """
 
     q: Array
@@ -81,29 +87,37 @@ class Candidates:
 
     @property
     def size(self) -> int:
+        """Number g of measurements at each reading."""
         return len(self.turn)
 
     def __getitem__(self, which: Array) -> Candidates:
         return replace(self, q=self.q[which], conditions={n: v[which] for n, v in self.conditions.items()})
 
     def joined(self, other: Candidates) -> Candidates:
+        """Return these candidates followed by others."""
         conditions = {n: np.concatenate([v, other.conditions[n]]) for n, v in self.conditions.items()}
         return replace(self, q=np.concatenate([self.q, other.q]), conditions=conditions)
 
     def measurements(self, robot: Robot, source: str = "candidates") -> Measurements:
-        """One row per measurement, the g of a reading in sequence, at the positions that the model gives."""
+        """Return one row per measurement, the g of a reading in sequence.
+
+        Positions are those of the model.
+        """
         conditions = {n: v.ravel() for n, v in self.conditions.items()}
         return expected(robot, np.repeat(self.q, self.size, axis=0), conditions, source)
 
 
 def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: str) -> Measurements:
-    """Measurements at readings q, shape (n, joints) [rad or m], as the model predicts them."""
+    """Return measurements at readings q, shape (n, joints) [rad or m], by the model."""
     m = unmeasured(q, conditions, source)
     return replace(m, position=predicted(robot, m)[0])
 
 
 def one_turn(robot: Robot) -> Robot:
-    """Joints that turn more than once are driven within half a turn to either side."""
+    """Return the robot with joint limits within half a turn to either side.
+
+    It concerns joints with a range of more than one turn.
+    """
     joints = (
         replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
         for j in robot.joints
@@ -112,9 +126,9 @@ def one_turn(robot: Robot) -> Robot:
 
 
 def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator, *, to_ends: bool = False) -> Array:
-    """Readings that the workspace allows, shape (count, joints), drawn evenly.
+    """Return random readings that the workspace allows, shape (count, joints) [rad or m].
 
-    to_ends : every other one rather towards the joints' ends, where good poses often lie
+    to_ends : whether every other one tends towards the joints' limits, where good poses often are
     Raises InputError where hardly any reading is allowed.
     """
     lower, upper = workspace.ranges(robot)
@@ -135,9 +149,12 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
 
 
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
-    """Candidates at readings q with every column that the robot's model needs, some drawn at random.
+    """Return candidates at readings q with every column that the robot's model needs.
 
-    n : number of readings of the campaign, which determines how long it takes
+    Payload, approach and time are drawn at random.
+
+    q : shape (N, joints) [rad or m]
+    n : number of readings of the campaign, which determines its duration
     Raises InputError for a column that cannot be planned.
     """
     g, N = circumstances.size(robot), len(q)
@@ -153,9 +170,11 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             columns[name] = np.array(states)[(start + payload) % len(states)] * np.ones((N, g))
         elif _APPROACH.fullmatch(name):
             columns[name] = rng.choice([-1.0, 1.0], (N, 1)) * np.where(side, -1.0, 1.0)
-        elif name.startswith(SESSION):  # the last is the one that goes on
-            columns[name] = np.full((N, g), float(name == [c for c in robot.conditions if c.startswith(SESSION)][-1]))
-        elif name in GRAVITY_COLUMNS:  # the robot stands as it is declared
+        elif name.startswith(SESSION_PREFIX):  # poses are planned for the last session
+            columns[name] = np.full(
+                (N, g), float(name == [c for c in robot.conditions if c.startswith(SESSION_PREFIX)][-1])
+            )
+        elif name in GRAVITY_COLUMNS:  # the robot is mounted as declared
             columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
         elif not _TIMED.fullmatch(name):
             raise InputError(f"column {name!r} is needed by an effect and cannot be planned; leave that effect out")
@@ -166,7 +185,10 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
 
 
 def timeline(names: list[str], progress: Array, n: int, circumstances: Circumstances) -> dict[str, Array]:
-    """Columns that follow from the time alone, for shares of a campaign of n measurements, any shape."""
+    """Return columns that follow from the time alone, for a campaign of n measurements.
+
+    progress : shares of the campaign's duration, any shape
+    """
     rows = max(n, 2)
     course = np.linspace(0, 1, 200)
     time = circumstances.seconds * rows * course
@@ -181,8 +203,10 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
 class LaterPoses:
     """Poses that could be measured after a campaign.
 
-    m : readings and columns; repeated : row of the campaign that a pose repeats, -1 for none, shape (K,)
-    warm : whether the arm is to be warm, shape (K,); None where no column follows the temperature
+    m : readings and columns
+    repeated : row of the campaign that a pose repeats, -1 for none, shape (K,)
+    warm : whether the arm is to be warm, shape (K,); None where no column depends on the
+        temperature
     """
 
     m: Measurements
@@ -203,10 +227,14 @@ def later_poses(
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
 ) -> LaterPoses:
-    """Random poses, half of them within the campaign's ranges, and the campaign's own, under every circumstance.
+    """Return random poses and the campaign's own, under random circumstances.
 
-    kept : mask of the campaign's poses that count, shape (n,); columns : names of those that are needed
-    workspace : where poses may lie, by default the robot's ranges; four-bars stay as open as they were
+    Half of the random ones are within the campaign's ranges.
+
+    kept : mask of the campaign's inliers, shape (n,); columns : names of those that are needed
+    count : number of random poses
+    workspace : allowed poses, by default the robot's ranges; four-bars stay as open as in the
+        campaign
     payloads : masses [kg] that can be mounted; by default none, the declared one and the campaign's
     """
     rng = np.random.default_rng(seed)
@@ -215,6 +243,7 @@ def later_poses(
     lower, upper = room.ranges(robot)
 
     def drawn(wanted: int, low: Array, high: Array) -> Array:
+        """Return at most `wanted` allowed random readings between two limits."""
         q = robot.coupled(rng.uniform(low, high, (4 * wanted, robot.n)))
         return np.asarray(q[room.allows(robot, q)][:wanted])
 
@@ -229,19 +258,22 @@ def later_poses(
     usual = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
     states = np.array(sorted(payloads)) if payloads else usual
     warm = rng.random(len(q)) < 0.5
-    conditions = {name: _later(name, campaign.conditions.get(name), warm, states, rng) for name in columns}
+    conditions = {name: _later_column(name, campaign.conditions.get(name), warm, states, rng) for name in columns}
     thermal = any(name.startswith("warmth_") for name in conditions)
     return LaterPoses(unmeasured(q, conditions), repeated, warm if thermal else None)
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
-    """Payloads of a campaign, the declared one where none was logged, shape (any,) [kg]."""
+    """Return the distinct payloads of a campaign [kg].
+
+    It is the declared one where none was logged.
+    """
     declared = robot.payload.mass if robot.payload else 0.0
     return np.unique(campaign.conditions.get("payload_kg", np.array([declared])))
 
 
-def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.random.Generator) -> Array:
-    """A column at later poses: what can be chosen is drawn, what cannot is that of a later day.
+def _later_column(name: str, logged: Array | None, warm: Array, states: Array, rng: np.random.Generator) -> Array:
+    """Return a column at later poses: random if it can be chosen, else that of a later day.
 
     logged : of the campaign; warm : of each pose, shape (K,); states : payloads [kg]
     """
@@ -256,25 +288,28 @@ def _later(name: str, logged: Array | None, warm: Array, states: Array, rng: np.
     if name in GRAVITY_COLUMNS:
         return np.full(len(warm), logged.mean())
     if name.startswith("warmth_"):
-        # After a campaign, a warm arm is at least so much [K] warmer where a column follows the temperature.
+        # A warm arm is at least 5 K warmer than the coldest one of the campaign.
         return np.asarray(np.where(warm, max(logged.max(), logged.min() + 5.0), logged.min()))
     return rng.choice(np.unique(logged), len(warm))
 
 
-def held_in(
+def poses_at_places(
     robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """About so many readings that hold the tool at the places, shape (k, 3) [m], and at which, counted from 0.
+    """Return about `count` readings with the tool at some places, and each one's place from 0.
 
-    Places that the robot hardly reaches have none.
+    Inverse kinematics from random starts finds them; places that are hardly reachable have none.
+
+    places : in the measuring frame, shape (k, 3) [m]
     """
     each = -(-count // len(places))
     held, which = [], []
     for k, place in enumerate(places):
 
         def off(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
+            """Return the position errors at readings q, shape (n, 3) [m], and their Jacobian."""
             m = unmeasured(q)
-            return place - predicted(robot, m)[0], by_joints(robot, m)
+            return place - predicted(robot, m)[0], joint_jacobian(robot, m)
 
         start = draw(robot, 4 * each, workspace, rng)
         q = solve_joints(off, start, 40, 0.3, limits=workspace.ranges(robot), coupled=robot.coupled, least=1e-2)
@@ -285,10 +320,14 @@ def held_in(
     return np.concatenate([np.zeros((0, robot.n)), *held]), np.concatenate([np.zeros(0), *which])
 
 
-def reached(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
-    """Those of the places, shape (k, 3) [m], that the robot reaches well. Raises InputError where they are fewer."""
-    # A socket that fewer than 4 poses hold, of 8 times as many tried, is out of reach.
-    _, which = held_in(robot, places, 8 * len(places), workspace, rng)
+def reachable_places(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
+    """Return those of the places, shape (k, 3) [m], that the robot reaches well.
+
+    count : the number that is required
+    Raises InputError where they are fewer.
+    """
+    # A socket is reachable if at least 4 of 8 attempted poses hold the tool in it.
+    _, which = poses_at_places(robot, places, 8 * len(places), workspace, rng)
     there = np.bincount(which.astype(int), minlength=len(places)) >= 4
     if there.sum() < count:
         out = int(np.argmin(there))

@@ -1,4 +1,4 @@
-"""The input of a search for poses: candidates, independent parameters, information already there, weights."""
+"""Input of a pose search: candidates, independent parameters, prior information, weights."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -11,10 +11,18 @@ from casadical.identification.identifiability import Unidentifiable
 from casadical.identification.prior import Prior
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET, Candidates, Circumstances, candidates_at, draw, held_in, reached
+from casadical.pose_selection.candidates import (
+    SOCKET_COLUMN,
+    Candidates,
+    Circumstances,
+    candidates_at,
+    draw,
+    poses_at_places,
+    reachable_places,
+)
 from casadical.pose_selection.experimental_design import Design, inverse
 from casadical.pose_selection.information import (
-    PART,
+    MAX_POSES_PER_PART,
     independent,
     known_before,
     noise_covariance,
@@ -27,15 +35,19 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class DesignProblem:
-    """The input of a search.
+    """The input of a pose search.
 
-    robot : with the values and effects that are planned for; workspace, circumstances, noise : as asked for
+    robot : with the values and effects that are planned for
+    workspace, circumstances, noise : as requested
     names : parameters that will be identified; held : the others, each with its reason
-    measured : poses measured before, which count as well; task : where the robot is to be accurate
+    measured : poses measured before, which count as well
+    task : poses at which the robot is to be accurate
     pool : candidates; open : whether new ones may be drawn near them
-    fixed : information of what was measured, shape (p, p); weight : W of the mean variance, shape (p, p)
-    instrument : what is read in place of positions; its unknown places are further columns, behind the names
-    prior : what is known of the robot before anything is measured; part of `fixed`
+    fixed : information from measured poses and priors, shape (p, p)
+    weight : W of the mean variance, shape (p, p)
+    instrument : what is read in place of positions; its unknown places are further columns after
+        the names
+    prior : from another campaign; included in `fixed`
     """
 
     robot: Robot
@@ -54,12 +66,12 @@ class DesignProblem:
     prior: Prior | None = None
 
     def design(self, pool: Candidates, min_distance: float | None) -> Design:
-        """The search's state over a pool; see `experimental_design.Design`."""
+        """Return the state of a search over a pool; see `experimental_design.Design`."""
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
         rows = _rows(self.robot, self.names, pool.measurements(self.robot), self.noise, self.instrument)
-        # Passes repeat the same rows: n passes are the rows once, times the root of n.
+        # n passes repeat the same rows, which equals the rows of one pass times the root of n.
         once = rows.reshape(len(pool), pool.size, *rows.shape[1:])[:, pool.turn == 0]
         rows = np.sqrt(self.circumstances.repeats) * once.reshape(len(pool), -1, rows.shape[2])
         apart = -1.0 if min_distance is None else min_distance
@@ -70,7 +82,10 @@ class DesignProblem:
 def _rows(
     robot: Robot, names: Sequence[str], m: Measurements, noise: Noise, instrument: Instrument | None = None
 ) -> Array:
-    """Scaled Jacobian, in units of sigma, shape (n, numbers, p and the instrument's unknowns)."""
+    """Return the whitened Jacobian of poses, shape (n, numbers, p and the instrument's unknowns).
+
+    It is scaled, in units of sigma.
+    """
     if instrument is not None:
         return instrument.rows(robot, names, m, noise)
     J = scaled_jacobian(robot, names, m)
@@ -94,26 +109,31 @@ def prepare(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> DesignProblem:
-    """Candidates, independent parameters and weights; arguments as of `select_poses`. Raises InputError."""
+    """Return candidates, independent parameters and weights for a search.
+
+    Arguments are as of `select_poses`. Raises InputError.
+    """
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
-    _refuse(instrument, measured=measured is not None, given=candidates is not None)
+    _refuse_combination(instrument, measured=measured is not None, given=candidates is not None)
     q, held_at = _readings(robot, candidates, workspace, pool, rng, instrument)
     ready = candidates_at(robot, q, circumstances, n, rng)
     held_at = {name: which[:, None] * np.ones(ready.size) for name, which in held_at.items()}
     ready = replace(ready, conditions={**ready.conditions, **held_at})
     m, measured = ready.measurements(robot), None if measured is None else _with_columns(robot, measured)
     total = n * ready.size + (0 if measured is None else len(measured))
-    some = m[np.arange(min(PART, len(m)))]
+    some = m[np.arange(min(MAX_POSES_PER_PART, len(m)))]
     extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
 
     def before(kept: Sequence[str]) -> Array:
+        """Return the information before any pose, for some parameters and the unknown places."""
         size = len(kept) + extra
         known = known_before(robot, kept, prior, size)
         return known + (instrument.before(size, noise) if instrument else 0.0)
 
     def information(kept: Sequence[str]) -> Array:
+        """Return the information of as many random poses as are planned, with that before them."""
         A = _rows(robot, kept, m, noise, instrument)
         A = A.reshape(-1, A.shape[2])
         return A.T @ A * (total / len(m)) + before(kept)
@@ -134,20 +154,24 @@ def prepare(
         fixed = fixed + A.T @ A
     weight = np.zeros((p + extra, p + extra))
     J = jacobian_of(robot, names, goal, instrument)
-    weight[:p, :p] = _weight(J, _chosen(robot, interest, names), inverse(information(names))[:p, :p])
+    weight[:p, :p] = _task_weight(J, _weights_of_interest(robot, interest, names), inverse(information(names))[:p, :p])
     return DesignProblem(
         robot, workspace, circumstances, noise, names, held, measured, goal, ready,
-        candidates is None and SOCKET not in ready.conditions, fixed, weight, instrument, prior,
+        candidates is None and SOCKET_COLUMN not in ready.conditions, fixed, weight, instrument, prior,
     )  # fmt: skip
 
 
 def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:
-    """Scaled Jacobian of a task, shape (n, 3, p), the base placed again where an instrument leaves it open."""
+    """Return the scaled Jacobian of a task, shape (n, 3, p) [mm per unit of scale].
+
+    Where the places of an instrument are unknown, the base is assumed to be fitted again.
+    """
     J = scaled_jacobian(robot, names, m)
     return J if instrument is None or instrument.known else without_base(robot, J, m)
 
 
-def _refuse(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
+def _refuse_combination(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
+    """Raise InputError for what an instrument does not allow: measured poses, given candidates."""
     if instrument is None:
         return
     if measured:
@@ -169,17 +193,21 @@ def _readings(
     rng: np.random.Generator,
     instrument: Instrument | None,
 ) -> tuple[Array, dict[str, Array]]:
-    """What may be chosen: drawn, given, or poses that hold the tool in sockets, and in which of them each does."""
+    """Return the candidate readings, and their columns.
+
+    They are drawn, given, or poses that hold the tool in sockets; a column then has the number of
+    the socket.
+    """
     if instrument is not None and instrument.kind == "sockets":
-        q, which = held_in(robot, instrument.places, pool, workspace, rng)
+        q, which = poses_at_places(robot, instrument.places, pool, workspace, rng)
         if len(np.unique(which)) < len(instrument.places):
-            reached(robot, instrument.places, len(instrument.places), workspace, rng)
-        return q, {SOCKET: which}
+            reachable_places(robot, instrument.places, len(instrument.places), workspace, rng)
+        return q, {SOCKET_COLUMN: which}
     return draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace), {}
 
 
-def _weight(J: Array, chosen: Array, C: Array) -> Array:
-    """W: the task's mean J'J and, as important, the parameters of interest.
+def _task_weight(J: Array, chosen: Array, C: Array) -> Array:
+    """Return W: the task's mean J'J and, with equal weight, the parameters of interest.
 
     C : covariance from as many random poses, by which both parts are normalised
     """
@@ -190,8 +218,11 @@ def _weight(J: Array, chosen: Array, C: Array) -> Array:
     return np.asarray(of_task)
 
 
-def _chosen(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:
-    """One over the square of the prior, in units of scale, of the parameters of interest; zero of others."""
+def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:
+    """Return the inverse squared priors of the parameters of interest, zero for others, shape (p,).
+
+    They are in units of scale.
+    """
     words = tuple(interest)
     hit = robot.parameters.select(words) if words else ()
     lost = [n for n in hit if n not in names]
@@ -202,6 +233,7 @@ def _chosen(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Arra
 
 
 def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
+    """Return the given candidates that the workspace allows. Raises InputError for none."""
     q = np.atleast_2d(np.asarray(q, dtype=float))
     if q.ndim != 2 or q.shape[1] != robot.n or not np.isfinite(q).all():
         raise InputError(f"candidates of shape {q.shape}; allowed: (poses, {robot.n}) finite readings [rad or m]")
@@ -213,6 +245,7 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
 
 
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
+    """Return measured positions with every column that the robot needs. Raises InputError."""
     if measured.position is None or measured.q.shape[1] != robot.n:
         raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")
     derived, missing = derive(measured, robot.conditions, robot.loads)

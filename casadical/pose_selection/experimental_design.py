@@ -1,9 +1,10 @@
-"""A set of poses that is optimal for V, the mean variance of the position, and the gain of adding or removing a pose.
+"""V-optimal sets of poses, with the least mean variance of the position, found by exchanges.
 
-V is trace(W C), C the inverse of the information matrix and W the mean of J'J over the task (Atkinson, Donev and Tobias
-2007, "Optimum Experimental Designs", chapters 10 and 17). A step changes C by a matrix of as many ranks as a candidate
-has rows (Woodbury's formula), and what each candidate would change follows from its own small block A_k C A_k' (Fedorov
-1972). The blocks are updated too, so that a step costs a few products of tall, thin matrices.
+The criterion V is trace(W C), C the inverse of the information matrix and W the mean of J'J over
+the task (Atkinson, Donev and Tobias 2007, "Optimum Experimental Designs", chapters 10 and 17).
+Adding or removing a candidate changes C by a matrix of as many ranks as it has rows (Woodbury's
+formula), and the gain of each candidate follows from its own small block A_k C A_k' (Fedorov 1972).
+The blocks are updated too, so that a step costs a few products of tall, thin matrices.
 """
 
 from typing import Any
@@ -13,41 +14,47 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Least information in every direction, as a share of the whole pool's: keeps sets of few poses invertible.
-RIDGE = 1e-10
-# A pose without which the determinant of the information is this share of what it was is indispensable: how much more
-# than this is lost, rounding decides. Of indispensable poses the first leaves.
-INDISPENSABLE = 1e-6
+# Information added in every direction, as a share of the whole pool's per candidate: it keeps sets
+# of few poses invertible.
+RIDGE_SHARE = 1e-10
+# A pose is indispensable if without it the determinant of the information falls below this share.
+# Rounding decides how far below, so that all of them are equal.
+MIN_DETERMINANT_SHARE = 1e-6
 
 
 class Design:
-    """Chosen candidates, and what adding or removing one gains; larger values are better.
+    """Chosen candidates, and the gain of adding or removing one; larger values are better.
 
     weight : W, shape (p, p)
     rows : scaled Jacobians in units of sigma, shape (N, m, p)
     fixed : information from poses already measured, shape (p, p)
-    places : coordinates of the candidates, shape (N, d); those within `apart` of a chosen one cannot be chosen,
-        itself included; apart below zero: a candidate may be chosen more than once
+    places : coordinates of the candidates, shape (N, d)
+    apart : candidates within this distance of a chosen one cannot be chosen, itself included; below
+        zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
 
-    A set that does not determine all parameters grows by the determinant of the information, until it does.
+    A set that does not determine all parameters is extended by the determinant of the information,
+    until it does.
     """
 
     def __init__(self, weight: Array, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
+        """Start with no candidate chosen."""
         self.W = weight
         self.rows = rows
         self.N, self.m, self.p = rows.shape
         flat = rows.reshape(-1, self.p)
         whole = flat.T @ flat + fixed
-        self.fixed = fixed + RIDGE * np.diag(np.diag(whole)) / self.N
+        self.fixed = fixed + RIDGE_SHARE * np.diag(np.diag(whole)) / self.N
         self.places, self.apart = places, max(apart, 1e-9) if apart >= 0 else apart
         self._taken = sum((self._near(place) for place in occupied), np.zeros(self.N, dtype=int))
         self.start([])
 
     def _near(self, place: Array) -> Array:
+        """Return 1 for each candidate that is too near to a place, else 0, shape (N,)."""
         return np.asarray((np.abs(self.places - place).max(axis=1) <= self.apart).astype(int))
 
     def start(self, chosen: list[int]) -> None:
+        """Restart with these candidates chosen."""
         self.chosen = list(chosen)
         self.closed = self._taken + sum((self._near(self.places[k]) for k in chosen), np.zeros(self.N, dtype=int))
         A = self.rows[self.chosen].reshape(-1, self.p)
@@ -55,19 +62,22 @@ class Design:
         self._refresh()
 
     def _change(self, k: int, sign: int) -> None:
+        """Update the state after candidate k was added (1) or removed (-1)."""
         self.closed = self.closed + sign * self._near(self.places[k])
         self.M = self.M + sign * self.rows[k].T @ self.rows[k]
         self._update(self.rows[k], sign)
 
     def add(self, k: int) -> None:
+        """Add candidate k."""
         self.chosen.append(k)
         self._change(k, 1)
 
     def remove(self, position: int) -> None:
+        """Remove the candidate at this position in `chosen`."""
         self._change(self.chosen.pop(position), -1)
 
     def best_to_add(self) -> int | None:
-        """The candidate that gains most; None where none is open."""
+        """Return the candidate with the largest gain; None where none may be chosen."""
         candidates = np.flatnonzero(self.closed == 0)
         if not len(candidates):
             return None
@@ -76,48 +86,51 @@ class Design:
         return int(candidates[best]) if np.isfinite(gains[best]) else None
 
     def worst(self) -> int:
-        """Position in `chosen` of the candidate whose removal costs least."""
+        """Return the position in `chosen` of the candidate whose removal costs least."""
         return first_of_best(self.gains(np.array(self.chosen), -1))
 
     def snapshot(self) -> dict[str, Any]:
-        """All that it has; arrays are replaced, never changed."""
+        """Return the whole state; arrays are replaced, never changed in place."""
         return vars(self) | {"chosen": list(self.chosen)}
 
     def restore(self, kept: dict[str, Any]) -> None:
+        """Restore a state that `snapshot` returned."""
         vars(self).update(kept, chosen=list(kept["chosen"]))
 
     @property
     def regular(self) -> bool:
-        """Whether the chosen poses, and what was measured, determine all parameters."""
+        """Whether the chosen and the measured poses determine all parameters."""
         determined = np.diag(self.M) > 0
         root = np.sqrt(np.diag(self.M)[determined])
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
-        # Singular sets have what RIDGE gives, below 1e-11: their variances are no measure of a candidate.
+        # Singular sets have eigenvalues below 1e-11, from RIDGE_SHARE: their variances are
+        # meaningless.
         return bool(least > 1e-9)
 
     @property
     def value(self) -> float:
-        """Minus the logarithm of the mean variance, by the chosen candidates together with what is fixed."""
+        """Minus the logarithm of the mean variance by the chosen and the measured poses."""
         variance = float(np.sum(self.W * self.C))
         return -np.log(variance) if variance > 0 else -np.inf
 
     def _times(self, B: Array) -> Array:
-        """A_k B for all candidates, shape (N, m, columns of B)."""
+        """Return A_k B for all candidates, shape (N, m, columns of B)."""
         return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
 
     def _refresh(self) -> None:
-        """Compute from M what is updated with it: C, D_k = A_k C A_k' and L_k = A_k C W C A_k'."""
+        """Compute C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from the information M."""
         self.C: Array = inverse(self.M)
         self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
         self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
         self._age = 0
 
     def _update(self, A: Array, sign: int) -> None:
-        """Update the same after rows A, shape (m, p), were added (1) or taken away (-1)."""
+        """Update C, D and L after rows A, shape (m, p), were added (1) or removed (-1)."""
         self._age += 1
         U = self.C @ A.T
         small = np.eye(len(A)) + sign * A @ U
-        # Anew after 50 updates, and where the volume changes so much that a difference would keep few digits.
+        # They are computed anew after 50 updates, and where the determinant changes so much that an
+        # update would lose digits.
         if self._age > 50 or not 1e-4 < np.linalg.det(small) < 1e4:
             self._refresh()
             return
@@ -130,40 +143,47 @@ class Design:
         self.D = self.D - P @ S @ P.transpose(0, 2, 1)
 
     def gains(self, which: Array, sign: int) -> Array:
-        """What adding (1) or removing (-1) each of these gains, shape (len(which),): mean variance, or volume."""
+        """Return the gain of adding (1) or removing (-1) some candidates, one at a time.
+
+        The shape is (len(which),). It is the reduction of the mean variance, or, while the set is
+        singular, the logarithm of the ratio of the determinants.
+        """
         small = np.eye(self.m) + sign * self.D[which]
         if not self.regular:
             signs, logs = np.linalg.slogdet(small)
-            return np.where((signs > 0) & (logs > np.log(INDISPENSABLE)), logs, -np.inf)
-        regular = np.linalg.det(small) > INDISPENSABLE
+            return np.where((signs > 0) & (logs > np.log(MIN_DETERMINANT_SHARE)), logs, -np.inf)
+        regular = np.linalg.det(small) > MIN_DETERMINANT_SHARE
         small[~regular] = np.eye(self.m)
         change = sign * np.trace(np.linalg.solve(small, self.L[which]), axis1=1, axis2=2)
         return np.where(regular, change, -np.inf)
 
 
 def inverse(M: Array) -> Array:
-    """Inverse of a positive definite matrix, shape (p, p); what no reading tells of is alone and has variance one."""
+    """Return the inverse of a positive definite matrix, shape (p, p).
+
+    Variables without any information are independent with variance one.
+    """
     M = M + np.diag(np.diag(M) == 0)
     root = np.sqrt(np.diag(M))
     return np.asarray(np.linalg.inv(M / np.outer(root, root)) / np.outer(root, root))
 
 
-def grown(design: Design, n: int) -> bool:
-    """Add the best candidates one by one up to n; False where too few are open."""
+def grow_to(design: Design, n: int) -> bool:
+    """Add the best candidates one by one up to n; return False where too few may be chosen."""
     while len(design.chosen) < n and (k := design.best_to_add()) is not None:
         design.add(k)
     return len(design.chosen) >= n
 
 
 def improve(design: Design, depth: int = 4) -> None:
-    """Exchange candidates until no excursion of up to `depth` poses gains any more."""
+    """Exchange candidates until no excursion of up to `depth` poses increases the value."""
     n = len(design.chosen)
     reach = 1
     while reach <= min(depth, n):
         before, value = design.snapshot(), design.value
         for up in (True, False):
             excursion(design, n, reach, up)
-            # A least gain above round-off, which could make it cycle for ever.
+            # A minimum gain above round-off prevents an infinite cycle.
             if design.value > value + 1e-6 and len(design.chosen) == n:
                 break
             design.restore(before)
@@ -174,17 +194,23 @@ def improve(design: Design, depth: int = 4) -> None:
 
 
 def excursion(design: Design, n: int, reach: int, up: bool) -> None:
-    """Poses are added and the worst removed, or removed first."""
+    """Add the best `reach` poses and remove the worst, or (up=False) remove first and then add.
+
+    Source: Mitchell (1974).
+
+    n : number of poses before and after
+    """
     for target in (n + reach if up else n - reach, n):
-        if not grown(design, target):
+        if not grow_to(design, target):
             return
         while len(design.chosen) > target:
             design.remove(design.worst())
 
 
 def search(design: Design, n: int, restarts: int, seed: int) -> Array:
-    """The best n candidates of several searches, each from a random start; indices, shape (n,).
+    """Return the indices of the best n candidates of several searches, shape (n,).
 
+    The first starts from an empty set, each other from a random half.
     Raises InputError where fewer than n can be chosen.
     """
     rng = np.random.default_rng(seed)
@@ -196,7 +222,7 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 break
             if design.closed[candidate] == 0:
                 design.add(int(candidate))
-        if not grown(design, n):
+        if not grow_to(design, n):
             raise InputError(
                 f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
                 "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"

@@ -1,7 +1,7 @@
-"""Information of poses about the parameters: exact scaled Jacobians, noise, and which parameters are identifiable.
+"""Information of poses about the parameters: exact scaled Jacobians, noise, identifiability.
 
-Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1 mrad): what `identify`
-computes with.
+Scaled means millimetres per unit of a parameter's scale (1 mm, 1 mrad, or the deflection of 1
+mrad), as in `identify`.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,37 +19,47 @@ from casadical.identification.reduction import independent_parameters
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
+# Metres in a millimetre.
 MM = 1e-3
-# Jacobians of more poses than this are computed in parts, which keeps them from being compiled for one use.
-PART = 1000
+# Jacobians are computed for at most this number of poses at a time: larger problems would be
+# compiled for a single use.
+MAX_POSES_PER_PART = 1000
 
 
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
-    """Jacobian of the positions by these parameters, at the robot's values, shape (n, 3, p) [mm per unit of scale]."""
-    parts = [m[np.arange(start, min(start + PART, len(m)))] for start in range(0, len(m), PART)]
+    """Return the Jacobian of the positions by some parameters, shape (n, 3, p), scaled.
+
+    It is in mm per unit of scale, at the robot's values, in the measuring frame.
+    """
+    parts = [
+        m[np.arange(start, min(start + MAX_POSES_PER_PART, len(m)))] for start in range(0, len(m), MAX_POSES_PER_PART)
+    ]
     problems = (LeastSquares(robot, (part,), tuple(names), "linear", False, ((MM, MM),)) for part in parts)
     jacobians = [problem.evaluate(np.zeros(len(names)))[1] for problem in problems]
     return np.asarray(np.concatenate(jacobians).reshape(len(m), 3, -1))
 
 
 @lru_cache(maxsize=16)
-def _by_joints(robot: Robot) -> ca.Function:
-    """by_joints:(q, w, phi)->(J[3, n]), the point's derivative by the joint variables."""
+def _joint_jacobian(robot: Robot) -> ca.Function:
+    """Return (q, w, phi) -> (J[3, n]), the point's derivative by the joint variables."""
     model = robot.model
     J = ca.densify(ca.jacobian(model.p, model.q))
     return ca.Function("by_joints", [model.q, model.w, model.phi], [J], ["q", "w", "phi"], ["J"])
 
 
-def by_joints(robot: Robot, m: Measurements) -> Array:
-    """Derivative of the position by the joint variables, shape (n, 3, joints) [m/rad or 1]."""
+def joint_jacobian(robot: Robot, m: Measurements) -> Array:
+    """Return the derivative of the position by the joints, shape (n, 3, joints) [m/rad or 1]."""
     w = m.condition_matrix(robot.conditions, robot.declared)
-    J = _by_joints(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
+    J = _joint_jacobian(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
     return np.asarray(J.reshape(3, len(m), robot.n).transpose(1, 0, 2))
 
 
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
-    """Covariance of each measured point, shape (n, 3, 3) [mm^2], from the instrument and the joints' repeatability."""
-    joints = {"repeatability": by_joints(robot, m)} if noise.repeatability else {}
+    """Return the covariance of each measured point, shape (n, 3, 3) [mm^2].
+
+    It has contributions of the instrument and of the joints' repeatability.
+    """
+    joints = {"repeatability": joint_jacobian(robot, m)} if noise.repeatability else {}
     ratios = dict.fromkeys(joints, noise.repeatability / MM)
     return NoiseModel((len(m), 3), joints).covariance(ratios, noise.sigma / MM)
 
@@ -61,12 +71,18 @@ def independent(
     information: Callable[[Sequence[str]], Array],
     prior: Prior | None = None,
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
-    """Names that an identification from poses like these would keep, and the others with the reason.
+    """Return the names that an identification from such poses would keep, and the others.
 
-    First the independent ones; then, one by one, those are held that the data would determine less accurately than the
-    prior (as in `reduction.reduce_and_solve`); none with the prior of another campaign, which holds them back.
-    sets : what would be measured at some of them
-    information : of such names, and of unknown points behind them, in units of scale. Raises InputError: none is left.
+    The others have their reasons. Dependent parameters are left out first, then, one by one, those
+    that the data would determine less accurately than their own priors (as in
+    `reduction.reduce_and_solve`). With the prior of another campaign, which constrains them, the
+    second step is omitted.
+
+    names : of the parameters to choose from
+    sets : what would be measured at some of the poses
+    information : names -> their information matrix, that of unknown points at its end, in units of
+        scale
+    Raises InputError: none is left.
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
     analysis = independent_parameters(problem)
@@ -80,7 +96,10 @@ def independent(
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
-    """Information of priors on these parameters, as `identify` takes it, in units of scale, shape (size, size)."""
+    """Return the information of priors on some parameters, shape (size, size), in units of scale.
+
+    It is that of `identify`; rows beyond the parameters are zero.
+    """
     means, known = (prior.means, prior.known) if prior is not None else (False, ())
     matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
     return np.pad(matrix, (0, max(0, size - len(names))))

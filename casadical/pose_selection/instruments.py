@@ -1,8 +1,9 @@
-"""Instruments that cost little: what their readings tell of the parameters, from the positions' Jacobian alone.
+"""Low-cost instruments, wires and sockets: the information of their readings about the parameters.
 
-A wire reads the distance to its anchor: the derivative of the position along the beam. A socket holds the tool's ball
-at one point: the position less that point. Places that were not measured are further columns, three coordinates each,
-behind those of the parameters; what reads them is placed against the robot, not the other way round.
+It follows from the Jacobian of the positions. A wire reads the distance to its anchor: the
+derivative of the position along the wire. A socket holds the tool's ball at one point: the position
+minus that point. Places that were not measured are further columns after those of the parameters,
+three coordinates each; they are located relative to the robot, not the other way round.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -20,7 +21,7 @@ from casadical.core.statistics import first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.residuals import POINT_SCALE
 from casadical.measurements.measurements import Measurements, Noise, unmeasured
-from casadical.pose_selection.candidates import SOCKET, draw
+from casadical.pose_selection.candidates import SOCKET_COLUMN, draw
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.workspace import Workspace
@@ -31,8 +32,10 @@ from casadical.robot.robot import Robot
 class Instrument:
     """What is read at every pose, in place of a position.
 
-    kind : distances to every place at each pose, or the ball of the tool in one of the places
-    places : Array, shape (k, 3) [m]: anchors or sockets, in the measuring frame, about where they are to be
+    kind : distances to every place at each pose (wires), or the ball of the tool in one of the
+        places (sockets)
+    places : Array, shape (k, 3) [m]: approximate positions of anchors or sockets in the measuring
+        frame
     known : whether the places are measured too, so that they are no unknowns
     """
 
@@ -42,6 +45,7 @@ class Instrument:
 
     @property
     def numbers(self) -> int:
+        """Number of values read at each pose."""
         return len(self.places) if self.kind == "wires" else 3
 
     @property
@@ -50,10 +54,13 @@ class Instrument:
         return 0 if self.known else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
-        """Poses m as such an instrument would give them, without noise: a set for each wire, or one of all sockets."""
+        """Return the noise-free measurements of this instrument at poses m.
+
+        They are a set for each wire, or one set of all sockets.
+        """
         assert m.position is not None
         if self.kind == "sockets":
-            label = np.array([f"S{int(k) + 1}" for k in m.conditions[SOCKET]], dtype=object)
+            label = np.array([f"S{int(k) + 1}" for k in m.conditions[SOCKET_COLUMN]], dtype=object)
             touched = Measurements(m.q, "contact", label=label, conditions=m.conditions)
             if len(self.places) < 2:
                 return (touched,)
@@ -69,7 +76,9 @@ class Instrument:
         return tuple(wires)
 
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
-        """Scaled Jacobian in units of sigma at the robot's values and poses m, shape (n, numbers, len(names) + extra).
+        """Return the scaled Jacobian in units of sigma, shape (n, numbers, len(names) + extra).
+
+        It is taken at the robot's values and poses m.
 
         noise : of a distance, or of a coordinate in a socket, and of the joints
         """
@@ -77,7 +86,7 @@ class Instrument:
         n, k = len(m), len(self.places)
         if self.kind == "sockets":
             at = np.zeros((n, 3, k, 3))
-            at[np.arange(n), :, m.conditions[SOCKET].astype(int)] = -np.eye(3)
+            at[np.arange(n), :, m.conditions[SOCKET_COLUMN].astype(int)] = -np.eye(3)
             seen, places = J, at.reshape(n, 3, 3 * k)
         else:
             assert m.position is not None
@@ -93,17 +102,19 @@ class Instrument:
         return whitening_of(covariance + own) @ whole
 
     def table(self, m: Measurements) -> pd.DataFrame:
-        """Columns for who measures poses m: which socket, or about how long each wire will be [mm]."""
+        """Return the columns of a plan at poses m: socket, or approximate wire lengths [mm]."""
         if self.kind == "sockets":
-            return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET]]})
+            return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET_COLUMN]]})
         assert m.position is not None
         length = 1e3 * np.linalg.norm(m.position[:, None] - self.places, axis=2)
         return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
 
     def before(self, size: int, noise: Noise) -> Array:
-        """Information from what is known without poses, shape (size, size) [1]: one distance between two sockets.
+        """Return the information that exists without poses: one distance between two sockets.
 
-        size : number of all columns; noise : with its sigma the distance is known
+        The shape is (size, size), in units of scale and of POINT_SCALE.
+
+        size : number of all columns; noise : its sigma is that of the distance
         """
         fixed = np.zeros((size, size))
         if self.kind == "wires" or self.known or len(self.places) < 2:
@@ -117,7 +128,10 @@ class Instrument:
 
 
 def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
-    """Scaled Jacobian of positions, shape (n, 3, p), less what another base takes up."""
+    """Return the scaled Jacobian of positions, shape (n, 3, p), with the base projected out.
+
+    What another base frame would compensate is removed.
+    """
     names = robot.parameters.select(["base_*"]) if robot.base.unknown != "none" else ()
     if not names:
         return J
@@ -129,10 +143,14 @@ def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
 def best_places(
     robot: Robot, every: Instrument, count: int, names: Sequence[str], m: Measurements, noise: Noise, weight: Array
 ) -> Array:
-    """Indices of those of an instrument's places that give the least mean variance, shape (count,).
+    """Return the indices of the places with the least mean variance, shape (count,).
 
-    All sets are tried up to 20_000, else exchanges. names, weight : as of `DesignProblem`, shape (p, p)
-    m : poses, of sockets those in each of the places. Raises InputError where there are too few places.
+    All subsets are tried if there are at most 20 000, else exchanges.
+
+    every : instrument with all candidate places; names, weight : as of `DesignProblem`, shape (p,
+        p)
+    m : poses, of sockets those in each of the places
+    Raises InputError where there are too few places.
     """
     number = len(every.places)
     if count > number:
@@ -141,14 +159,17 @@ def best_places(
     for k, place in enumerate(every.places):
         some = m
         if every.kind == "sockets":
-            some = m[np.flatnonzero(m.conditions[SOCKET] == k)]
-            some = replace(some, conditions={**some.conditions, SOCKET: np.zeros(len(some))})
+            some = m[np.flatnonzero(m.conditions[SOCKET_COLUMN] == k)]
+            some = replace(some, conditions={**some.conditions, SOCKET_COLUMN: np.zeros(len(some))})
         rows = replace(every, places=place[None]).rows(robot, names, some, noise)
         rows = rows.reshape(-1, rows.shape[2])
         each.append(rows.T @ rows)
 
     def variance(which: Iterable[int]) -> float:
-        """Mean variance by the information of each place alone, of p parameters and that place's own coordinates."""
+        """Return the mean variance with some of the places, over p parameters.
+
+        The information of each place has the parameters and its own coordinates.
+        """
         chosen, p = list(which), len(weight)
         some = replace(every, places=every.places[chosen])
         M = np.zeros((p + some.extra,) * 2)
@@ -165,7 +186,11 @@ def best_places(
 
 
 def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
-    """A set of `count` out of K: the best pair, one by one the best more, then exchanges while they help."""
+    """Return `count` indices out of K with a small variance.
+
+    The best pair is extended by the best further ones, then single exchanges follow while they
+    help.
+    """
     pairs = list(combinations(range(K), min(count, 2)))
     chosen = list(pairs[first_of_best([-variance(pair) for pair in pairs])])
     while len(chosen) < count:
@@ -182,10 +207,11 @@ def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -
 
 
 def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
-    """Candidates where none were given, shape (K, 3) [m] in the measuring frame.
+    """Return candidate places where none were given, shape (K, 3) [m], in the measuring frame.
 
-    Of wires on posts around the robot, one and a half times its reach away, at heights up to that; of sockets on
-    a table before it and half its reach above. The reach is how far out the tool gets between the joints' limits.
+    Anchors of wires are on posts around the robot, one and a half times its reach away, at heights
+    up to that; sockets are on a table before it and half its reach above. The reach is the largest
+    radius of the tool within the joints' limits.
     """
     radii, heights, turns = ((1.5,), (0.0, 0.5, 1.0, 1.5), 12) if kind == "wires" else ((0.45, 0.7), (0.1, 0.5), 8)
     turn = np.arange(turns) * 2 * np.pi / turns
@@ -197,6 +223,7 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
 
 
 def _farthest(places: Array) -> tuple[int, int]:
+    """Return the indices of the two places with the largest distance."""
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     i, j = np.unravel_index(first_of_best(apart), apart.shape)
     return int(min(i, j)), int(max(i, j))

@@ -1,4 +1,4 @@
-"""A plan: poses to measure with the accuracy to expect, as text, as data and as files."""
+"""A measuring plan: poses to measure with the expected accuracy, as text, data and files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,9 +22,12 @@ from casadical.pose_selection.selection import Selection, travel
 class MeasurementPlan(Result):
     """Poses to measure, and the accuracy to expect of them and of further ones.
 
-    forecast : expected error against the number of poses; selection : the poses in order, None for the forecast alone
-    target : accuracy that is wanted [m]; checked_for_obstacles : whether a workspace said where poses may lie
-    instrument : what is read in place of positions, at the places chosen; noise : that was planned with
+    forecast : expected error against the number of poses
+    selection : the poses in order, None for the forecast alone
+    target : required accuracy [m]
+    checked_for_obstacles : whether a workspace limited the poses
+    instrument : what is read in place of positions, with the chosen places
+    noise : assumed noise
     """
 
     report: ClassVar[str] = "plan.j2"
@@ -45,6 +48,7 @@ class MeasurementPlan(Result):
     noise: Noise | None = None
 
     def blocks(self) -> list[Block]:
+        """Return the plan as text, tables and figures."""
         plan, forecast = self.selection, self.forecast
         more: dict[str, Any] = {"shown": np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))}
         if plan is not None:
@@ -55,17 +59,18 @@ class MeasurementPlan(Result):
         return self._report_blocks(**more)
 
     def places_of(self, kind: str) -> list[list[float]] | None:
-        """Return the places of an instrument of this kind, shape (n, 3) [mm]; None for another one."""
+        """Return the places of an instrument of this kind, shape (n, 3) [mm]; else None."""
         if self.instrument is None or self.instrument.kind != kind:
             return None
         places: list[list[float]] = (1e3 * self.instrument.places).round(3).tolist()
         return places
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """Texts by path, in a folder or beside a table FILE.csv: poses, expected standard errors, error map, figures.
+        """Return texts by path: poses, expected standard errors, error map, and data.
 
-        Beside FILE.csv these are FILE.expected.csv, FILE.map.csv and FILE.json, of wires or sockets FILE.places.csv.
-        Of a forecast alone: its table.
+        They are for a folder, or belong to a table FILE.csv: these are FILE.expected.csv,
+        FILE.map.csv and FILE.json, with wires or sockets FILE.places.csv. A forecast alone has its
+        table.
         """
         plan, path = self.selection, Path(folder)
         path = path if path.suffix else path / "plan.csv"
@@ -84,7 +89,7 @@ class MeasurementPlan(Result):
 
 
 def _map(plan: Selection) -> Table:
-    """Expected errors by height of the point and by its distance from joint 1's axis, in thirds of the task."""
+    """Return expected errors by height and by distance from joint 1's axis, each in thirds."""
     assert plan.task.position is not None
     local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
     error = plan.expected_error()
@@ -98,6 +103,7 @@ def _map(plan: Selection) -> Table:
 
 
 def _errors(plan: Selection) -> Table:
+    """Return the table of expected standard errors, and of parameters not identifiable."""
     known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]

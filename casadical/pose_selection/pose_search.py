@@ -1,9 +1,8 @@
-"""Which poses to measure, when to stop, and where to put the anchors of wires, or sockets.
+"""Search for the poses to measure, their number, and places of wire anchors or sockets.
 
-`select_poses` exchanges candidates and, if new ones may be drawn, their neighbours; `forecast` adds poses one by one;
-places and poses are chosen in turn.
-
-When to stop measuring: the expected accuracy against the number of poses, given the poses measured so far.
+`select_poses` exchanges candidates and, if new ones may be drawn, their neighbours. `forecast` adds
+poses one by one and gives the expected accuracy against their number, which tells when to stop.
+`select_with_places` chooses places and poses in turn.
 """
 
 from collections.abc import Iterable
@@ -17,12 +16,12 @@ from casadical.core.basics import Array, InputError
 from casadical.core.telling.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import Circumstances, candidates_at, reached
+from casadical.pose_selection.candidates import Circumstances, candidates_at, reachable_places
 from casadical.pose_selection.design_problem import prepare
 from casadical.pose_selection.experimental_design import improve, inverse, search
 from casadical.pose_selection.information import MM
 from casadical.pose_selection.instruments import Instrument, best_places
-from casadical.pose_selection.selection import Selection, arranged
+from casadical.pose_selection.selection import Selection, in_measuring_order
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
 
@@ -46,33 +45,36 @@ def select_poses(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Selection:
-    """Choose n readings to measure, that give the least mean variance of the position over the task, by exchanges.
+    """Choose n readings to measure with the least mean position variance over the task.
 
-    robot : Jacobians are taken at its values, so give the calibrated one when continuing; its effects (`with_effect`)
-        are parameters like any other
-    among : shape (N, joints) [rad or m]: readings to choose from; or limits between which they are drawn, and then
-        refined in the neighbourhood of the best: a tuple (lower, upper), shape (joints,) each [rad or m], or a
-        workspace; None: the robot's own ranges
+    robot : Jacobians are taken at its values, so give the calibrated one when continuing; its
+        effects (`with_effect`) are parameters like any other
+    among : shape (N, joints) [rad or m]: readings to choose from; or limits between which they are
+        drawn, and then refined in the neighbourhood of the best: a tuple (lower, upper), shape
+        (joints,) each [rad or m], or a workspace; None: the robot's own ranges
     n : number of readings to choose
     workspace : which poses can be measured
     circumstances : payloads, approaches, repeats
     measured : poses already measured: the choice adds to them and keeps its distance from them
-    free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all effects
-    interest : parameters (names, groups or labels, patterns) that matter most: they weigh, in units of their
-        priors, as much as the task
-    task : shape (T, joints) [rad or m]: readings at which the robot is to be accurate; None: all that is allowed
+    free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all
+        effects
+    interest : parameters (names, groups or labels, patterns) that matter most: their weight, in
+        units of their priors, is that of the task
+    task : shape (T, joints) [rad or m]: readings at which the robot is to be accurate; None: all
+        that is allowed
     noise : of coordinates and joints
-    min_distance : between any two poses, in the joint that differs most, as a share of its range, None if a pose may be
-        chosen more than once
+    min_distance : between any two poses, in the joint that differs most, as a share of its range,
+        None if a pose may be chosen more than once
     pool : number of candidates to draw
     restarts : number of searches, of which the best counts
     seed : of the random generator
-    instrument : what is read in place of positions: distances to anchors, or the tool in sockets; `noise.sigma` is its
-        own
-    prior : what is known of the robot, as of `identify` and with its values in the robot (see `carry_over`): fewer
-        poses are needed then
+    instrument : what is read in place of positions: distances to anchors, or the tool in sockets;
+        `noise.sigma` is its own
+    prior : from another campaign, as of `identify` and with its values in the robot (see
+        `carry_over`): fewer poses are needed then
     Returns the poses in order, and the accuracy to expect of them
     Raises InputError: where nothing can be chosen.
+
     References: Mitchell (1974); Atkinson, Donev and Tobias (2007).
 
     Examples
@@ -93,7 +95,8 @@ def select_poses(
     design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
-    # Neighbours of every chosen pose, in shares of the joints' ranges, round by round.
+    # Neighbours of every chosen pose are tried at decreasing distances, in shares of the joints'
+    # ranges.
     for size in (0.2, 0.08, 0.03) if problem.open else ():
         steps = size * (upper - lower) * rng.normal(size=(12, n, robot.n))
         q = np.clip(chosen.q + steps, lower, upper).reshape(-1, robot.n)
@@ -103,14 +106,14 @@ def select_poses(
         design.start(list(range(n)))
         improve(design)
         chosen = nearby[np.array(design.chosen)]
-    m = arranged(robot, chosen, problem.circumstances, travel=False)
+    m = in_measuring_order(robot, chosen, problem.circumstances, travel=False)
     return Selection(**vars(problem), chosen=chosen, m=m)
 
 
 def _sources(
     among: Array | tuple[Array, Array] | Workspace | None, workspace: Workspace | None
 ) -> tuple[Array | None, Workspace]:
-    """Candidates, if any were given, and the workspace with the limits that were given."""
+    """Return the given candidates, None for limits, and the workspace with the given limits."""
     if isinstance(among, Workspace):
         if workspace is not None:
             raise InputError("two workspaces were given; give one of them, or limits as a tuple (lower, upper)")
@@ -128,7 +131,11 @@ def _sources(
 
 @dataclass(frozen=True, eq=False)
 class Forecast(Shown):
-    """Expected rms position error over the task, shape (k,) [m], by the number of poses, shape (k,), the best next."""
+    """Expected position error as the best next poses are added.
+
+    poses : numbers of poses, shape (k,)
+    error : rms position error over the task, shape (k,) [m]
+    """
 
     line: ClassVar[str] = (
         ": {{ it.error[0] | mm }} mm from {{ it.poses[0] }} to {{ it.error[-1] | mm }} mm from {{ it.poses[-1] }} poses"
@@ -138,12 +145,19 @@ class Forecast(Shown):
     error: Array
 
     def enough(self, target: float) -> int | None:
-        """The least number of poses whose expected error is at most target [m]; None where none of these is."""
+        """Return the smallest number of poses with an expected error of at most target [m].
+
+        None where none of these reaches it.
+        """
         good = np.flatnonzero(self.error <= target)
         return int(self.poses[good[0]]) if len(good) else None
 
     def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
-        """The number of poses from which on `ahead` more would reduce the error by less than the share `gain`."""
+        """Return the number of poses from which on more of them hardly reduce the error.
+
+        From there `ahead` more would reduce it by less than the share `gain`; None where none of
+        these is enough.
+        """
         shares = 1 - self.error[ahead:] / self.error[:-ahead]
         small = np.flatnonzero(shares < gain)
         return int(self.poses[small[0]]) if len(small) else None
@@ -169,9 +183,10 @@ def forecast(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Forecast:
-    """The expected error as poses are added one by one, each the best next one.
+    """Return the expected error as poses are added one by one, each the best next one.
 
-    Starts with the measured poses or, without any, with a fifth more equations than parameters that no prior knows.
+    It starts with the measured poses or, without any, with a fifth more equations than parameters
+    without a prior from another campaign.
 
     most : largest number of poses, measured ones included
     workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
@@ -197,7 +212,8 @@ def forecast(
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
     known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
     p = len(problem.weight) - sum(name in known for name in problem.names)
-    # Measurements at one reading hold nearly the same information: only the first of them counts here.
+    # Measurements at one reading have nearly the same information: only the first of them counts
+    # here.
     if numbers * before < 1.2 * p:
         first = min(-(-(int(1.2 * p) - numbers * before) // numbers), (most - before) // each)
         design.start(search(design, first, 1, seed).tolist())
@@ -225,12 +241,12 @@ def place_instrument(
     noise: Noise | None = None,
     seed: int = 0,
 ) -> Instrument:
-    """The places, of those given, from which readings at random poses determine the robot best.
+    """Return the instrument at those of the places from which readings determine the robot best.
 
     robot : base and tool as far as they are known
     kind : as of `Instrument`
     places : shape (K, 3) [m]: candidates, in the measuring frame
-    count : how many are wanted
+    count : required number of places
     known : whether they will be measured, too
     workspace : which poses can be measured
     q : shape (n, joints) [rad or m]: poses that will be read by wires; None: random ones
@@ -248,7 +264,7 @@ def place_instrument(
     """
     room, rng = workspace or Workspace(), np.random.default_rng(seed)
     if kind == "sockets":
-        places = reached(robot, places, count, room, rng)
+        places = reachable_places(robot, places, count, room, rng)
     noise, every = noise or Noise(), Instrument(kind, places, known)
     size = max(300, 4 * len(places))
     problem = prepare(
@@ -274,7 +290,10 @@ def select_with_places(
     seed: int = 0,
     **options: Any,
 ) -> Selection:
-    """Places and poses in turn, until the places stay or the expected error grows; arguments as of `select_poses`."""
+    """Choose places and poses in turn, until the places do not change or the error increases.
+
+    Arguments are as of `select_poses` and `place_instrument`; the error is the expected one.
+    """
     best: Selection | None = None
     q = None
     for _ in range(3):

@@ -1,6 +1,6 @@
-"""The result of a choice: poses to measure, and the expected accuracy of the parameters.
+"""Result of a pose selection: poses to measure in order, and the expected accuracy.
 
-The order in which poses are measured: pass by pass, payload by payload, with short travel within each.
+The order of measurement is by pass, then payload, with short travel within each.
 """
 
 from __future__ import annotations
@@ -17,7 +17,14 @@ from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.statistics import TIE_TOLERANCE, first_of_best
 from casadical.core.telling.result import Shown
 from casadical.measurements.measurements import Measurements
-from casadical.pose_selection.candidates import SESSION, SOCKET, Candidates, Circumstances, expected, timeline
+from casadical.pose_selection.candidates import (
+    SESSION_PREFIX,
+    SOCKET_COLUMN,
+    Candidates,
+    Circumstances,
+    expected,
+    timeline,
+)
 from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (
@@ -28,28 +35,36 @@ from casadical.pose_selection.information import (
 )
 from casadical.robot.robot import Robot
 
-# Parts of a campaign within which poses planned for a certain time may be reordered.
+# Number of parts of a campaign; poses planned for a certain time may be reordered within one.
 TIME_PARTS = 4
-# Columns that are chosen with a pose and go with it.
-KEPT = ("payload_kg", SOCKET, *GRAVITY_COLUMNS)
+# Columns that are chosen with a pose, and do not depend on the order of measurement.
+POSE_COLUMNS = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
 
 
-def distances(robot: Robot, q: Array) -> Array:
-    """Travel between readings, shape (n, n) [rad]: of the joint that turns most; a full stroke is half a turn."""
+def travel_distances(robot: Robot, q: Array) -> Array:
+    """Return the travel between readings, shape (n, n) [rad].
+
+    It is that of the joint that moves most; a full stroke of a prismatic joint counts as half a
+    turn.
+
+    q : shape (n, joints) [rad or m]
+    """
     unit = np.array([1.0 if j.kind == "revolute" else np.pi / (j.upper - j.lower) for j in robot.joints])
     return np.asarray(np.abs(unit * (q[:, None] - q[None])).max(axis=2))
 
 
 def travel(robot: Robot, q: Array) -> float:
-    """Sum of the travel from each reading to the next [rad]."""
-    D = distances(robot, q)
+    """Return the sum of the travel from each reading to the next [rad]."""
+    D = travel_distances(robot, q)
     return float(D[np.arange(len(q) - 1), np.arange(1, len(q))].sum())
 
 
-def short_path(D: Array, before: Array | None = None) -> Array:
-    """An order, shape (n,), of small total distance: the shortest of the nearest-neighbour tours from several starts.
+def short_tour(D: Array, before: Array | None = None) -> Array:
+    """Return an order of poses with a short path, shape (n,).
 
-    D : distances, shape (n, n); before : distances from the pose before, shape (n,)
+    It is the shortest of the nearest-neighbour paths from up to twelve starts.
+
+    D : distances, shape (n, n); before : distances from the previous pose, shape (n,)
     """
     n = len(D)
     first = np.zeros(n) if before is None else before
@@ -67,10 +82,13 @@ def short_path(D: Array, before: Array | None = None) -> Array:
     return np.array(best[1])
 
 
-def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
-    """The chosen poses as measurements, in order; columns that depend on the order are computed again.
+def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
+    """Return the chosen poses as measurements, in order.
 
-    travel : whether poses of one pass, part of the campaign and payload are ordered for short travel
+    Columns that depend on the order are computed again.
+
+    travel : whether poses of one pass, part of the campaign and payload are ordered for short
+        travel
     """
     rows = {n: v.ravel() for n, v in chosen.conditions.items()}
     q = np.repeat(chosen.q, chosen.size, axis=0)
@@ -85,12 +103,12 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
     for number in range(part.max() + 1):
         block = np.flatnonzero(part == number)
         if travel:
-            D = distances(robot, q[[*block, *order[-1:]]])
+            D = travel_distances(robot, q[[*block, *order[-1:]]])
             size = len(block)
-            block = block[short_path(D[:size, :size], D[size, :size] if order else None)]
+            block = block[short_tour(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
-    kept = {n: v[order] for n, v in rows.items() if n in KEPT or n.startswith(("approach", SESSION))}
-    timed = [n for n in robot.conditions if n not in KEPT and not n.startswith(("approach", SESSION))]
+    kept = {n: v[order] for n, v in rows.items() if n in POSE_COLUMNS or n.startswith(("approach", SESSION_PREFIX))}
+    timed = [n for n in robot.conditions if n not in POSE_COLUMNS and not n.startswith(("approach", SESSION_PREFIX))]
     if timed:
         kept |= timeline(timed, np.arange(len(q)) / max(1, len(q) - 1), len(q), circumstances)
     return expected(robot, q[order], kept, "plan")
@@ -98,7 +116,7 @@ def arranged(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Selection(DesignProblem, Shown):
-    """Poses to measure, in order, and the accuracy to expect of them; beside these all that they were chosen for.
+    """Poses to measure, in order, and the expected accuracy; with all that they were chosen for.
 
     chosen : readings and circumstances
     m : one row per measurement, in order, at the positions that the model gives
@@ -128,23 +146,28 @@ class Selection(DesignProblem, Shown):
         return self.m.q
 
     def ordered(self) -> Selection:
-        """The same poses in an order of short travel."""
-        return replace(self, m=arranged(self.robot, self.chosen, self.circumstances, travel=True))
+        """Return the same poses in an order of short travel."""
+        return replace(self, m=in_measuring_order(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
     def _sets(self) -> tuple[Measurements, ...]:
+        """The planned and the measured poses."""
         return (self.m,) if self.measured is None else (self.m, self.measured)
 
     @cached_property
     def jacobian(self) -> Array:
-        """Scaled Jacobian of all poses, measured ones last, shape (n, 3, p) [mm per unit of scale]."""
+        """Scaled Jacobian of all poses, measured ones last, shape (n, 3, p).
+
+        It is in mm per unit of scale.
+        """
         return np.concatenate([scaled_jacobian(self.robot, self.names, m) for m in self._sets])
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of the parameters in units of scale, by the noise of each pose: H J'N J H with H = (J'J)^-1.
+        """Covariance of the parameters in units of scale, shape (p, p).
 
-        With a prior of information P and a mean variance s^2: H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
+        With the noise N of each pose it is H J'N J H, H = (J'J)^-1; with a prior of information P
+        and a mean variance s^2 it is H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
         """
         if self.instrument is not None:
             rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)
@@ -162,7 +185,7 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def scale(self) -> Array:
-        """The size of each parameter that counts as one, shape (len(names),) [SI]."""
+        """Unit of each parameter's variable, shape (len(names),) [SI]."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     @property
@@ -176,9 +199,12 @@ class Selection(DesignProblem, Shown):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def expected_error(self, m: Measurements | None = None) -> Array:
-        """Expected rms position error of the calibrated robot due to noise at poses m (None: the task), shape (n,) [m].
+        """Return the expected rms position error of the calibrated robot due to noise.
 
-        Where the places of an instrument are not measured, with the base placed again at these poses.
+        The shape is (n,) [m]. Where the places of an instrument are not measured, the base is
+        assumed to be fitted again at these poses.
+
+        m : poses; None: the task
         """
         J = jacobian_of(self.robot, self.names, self.task if m is None else m, self.instrument)
         return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
@@ -190,7 +216,10 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def reading_error(self) -> float | None:
-        """What an instrument of that noise will read over the task, rms [m]; None of wires and sockets."""
+        """Expected rms of an instrument's readings over the task [m], noise included.
+
+        None for wires and sockets.
+        """
         if self.instrument is not None:
             return None
         noise = MM**2 * np.trace(noise_covariance(self.robot, self.task, self.noise), axis1=1, axis2=2).mean()
@@ -198,7 +227,10 @@ class Selection(DesignProblem, Shown):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Expected standard errors in readable units (mm, deg); parameters that would not be identified, and why."""
+        """Expected standard errors in readable units (mm, deg).
+
+        Parameters that would not be identified are listed with the reason.
+        """
         rows = [
             (name, p.group, p.readable(error), p.readable_unit, "")
             for name, error in zip(self.names, self.standard_errors, strict=True)
@@ -217,9 +249,10 @@ class Selection(DesignProblem, Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """The table for the robot: one row per measurement, with readings, circumstances and the predicted position.
+        """The table for the robot: one row per measurement.
 
-        The columns nominal_x_mm ... help to find the reflector; they are not measurements.
+        It has readings, circumstances and the predicted position. The columns nominal_x_mm ... help
+        to find the reflector; they are not measurements.
         """
         assert self.m.position is not None
         table = pd.DataFrame({"pose": np.arange(1, len(self.m) + 1)})
@@ -233,6 +266,6 @@ class Selection(DesignProblem, Shown):
 
 
 def readings_table(robot: Robot, q: Array) -> pd.DataFrame:
-    """Readings as columns q1_deg, q2_mm, ..., to 1e-6 of a degree or millimetre."""
+    """Return readings as columns q1_deg, q2_mm, ..., to 1e-6 of a degree or millimetre."""
     columns = robot.reading_units
     return pd.DataFrame(np.round(q / list(columns.values()), 6), columns=list(columns))

@@ -1,4 +1,4 @@
-"""Where poses may lie: joint ranges, four-bar margin, floor, boxes, and what a laser tracker can see."""
+"""The workspace for measurements: joint ranges, four-bar margin, obstacles, laser tracker."""
 
 from __future__ import annotations
 
@@ -32,8 +32,9 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A box as an obstacle, parallel to the measuring frame's axes; low, high : opposite corners, shape (3,) [m].
+    """A box-shaped obstacle, parallel to the measuring frame's axes.
 
+    low, high : opposite corners in that frame, shape (3,) [m]
     Raises InputError: a coordinate of low that is not below that of high.
     """
 
@@ -47,16 +48,23 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Which points, shape (..., 3) [m], are in the box or within the clearance [m] of it: boolean, shape (...)."""
+        """Return which points are in the box or within a clearance [m] of it, boolean, shape (...).
+
+        points : in the measuring frame, shape (..., 3) [m]
+        """
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Whether lines from the station, shape (3,) [m], to points, shape (n, 3) [m], pass through it: shape (n,)."""
+        """Return whether lines from a station to points pass through the box, shape (n,).
+
+        points : shape (n, 3) [m]; station : shape (3,) [m]; both in the measuring frame
+        """
         along = points - station
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.stack([(np.asarray(corner) - station) / along for corner in (self.low, self.high)])
-        # A line that runs along a face has no crossing there: it is between the faces, or never.
+        # A line parallel to a face never crosses it: it is between the two faces, or always
+        # outside.
         between = (np.asarray(self.low) <= station) & (station <= np.asarray(self.high))
         parallel = along == 0
         enter = np.where(parallel, np.where(between, -np.inf, np.inf), t.min(axis=0)).max(axis=1)
@@ -73,8 +81,8 @@ class Tracker:
     half_angle : half of the cone's angle [rad]
     nearest : least distance [m]
     farthest : greatest distance [m]
-    opening : Array, shape (3,): direction of the reflector's opening in the tool frame; None: it is visible from all
-        sides
+    opening : Array, shape (3,): direction of the reflector's opening in the tool frame; None: it is
+        visible from all sides
     acceptance : largest angle between the beam and that direction [rad]
     """
 
@@ -87,7 +95,11 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Whether it sees reflectors at points, shape (n, 3) [m], of tool frames R, shape (n, 3, 3): shape (n,)."""
+        """Return whether the tracker sees reflectors, shape (n,).
+
+        points : in the measuring frame, shape (n, 3) [m]; R : orientations of their tool frames,
+            shape (n, 3, 3)
+        """
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
         seen = (distance >= self.nearest) & (distance <= self.farthest)
@@ -136,9 +148,10 @@ class Workspace:
     tracker: Tracker | None = None
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
-        """Least and greatest readings, shape (joints,) each [rad or m].
+        """Return least and greatest readings, shape (joints,) each [rad or m].
 
-        Raises InputError: limits of another number of joints, or a lower one that is not below the upper.
+        Raises InputError: limits of another number of joints, or a lower one that is not below the
+        upper.
         """
         given = zip((self.lower, self.upper), robot.limits, strict=True)
         lower, upper = (own if side is None else np.asarray(side, float) for side, own in given)
@@ -149,7 +162,10 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """By reason, which of the readings q, shape (n, joints) [rad or m], are ruled out: boolean, shape (n,)."""
+        """Return for each reason which readings it excludes, boolean, shape (n,).
+
+        q : shape (n, joints) [rad or m]
+        """
         lower, upper = self.ranges(robot)
         refused: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
         points, R, margin = places_about(robot, q)
@@ -167,19 +183,28 @@ class Workspace:
         return refused
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
-        """The workspace with four-bars no less open than at any of the readings q, shape (n, joints) [rad or m]."""
+        """Return the workspace with four-bars no less open than at any of some readings.
+
+        q : shape (n, joints) [rad or m]
+        """
         if not robot.loops:
             return self
         return replace(self, margin=max(self.margin, float(places_about(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Which of the readings q, shape (n, joints) [rad or m], may be measured: boolean, shape (n,)."""
+        """Return which readings may be measured, boolean, shape (n,).
+
+        q : shape (n, joints) [rad or m]
+        """
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 
 @lru_cache(maxsize=16)
 def _places_function(robot: Robot) -> ca.Function:
-    """places:(q, w, phi)->(points[3, n], R, margin): origins of frames 2 to n (the first is fixed), then the tool."""
+    """Return the function (q, w, phi) -> (points[3, n], R, margin).
+
+    Points are the origins of frames 2 to n (the first is fixed), then the tool.
+    """
     rigid = robot.with_only(())
     model = rigid.model
     values = dict(zip(rigid.parameters.names, ca.vertsplit(model.phi), strict=True))
@@ -192,7 +217,11 @@ def _places_function(robot: Robot) -> ca.Function:
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    """Points, shape (n, joints, 3) [m], tool orientations, shape (n, 3, 3), least margins of loops, shape (n,)."""
+    """Return link origins and tool points, tool orientations, and least four-bar margins.
+
+    The points have shape (n, joints, 3) [m], the orientations (n, 3, 3), both in the measuring
+    frame; the margins (n,).
+    """
     count, rigid = len(q), robot.with_only(())
     f = _places_function(robot)
     points, R, margin = f.map(count)(q.T, np.tile(rigid.declared[:, None], count), rigid.parameters.values)
@@ -200,26 +229,34 @@ def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     return (points.full().T.reshape(count, robot.n, 3), R.full().reshape(3, count, 3).transpose(1, 0, 2), least)
 
 
+# An angle of a TOML file between 0 and half a turn, in rad or deg.
 HalfTurn = Annotated[float, Quantity(ANGLE.factors, np.pi), Field(gt=0)]
 
 
 class _Joint(TomlTable):
+    """Limits of one joint in a workspace file."""
+
     number: int = Field(ge=1)
     limits: Annotated[Pair, READING]
 
 
 class _Box(TomlTable):
+    """An obstacle in a workspace file."""
+
     low: Annotated[Triple, LENGTH]
     high: Annotated[Triple, LENGTH]
 
     @model_validator(mode="after")
     def _ordered(self) -> _Box:
+        """Check that the corners are in order."""
         if not np.less(self.low, self.high).all():
             raise FaultError("high", "each of its coordinates must be greater than that of low")
         return self
 
 
 class _Tracker(TomlTable):
+    """A laser tracker in a workspace file."""
+
     station: Annotated[Triple, LENGTH]
     towards: Annotated[Triple | None, LENGTH] = None
     half_angle: HalfTurn = np.pi / 4
@@ -230,6 +267,7 @@ class _Tracker(TomlTable):
 
     @model_validator(mode="after")
     def _sees(self) -> _Tracker:
+        """Check that the keys are complete and the cone is not empty."""
         for needed, key in (("towards", "half_angle"), ("opening", "acceptance")):
             if key in self.model_fields_set and getattr(self, needed) is None:
                 raise FaultError(key, f"has no effect without {needed}; give both")
@@ -243,6 +281,8 @@ class _Tracker(TomlTable):
 
 
 class _Workspace(TomlTable):
+    """The schema of a workspace file."""
+
     casadical: Annotated[Literal[1], WHOLE_NUMBER]
     floor: Annotated[float | None, LENGTH] = None
     clearance: Annotated[float, LENGTH, Field(ge=0)] = 0.0
@@ -253,14 +293,17 @@ class _Workspace(TomlTable):
 
 
 def read_workspace(path: str | Path, robot: Robot) -> Workspace:
-    """The workspace of a file, in the measuring frame. Raises InputError that names file and key."""
+    """Read a workspace file, which is in the measuring frame.
+
+    Raises InputError that names file and key.
+    """
     given = check(_Workspace, load_toml(Path(path)), str(path))
     lower, upper = robot.limits
     for joint in given.joint:
         if joint.number > robot.n:
             raise InputError(f"{path}: joint {joint.number}: {robot.name} has {robot.n} joints")
         k = joint.number - 1
-        # Within the robot's own range in any case.
+        # The robot's own range always applies.
         lower[k], upper[k] = max(lower[k], joint.limits[0]), min(upper[k], joint.limits[1])
         if lower[k] >= upper[k]:
             raise InputError(f"{path}: joint {joint.number}: nothing of its range is left between these limits")

@@ -35,9 +35,9 @@ from casadical.diagnosis.diagnose import diagnose
 from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Measurements, Noise
-from casadical.pose_selection.candidates import SOCKET, Circumstances
+from casadical.pose_selection.candidates import SOCKET_COLUMN, Circumstances
 from casadical.pose_selection.design_problem import prepare
-from casadical.pose_selection.information import by_joints, scaled_jacobian
+from casadical.pose_selection.information import joint_jacobian, scaled_jacobian
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places, without_base
 from casadical.pose_selection.pose_search import place_instrument, select_poses
 from casadical.pose_selection.workspace import Workspace
@@ -124,7 +124,7 @@ def in_sockets(entry: tuple[int, int, float, int]) -> kept.Row:
     at = np.repeat(np.arange(count), [len(groups[k][: poses // count]) for k in which])
     m = fit[rows]
     seat = rng.normal(0, 1e-3 * noise, (len(m), 3))
-    J = by_joints(placed, m)
+    J = joint_jacobian(placed, m)
     step = np.einsum("nij,nj->ni", np.linalg.pinv(J), places[which][at] + seat - m.position)
     label = np.array([f"S{k + 1}" for k in at], dtype=object)
     held = Measurements(m.q + step, "contact", label=label, conditions=m.conditions)
@@ -156,7 +156,7 @@ def pick(robot: Robot, fit: Measurements, groups: list[Array], places: Array, co
     """Which sockets to take: the best pair by the plan's criterion, then the best more, one by one."""
     m = fit[np.concatenate(groups)]
     at = np.repeat(np.arange(len(groups), dtype=float), [len(g) for g in groups])
-    m = replace(m, position=predicted(robot, m)[0], conditions={**m.conditions, SOCKET: at})
+    m = replace(m, position=predicted(robot, m)[0], conditions={**m.conditions, SOCKET_COLUMN: at})
     expected = Noise(1e-3 * noise, JOINTS)
     problem = prepare(
         robot, len(m), "V", candidates=m.q, workspace=Workspace(), circumstances=Circumstances(), measured=None,

@@ -11,7 +11,7 @@ from casadical import InputError, read_robot
 from casadical.core.statistics import thirds
 from casadical.pose_selection import forecast
 from casadical.pose_selection.experimental_design import Design, improve, inverse, search
-from casadical.pose_selection.selection import short_path
+from casadical.pose_selection.selection import short_tour
 
 ROOT = Path(__file__).parents[2]
 
@@ -161,7 +161,7 @@ def test_the_path_is_the_shortest_of_the_nearest_neighbour_tours(seed: int) -> N
             path.append(min(left, key=lambda j: D[path[-1], j]))
             left.remove(path[-1])
         greedy.append(length(path))
-    assert length(short_path(D, before)) == pytest.approx(min(greedy))
+    assert length(short_tour(D, before)) == pytest.approx(min(greedy))
 
 
 def test_thirds_hold_a_third_each_and_rounding_moves_no_value_over_an_edge() -> None:

@@ -13,7 +13,7 @@ from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.pose_selection import Noise, Workspace, forecast, place_instrument
-from casadical.pose_selection.candidates import SOCKET, expected, held_in
+from casadical.pose_selection.candidates import SOCKET_COLUMN, expected, poses_at_places
 from casadical.pose_selection.instruments import Instrument, best_places, usual_places
 from casadical.pose_selection.pose_search import select_poses, select_with_places
 
@@ -91,7 +91,7 @@ def test_of_many_places_no_exchange_of_one_makes_the_set_better() -> None:
 
 
 def test_readings_that_hold_the_tool_in_a_socket_are_as_many_as_asked_for(robot) -> None:
-    q, which = held_in(robot, SOCKETS, 90, Workspace(), np.random.default_rng(0))
+    q, which = poses_at_places(robot, SOCKETS, 90, Workspace(), np.random.default_rng(0))
     assert np.bincount(which.astype(int)).tolist() == [30, 30, 30]
     np.testing.assert_allclose(expected(robot, q, {}, "test").position, SOCKETS[which.astype(int)], atol=1e-6)
 
@@ -102,7 +102,7 @@ def test_chosen_sockets_promise_more_than_others_and_poses_lie_in_them(robot) ->
     chosen = select_with_places(robot, 40, "sockets", places, 2, noise=Noise(SIGMA), pool=150, restarts=1)
     near = plan(robot, Instrument("sockets", np.array([[0.5, 0.4, 0.2], [0.45, 0.35, 0.25]])))
     assert chosen.accuracy < near.accuracy
-    at = chosen.instrument.places[chosen.m.conditions[SOCKET].astype(int)]
+    at = chosen.instrument.places[chosen.m.conditions[SOCKET_COLUMN].astype(int)]
     np.testing.assert_allclose(expected(robot, chosen.q, {}, "test").position, at, atol=1e-6)
     assert set(chosen.table["point"]) <= {"S1", "S2"}
 

@@ -10,7 +10,7 @@ from casadical.core.basics import InputError
 from casadical.effects.instrument import Session
 from casadical.pose_selection.candidates import Candidates, Circumstances, candidates_at, expected, later_poses
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.selection import TIME_PARTS, arranged
+from casadical.pose_selection.selection import TIME_PARTS, in_measuring_order
 from casadical.pose_selection.workspace import read_workspace
 
 ROBOT = planar()
@@ -26,7 +26,7 @@ def test_poses_stay_in_their_part_of_the_campaign() -> None:
     rng = np.random.default_rng(0)
     progress = np.array([1.0, 0.0, 0.3, 0.9, 0.05, 0.6])
     q = rng.uniform(-1, 1, (6, ROBOT.n))
-    m = arranged(ROBOT, Candidates(q, {"progress": progress[:, None]}), Circumstances(), travel=False)
+    m = in_measuring_order(ROBOT, Candidates(q, {"progress": progress[:, None]}), Circumstances(), travel=False)
     order = [int(np.flatnonzero((q == row).all(axis=1))[0]) for row in m.q]
     parts = np.minimum((TIME_PARTS * progress).astype(int), TIME_PARTS - 1)
     assert order == sorted(range(6), key=lambda k: (parts[k], k))

@@ -18,7 +18,7 @@ from casadical.pose_selection import Circumstances, Noise, Workspace, forecast
 from casadical.pose_selection.candidates import candidates_at, draw, expected
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import Forecast, select_poses
-from casadical.pose_selection.selection import distances, travel
+from casadical.pose_selection.selection import travel, travel_distances
 from casadical.robot.robot import Covariance, Knowledge
 
 SIGMA = 3e-5
@@ -224,7 +224,7 @@ def test_travel_is_of_the_joint_that_turns_most(robot) -> None:
     q = np.zeros((3, 6))
     q[1, 2], q[1, 4], q[2, 0] = 0.5, -0.7, 1.0
     assert travel(robot, q) == pytest.approx(0.7 + 1.0)
-    np.testing.assert_allclose(distances(robot, q), [[0, 0.7, 1], [0.7, 0, 1], [1, 1, 0]])
+    np.testing.assert_allclose(travel_distances(robot, q), [[0, 0.7, 1], [0.7, 0, 1], [1, 1, 0]])
 
 
 def test_a_forecast_begins_with_what_was_measured(robot) -> None:
@@ -348,4 +348,4 @@ def test_rounding_chooses_no_other_poses() -> None:
 def test_a_full_stroke_counts_as_half_a_turn() -> None:
     robot = Robot("slide", (Joint(), Joint(kind="prismatic", lower=0.1, upper=0.6)))
     q = np.array([[0.0, 0.1], [0.5, 0.6], [3.0, 0.35]])
-    assert distances(robot, q) == pytest.approx(np.array([[0, np.pi, 3], [np.pi, 0, 2.5], [3, 2.5, 0]]))
+    assert travel_distances(robot, q) == pytest.approx(np.array([[0, np.pi, 3], [np.pi, 0, 2.5], [3, 2.5, 0]]))

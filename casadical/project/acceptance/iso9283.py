@@ -27,7 +27,7 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured
 from casadical.measurements.raw_table import read_table
-from casadical.pose_selection.candidates import draw, expected, held_in
+from casadical.pose_selection.candidates import draw, expected, poses_at_places
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.inverse_kinematics import solve_joints
@@ -76,7 +76,7 @@ def planned_test(
             if np.linalg.norm(places - origin, axis=1).max() > 1.05 * farthest:
                 continue
             # The other poses are reached from twenty readings with the tool at P1.
-            q, _ = held_in(robot, places[:1], 20, room, rng)
+            q, _ = poses_at_places(robot, places[:1], 20, room, rng)
             solutions = _one_orientation(robot, q, places, room) if len(q) else None
             if solutions is not None:
                 return _test_table(robot, solutions, poses_in(local, size)), local, size

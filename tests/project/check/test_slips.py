@@ -18,7 +18,7 @@ from casadical import Measurements, calibrate
 from casadical.project.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.check.slip_fit import Hypothesis
-from casadical.project.check.slip_list import MIRROR_WARNING, LENGTHS_MIRROR_WARNING
+from casadical.project.check.slip_list import LENGTHS_MIRROR_WARNING, MIRROR_WARNING
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 from casadical.project.targets import recognised

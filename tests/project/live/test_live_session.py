@@ -20,7 +20,7 @@ from casadical.core.basics import InputError
 from casadical.core.files import csv_text
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
-from casadical.pose_selection.candidates import draw, expected, held_in
+from casadical.pose_selection.candidates import draw, expected, poses_at_places
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
 from casadical.project.live.session import finished
@@ -193,7 +193,7 @@ def made_up(kind: str) -> list[list[str]]:
         if kind == "dial":
             places = np.array([c + 0.3 * np.roll(at, k) for c in corner for k, at in enumerate(spots)])
         places = places @ truth.base.T[:3, :3].T + truth.base.T[:3, 3]
-        q, which = held_in(truth, places, 42, Workspace(), rng)
+        q, which = poses_at_places(truth, places, 42, Workspace(), rng)
         name = which.astype(int) // (len(places) // 3)
     else:
         q = draw(truth, 42, Workspace(), rng)
