@@ -131,7 +131,8 @@ class Calibration(Result):
     def next_command(self, source: Path, tables: Sequence[Path] = (), *, kept: bool = True) -> Words:
         """Return the command to run next; it plans more poses where held-out errors have grown.
 
-        source : problem folder or robot file; tables : tables given after it
+        source : problem folder or robot file
+        tables : tables that were given after it
         kept : whether the result has been written to a folder
         """
         _, before, after, held_out = judged_on(self.accuracies)

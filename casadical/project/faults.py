@@ -137,7 +137,7 @@ def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: S
 
 
 def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """Raises InputError for what is wrong with a table; without a robot, for its cells alone."""
+    """Check a table, without a robot its cells alone. Raises InputError."""
     if path.is_file() and path.stat().st_size > 4_000_000:  # bytes; reading it again takes too long
         return
     raw = read_table(path, keep_text=False)
@@ -156,7 +156,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
 
 
 def _check_ranges(robot: Robot, columns: Columns, kind: str | None) -> None:
-    """Raises FaultsError for readings beyond the joint limits.
+    """Check readings against the joint limits. Raises FaultsError.
 
     Other contradictions to the robot are left to the command itself.
     """

@@ -153,7 +153,7 @@ def some_rows(rows: Sequence[object]) -> str:
 
 
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
-    """Raises InputError where a robot has several targets and the table does not say which was measured."""
+    """Refuse a table that does not name its target, of several. Raises InputError."""
     if robot.targets and not names_in(m):
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(

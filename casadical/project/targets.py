@@ -444,7 +444,10 @@ def _several(free: Robot, which: Array) -> Robot:
 
 
 def _names_of(points: Array, robot: Robot) -> list[str]:
-    """Return the names of known targets with the same mutual distances, else target1, ..."""
+    """Return the names of known targets with the same mutual distances, else target1, ...
+
+    points : in the last link's frame, shape (K, 3) [m]
+    """
     points_by_name = _points_of(robot)
     for some in permutations(points_by_name, len(points)) if len(points) <= len(points_by_name) <= MAX_TARGETS else ():
         if (

@@ -278,8 +278,9 @@ class Certificate(Acceptance):
     def _picture(self, w: Mapping[str, str], k: int) -> Figure:
         """Return a figure of the held-out poses, coloured by their error.
 
-        They are seen from the side, or from above where their heights are equal; k : 0 before, 1
-        after
+        They are seen from the side, or from above where their heights are equal.
+
+        k : 0 for the nominal robot, 1 for the calibrated one
         """
         e, most = (self.before, self.after)[k].errors, (1.0, 2.0, 3.0)
         rms = float(np.sqrt(np.mean(e**2)))
@@ -357,7 +358,7 @@ def certificate(
 def _refuse_others(
     stated: Mapping[str, Any], method: str, robot: Robot, sets: Sequence[Measurements], place: Path
 ) -> None:
-    """Raises InputError where the measurements do not give the figures of the results.
+    """Refuse measurements that do not give the figures of the results. Raises InputError.
 
     They were then split by another seed, or are of another table.
     """

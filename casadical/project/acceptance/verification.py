@@ -241,7 +241,7 @@ class _Refit:
         return cls(groups, numbers, points, sum(map(len, sets)), kind.lengths, base, kind.name != "distance")
 
     def refuse_too_few(self, tables: str) -> None:
-        """Raises InputError where fewer than six degrees of freedom are left."""
+        """Refuse poses that leave fewer than six degrees of freedom. Raises InputError."""
         if self.freedom(self.n, self.numbers) >= MIN_FREEDOM:
             return
         have = f"base and tool have {self.numbers} numbers" if self.base else f"the tool has {self.numbers} numbers"
@@ -322,7 +322,9 @@ def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
 
 
 def problem_of(robot: Path) -> Path | None:
-    """Return the problem folder of a calibration, beside its results or here; None without one.
+    """Return the problem folder of a calibration; None where it is not found.
+
+    It is looked for in the working directory and beside the results.
 
     robot : robot file in the folder of results
     """

@@ -142,7 +142,10 @@ def _slips(
 def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Return whether the nominal model explains a table, or would if one slip were undone."""
+    """Return findings on whether the nominal model explains a table, and a single slip that does.
+
+    The slip is None where there are too few poses, or where the model explains the table.
+    """
     judged = facts.plausible(robot, m, others) if len(m) >= facts.MIN_PLAUSIBILITY_POSES else None
     if judged is None:
         return [], None

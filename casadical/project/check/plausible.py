@@ -110,8 +110,8 @@ class JointCoverage:
 
     joint : number of the joint
     unit : deg or mm
-    low, high : least and greatest reading
-    lower, upper : joint limits
+    low, high : least and greatest reading [deg or mm]
+    lower, upper : joint limits [deg or mm]
     share : share of the range that is covered
     """
 

@@ -182,7 +182,7 @@ class SlipFit:
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
         """Return for each length the share of the error that is left if it is free, and its change.
 
-        The shape is (k, 2 joints, 2), all a before all d; departures are in m.
+        The shape is (k, 2 joints, 2), all a before all d; changes are departures [m].
         """
         departures = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
         for part, y, p, R, along in self._parts(hypotheses):

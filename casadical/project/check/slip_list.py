@@ -143,7 +143,7 @@ def other_lengths(fit: Fit, robot: Robot) -> float:
 
 
 def error_in_mm(fit: Fit, robot: Robot) -> str:
-    """Return the error of a fit as a text, in millimetres of the robot as it is meant."""
+    """Return the error of a fit as text [mm], in units of the robot as it is meant."""
     return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
 
 

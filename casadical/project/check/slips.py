@@ -27,7 +27,7 @@ MIN_ERROR_REDUCTION = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Slips:
-    """The best explanation of a table by slips, and its rivals.
+    """The best explanation of a table by slips, and its rivals; their errors are in [m].
 
     before : fit of the table as it is
     best : best fit

@@ -523,7 +523,7 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Raises InputError where a folder's tables are measurements of an earlier campaign."""
+    """Refuse a folder whose tables are of an earlier campaign. Raises InputError."""
     file = problem_file(folder)
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":

@@ -60,7 +60,7 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     table = read_table(path)
 
     def read() -> str:
-        """Return the comments on headings and all [[joint]] tables as text."""
+        """Return the comments and all [[joint]] tables as text. Raises InputError."""
         frame, said = with_our_names(table, _ALL_COLUMNS)
         if not set(frame) & set(_ROW_COLUMNS):
             raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
@@ -76,7 +76,7 @@ def robot_text(path: Path, name: str, convention: str) -> str:
 
 
 def _refuse_non_finite(table: RawTable) -> None:
-    """Raises InputError for a cell with nan, NA or inf; an empty cell stands for no value."""
+    """Refuse cells with nan, NA or inf; an empty cell is allowed. Raises InputError."""
     faults = []
     lost = table.frame.replace([math.inf, -math.inf], math.nan).isna().to_numpy()
     for k, (line, cells) in enumerate(zip(table.line, table.cells, strict=True)):

@@ -289,7 +289,7 @@ def _read_trial(folder: Path, data: Path | None, file: str) -> Problem:
 
 
 def _refuse_taken(folder: Path, texts: Iterable[str]) -> None:
-    """Raises InputError where a file of the new folder is there already."""
+    """Refuse to write files that are there already. Raises InputError."""
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
     if taken := [file for file in texts if (folder / file).exists()]:
