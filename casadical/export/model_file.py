@@ -1,4 +1,4 @@
-"""Write a calibrated robot in another program's format: MuJoCo model, URDF, driver kinematics."""
+"""Convert a calibrated robot to another program's format: MuJoCo, URDF, driver kinematics."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
 from casadical.export.mjcf.moving import actuators_of, has_motion_parameters, moving_mjcf, omitted_drive_parameters
-from casadical.export.omission import geometry_alone, left_out, rest_of_rigid
+from casadical.export.omission import geometry_alone, left_out, rigid_omissions
 from casadical.project.calibration import Calibration, calibrate
 from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
 from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
@@ -126,9 +126,9 @@ def robot_model(
             made = _into_users(source, nominal, campaign, into, str(joints), springs, robot)
         else:
             made = moving_mjcf(robot) if has_motion_parameters(robot) else mjcf(robot)
-        lost = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
-        told = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in lost))
-        kept = {"robot": robot.name, "written": list(made.written), "left_out": list(lost)}
+        omitted = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
+        told = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in omitted))
+        kept = {"robot": robot.name, "written": list(made.written), "left_out": list(omitted)}
         return RobotModel(made.text, told, kept, f"{robot.name}, {robot.n} joints")
     if form == "actuators":
         robot = robot_to_write(source)
@@ -140,9 +140,9 @@ def robot_model(
         raise InputError(f"--to {form}: needs the robot file from before the calibration, too: give --nominal")
     show("calibrating")
     given = calibrated(source).written_robot if source.is_dir() else source
-    text, lost = driver_file(Sources(given, nominal), form, checksum)
-    figures = {"form": form, "left_out": list(lost)}
-    return RobotModel(text, tuple(f"LEFT OUT {line}" for line in lost), figures)
+    text, omitted = driver_file(Sources(given, nominal), form, checksum)
+    figures = {"form": form, "left_out": list(omitted)}
+    return RobotModel(text, tuple(f"LEFT OUT {line}" for line in omitted), figures)
 
 
 def calibrated(folder: Path) -> Calibration:
@@ -215,11 +215,11 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     into = calibration.problem.urdf if calibration else None
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
-    soft = (*left_out(robot, omissions, "a URDF", leave_out), *rest_of_rigid(robot))
-    lost = (*soft, *omitted_drive_parameters(robot))
+    soft = (*left_out(robot, omissions, "a URDF", leave_out), *rigid_omissions(robot))
+    omitted = (*soft, *omitted_drive_parameters(robot))
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
     nothing = "nothing is left out: the robot is rigid and has no effects"
-    lines = [f"LEFT OUT {line}" for line in lost] or [nothing]
+    lines = [f"LEFT OUT {line}" for line in omitted] or [nothing]
     if figures:
         poses = "held-out poses" if figures["set"] == "report" else "poses that were identified from"
         lines.append(
@@ -233,6 +233,6 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
             "--to mjcf` keeps the springs"
         )
     name = into[0].name if into else None
-    kept = {"robot": robot.name, "into": name, "left_out": list(lost), "mean_errors": figures}
+    kept = {"robot": robot.name, "into": name, "left_out": list(omitted), "mean_errors": figures}
     about = f"{robot.name}, {robot.n} joints" + (f", after {name}" if name else "")
     return RobotModel(text, tuple(lines), kept, about)

@@ -35,7 +35,7 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
                 line += f"; {_UNKNOWN_LOSS} {name}"
             else:
                 parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
-                mean, most = lost(robot, [f"{omission.label}.{part}" for part in parts])
+                mean, most = displacement_without(robot, [f"{omission.label}.{part}" for part in parts])
                 known = robot.knowledge and len(robot.knowledge.readings)
                 line += f"; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most"
                 line += f" over the {'learnt range' if known else 'range of the joints'}"
@@ -50,7 +50,7 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
     return tuple(lines)
 
 
-def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
+def rigid_omissions(robot: Robot) -> tuple[str, ...]:
     """Return lines on what a file that holds only the rigid geometry omits; none for a rigid robot.
 
     The lines name the joint compliances and effects, the position error [mm] without all of them,
@@ -62,16 +62,16 @@ def rest_of_rigid(robot: Robot) -> tuple[str, ...]:
     if not names:
         return ()
     unknown = {e.label: name for e in robot.effects if not e.of_measurement and (name := _without_range(robot, [e]))}
-    mean, most = rigid_rest(robot.with_only(e for e in robot.effects if e.label not in unknown))
+    mean, most = distance_from_rigid(robot.with_only(e for e in robot.effects if e.label not in unknown))
     off = f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most, by the model"
     lines = [f"{', '.join(n for n in names if n not in unknown)}: {off}"] if len(names) > len(unknown) else []
     return (*lines, *(f"{label}: {_UNKNOWN_LOSS} {name}" for label, name in unknown.items()))
 
 
-def rigid_rest(robot: Robot) -> tuple[float, float]:
+def distance_from_rigid(robot: Robot) -> tuple[float, float]:
     """Return mean and maximum distance [m] of the robot's point from that of its rigid geometry.
 
-    Both are evaluated over the learnt range, as in `lost`, without effects of the measurement.
+    Both are evaluated over the learnt range, as in `displacement_without`, without effects of the measurement.
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot)
@@ -108,7 +108,7 @@ def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
     return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
 
 
-def lost(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
+def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[float, float]:
     """Return mean and maximum displacement [m] of the measured point if these parameters are zero.
 
     Readings and conditions are drawn uniformly from the range on which the robot was learnt. Where

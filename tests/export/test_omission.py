@@ -10,7 +10,7 @@ from casadical import InputError, Robot
 from casadical.effects import Backlash, Effect, FrameDrift, JointScale, LinkFlexure, ThermalGrowth
 from casadical.effects.base import Omission
 from casadical.export.mjcf.mjcf import mjcf
-from casadical.export.omission import left_out, lost, rest_of_rigid, rigid_rest
+from casadical.export.omission import displacement_without, distance_from_rigid, left_out, rigid_omissions
 from casadical.robot.robot import Knowledge
 
 
@@ -23,7 +23,7 @@ def test_loss_is_how_far_the_point_moves_over_the_learnt_range() -> None:
     ranges = np.array([(j.lower, j.upper) for j in r.joints])
     ranges[0] = (0.5, 1.0)
     r = replace(r, knowledge=Knowledge(readings=ranges))
-    mean, greatest = lost(r, ["joint_scale@1.k"])
+    mean, greatest = displacement_without(r, ["joint_scale@1.k"])
     # Worked out by turning joint 1 itself, at other poses of the same range.
     q = np.random.default_rng(7).uniform(*ranges.T, (4000, 6))
     turned = q.copy()
@@ -32,7 +32,7 @@ def test_loss_is_how_far_the_point_moves_over_the_learnt_range() -> None:
     moved = np.linalg.norm((f(turned.T, phi) - f(q.T, phi)).full(), axis=0)
     assert mean == pytest.approx(moved.mean(), rel=0.05)
     assert greatest == pytest.approx(moved.max(), rel=0.1)
-    assert lost(replace(r, knowledge=None), ["joint_scale@1.k"])[1] > 2 * greatest
+    assert displacement_without(replace(r, knowledge=None), ["joint_scale@1.k"])[1] > 2 * greatest
 
 
 def test_what_a_rigid_file_leaves_is_the_springs_and_effects_together() -> None:
@@ -50,19 +50,21 @@ def test_what_a_rigid_file_leaves_is_the_springs_and_effects_together() -> None:
     far = [x.position.map(len(q))(at.T, x.parameters.values).full() for x, at in ((soft, turned), (stiff, q))]
     moved = np.linalg.norm(far[0] - far[1], axis=0)
     known = r.with_only(e for e in r.effects if e.label != ThermalGrowth(2).label)
-    mean, most = rigid_rest(known)
+    mean, most = distance_from_rigid(known)
     assert mean == pytest.approx(moved.mean(), rel=0.05)
     assert most == pytest.approx(moved.max(), rel=0.1)
-    first, second = rest_of_rigid(r)
+    first, second = rigid_omissions(r)
     assert first.startswith("compliance of joints ")
     assert "joint_scale@1, frame_drift: without them the point is off by " in first
     assert f"{1e3 * mean:.4f} mm on average" in first
     assert "what would be lost is not known, for the robot file gives no range of warmth_600s" in second
-    assert rest_of_rigid(stiff) == ()
+    assert rigid_omissions(stiff) == ()
 
 
 def test_poses_in_which_a_loop_does_not_close_are_none() -> None:
-    mean, greatest = lost(with_values("hh800", Backlash(5), **{"backlash@5__half": 5e-5}), ["backlash@5.half"])
+    mean, greatest = displacement_without(
+        with_values("hh800", Backlash(5), **{"backlash@5__half": 5e-5}), ["backlash@5.half"]
+    )
     assert 0 < mean < greatest < 1e-3
 
 
@@ -71,7 +73,7 @@ def test_effects_are_refused_by_name_with_what_is_lost() -> None:
     omissions = [Omission("backlash@2", "no place"), Omission("frame_drift", "of the instrument")]
     with pytest.raises(InputError) as error:
         left_out(r, omissions, "a book", leave_out=False)
-    mean, greatest = lost(r, ["backlash@2.half"])
+    mean, greatest = displacement_without(r, ["backlash@2.half"])
     for words in (
         "a book cannot hold 1 of its effects",
         f"backlash@2: no place; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * greatest:.4f} mm at most",
@@ -100,5 +102,8 @@ def test_of_an_effect_that_is_carried_in_part_only_the_rest_is_lost() -> None:
     (omission,) = mjcf(r).omitted
     assert omission.parts == ("ry2",)
     (line,) = left_out(r, [omission], "a MuJoCo model", leave_out=True)
-    assert f"{1e3 * lost(r, ['link_flexure.ry2'])[0]:.4f} mm on average" in line
-    assert lost(r, ["link_flexure.ry2"])[0] < 0.5 * lost(r, [k.replace("__", ".") for k in whole])[0]
+    assert f"{1e3 * displacement_without(r, ['link_flexure.ry2'])[0]:.4f} mm on average" in line
+    assert (
+        displacement_without(r, ["link_flexure.ry2"])[0]
+        < 0.5 * displacement_without(r, [k.replace("__", ".") for k in whole])[0]
+    )

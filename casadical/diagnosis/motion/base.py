@@ -48,7 +48,7 @@ AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a limit decay
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class BaseColumn:
     """A column of the base at one joint.
 
     kind : what it stands for; joint : 0-based
@@ -76,7 +76,7 @@ class LogView:
     peak_torque : peak torque of each joint, shape (joints,) [N m]
     torque : torque residual, shape (samples, joints), as a share of the peak torque
     response : residual of the position error, shape (samples, joints) [rad], or None
-    names : variables of effects' formulas by name, shape (samples, joints)
+    variables : arguments of effects' formulas by name, shape (samples, joints)
     Y : regressor of the rigid bodies, shape (samples, joints, 10 joints) [SI]
     gain : of each servo, shape (joints,) [N m/rad]; ones where torques were logged and no gain is
         declared
@@ -89,7 +89,7 @@ class LogView:
     peak_torque: Array
     torque: Array
     response: Array | None
-    names: Mapping[str, Array]
+    variables: Mapping[str, Array]
     Y: Array
     gain: Array
     frictions: Mapping[str, Array] = field(default_factory=dict)
@@ -128,7 +128,7 @@ def log_view(motion: Motion, arm: Arm, peak_torque: Array | None = None) -> LogV
         torque = m.torque
     else:
         assert m.command is not None
-        kp = _gain(m, model, arm)
+        kp = _servo_gains(m, model, arm)
         error = m.command - m.position
         torque = _servo_torque(m, arm, kp, error)
         servo = _servo_error_of(m, arm, _servo_error_of(m, arm, model) * kp) if arm.kp is not None else model / kp
@@ -136,11 +136,11 @@ def log_view(motion: Motion, arm: Arm, peak_torque: Array | None = None) -> LogV
     response = None
     if m.torque is not None and m.command is not None:
         response, servo = _response_residual(m, arm, torque)
-    names = _variables(m, arm, peak_torque, torque, model, Y)
+    variables = _variables(m, arm, peak_torque, torque, model, Y)
     if servo is not None:
-        names["servo"] = servo
+        variables["servo"] = servo
     residual = (torque - model - arm.rotor * m.a) / peak_torque
-    return LogView(m, arm, peak_torque, residual, response, names, Y, kp)
+    return LogView(m, arm, peak_torque, residual, response, variables, Y, kp)
 
 
 def _servo_torque(m: Motion, arm: Arm, kp: Array, error: Array) -> Array:
@@ -155,7 +155,7 @@ def _servo_error_of(m: Motion, arm: Arm, torque: Array) -> Array:
     return m.by_run(lambda u: servo_error(u, arm, m.step, u[0] / arm.kp), torque)
 
 
-def _gain(m: Motion, model: Array, arm: Arm) -> Array:
+def _servo_gains(m: Motion, model: Array, arm: Arm) -> Array:
     """Return the gain of each servo, shape (joints,) [N m/rad].
 
     Undeclared gains follow from the position error and the model's torque, by least squares.
@@ -226,15 +226,15 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
     return known
 
 
-def base_of(log_view: LogView) -> list[Part]:
+def base_columns(log_view: LogView) -> list[BaseColumn]:
     """Return the base's columns of a log, without the rigid bodies."""
-    parts = [p for j in range(log_view.arm.joints) for p in _friction(log_view, j)]
+    parts = [p for j in range(log_view.arm.joints) for p in _torque_columns(log_view, j)]
     if log_view.response is not None:
-        parts += [p for j in range(log_view.arm.joints) for p in _servo(log_view, j)]
+        parts += [p for j in range(log_view.arm.joints) for p in _servo_columns(log_view, j)]
     return parts
 
 
-def bodies_of(log_view: LogView) -> Array:
+def body_columns(log_view: LogView) -> Array:
     """Return the rigid bodies' columns, shape (windows, joints, parameters).
 
     Each is the torque, as a share of the peak torque, of one prior standard deviation of a
@@ -243,13 +243,13 @@ def bodies_of(log_view: LogView) -> Array:
     return np.asarray(log_view.motion.averaged(log_view.Y) / log_view.peak_torque[:, None] @ log_view.arm.spread)
 
 
-def _friction(log_view: LogView, j: int) -> list[Part]:
+def _torque_columns(log_view: LogView, j: int) -> list[BaseColumn]:
     """Return the torque columns of joint j: friction, servo, offset and scales.
 
     The servo's columns are among them if no torque was logged.
     """
-    m, names = log_view.motion, log_view.names
-    slip, speed, load = (names[k][:, j] for k in ("slip", "speed", "load"))
+    m, variables = log_view.motion, log_view.variables
+    slip, speed, load = (variables[k][:, j] for k in ("slip", "speed", "load"))
     u, load_size = np.abs(speed), np.abs(load)
     columns: dict[str, Array] = {f"slip {w}": memory[:, j] for w, memory in m.memory.items()}
     columns |= {"viscous": speed, "root": slip * np.sqrt(u), "absolute": u, "curved": speed * u}
@@ -263,49 +263,49 @@ def _friction(log_view: LogView, j: int) -> list[Part]:
     if m.torque is None:
         loaded = {f"loaded {w}": memory[:, j] * load_size for w, memory in m.memory.items()}
         columns |= {**loaded, "accelerated": m.a[:, j] / (np.abs(m.a[:, j]).max() + 1e-9)}
-    parts = [Part(kind, j, SIGMA_FRICTION, values) for kind, values in columns.items()]
+    parts = [BaseColumn(kind, j, SIGMA_FRICTION, values) for kind, values in columns.items()]
     if m.torque is None:
-        served = {"delay": (SIGMA_UNKNOWN_DELAY_S, names["command_speed"][:, j])}
+        served = {"delay": (SIGMA_UNKNOWN_DELAY_S, variables["command_speed"][:, j])}
         if log_view.arm.kp is not None:
-            served["gain"] = SIGMA_SERVO_GAIN, names["servo"][:, j]
-        rounded = names["command_acceleration"][:, j]
+            served["gain"] = SIGMA_SERVO_GAIN, variables["servo"][:, j]
+        rounded = variables["command_acceleration"][:, j]
         served["filter"] = SIGMA_UNKNOWN_FILTER_S2, rounded
         served["jerk"] = SIGMA_UNKNOWN_DELAY_S**3, m.by_run(lambda u: np.gradient(u, m.step), rounded)
-        parts += [Part(kind, j, size, log_view.as_torque(error, j)) for kind, (size, error) in served.items()]
+        parts += [BaseColumn(kind, j, size, log_view.as_torque(error, j)) for kind, (size, error) in served.items()]
     starts = ((r, m.unmoved[:, j] * (m.run == r)) for r in np.unique(m.run))
-    parts += [Part(f"before run {r:.0f} moves", j, SIGMA_FRICTION, start) for r, start in starts if start.any()]
+    parts += [BaseColumn(f"before run {r:.0f} moves", j, SIGMA_FRICTION, start) for r, start in starts if start.any()]
     scale = (
         SIGMA_TORQUE_SCALE if m.torque is not None else SIGMA_ROUGH_TORQUE_SCALE if log_view.arm.kp is not None else 1.0
     )
     return [
         *parts,
-        Part("offset", j, SIGMA_TORQUE_OFFSET, np.ones(len(speed))),
-        Part("scale", j, scale, names["load"][:, j]),
-        Part(
+        BaseColumn("offset", j, SIGMA_TORQUE_OFFSET, np.ones(len(speed))),
+        BaseColumn("scale", j, scale, variables["load"][:, j]),
+        BaseColumn(
             "rotor",
             j,
             SIGMA_DECLARED_ROTOR if log_view.arm.rotor_known else SIGMA_ESTIMATED_ROTOR,
-            names["inertia"][:, j],
+            variables["inertia"][:, j],
         ),
     ]
 
 
-def _servo(log_view: LogView, j: int) -> list[Part]:
+def _servo_columns(log_view: LogView, j: int) -> list[BaseColumn]:
     """Return the position-error columns of joint j."""
-    m, arm, names = log_view.motion, log_view.arm, log_view.names
+    m, arm, variables = log_view.motion, log_view.arm, log_view.variables
     assert m.torque is not None
     delay = SIGMA_DECLARED_DELAY_S if arm.delay is not None else SIGMA_UNKNOWN_DELAY_S
     columns = {
-        "delay": (names["command_speed"], delay),
-        "filter": (names["command_acceleration"], SIGMA_FILTER_S2),
+        "delay": (variables["command_speed"], delay),
+        "filter": (variables["command_acceleration"], SIGMA_FILTER_S2),
         "constant": (np.ones_like(m.q), SIGMA_CONSTANT_ERROR_RAD),
-        "side": (names["slip"], SIGMA_DIRECTION_ERROR_RAD),
-        "load": (names["load"], SIGMA_DIRECTION_ERROR_RAD),
-        "play": (names["side"], SIGMA_DIRECTION_ERROR_RAD),
-        "squared load": (names["load"] * np.abs(names["load"]), SIGMA_DIRECTION_ERROR_RAD),
+        "side": (variables["slip"], SIGMA_DIRECTION_ERROR_RAD),
+        "load": (variables["load"], SIGMA_DIRECTION_ERROR_RAD),
+        "play": (variables["side"], SIGMA_DIRECTION_ERROR_RAD),
+        "squared load": (variables["load"] * np.abs(variables["load"]), SIGMA_DIRECTION_ERROR_RAD),
     }
-    if "servo" in names:
-        columns["gain"] = (names["servo"], SIGMA_SERVO_GAIN)
+    if "servo" in variables:
+        columns["gain"] = (variables["servo"], SIGMA_SERVO_GAIN)
     else:
         for s in (0.0, 0.03, 0.1, 0.4):
             yielded = m.by_run(lambda u, s=s: lagged(u, s, m.step), m.torque)  # type: ignore[misc]
@@ -313,5 +313,5 @@ def _servo(log_view: LogView, j: int) -> list[Part]:
     if arm.joint_stiffness is not None and np.isfinite(arm.joint_stiffness[j]):
         columns["gear"] = (m.torque / arm.joint_stiffness, SIGMA_GEAR_STIFFNESS)
         # The gear does not transmit the friction between itself and the motor.
-        columns["gear by load"] = (names["load"] * log_view.peak_torque / arm.joint_stiffness, SIGMA_GEAR_STIFFNESS)
-    return [Part(kind, j, size, values[:, j], True) for kind, (values, size) in columns.items()]
+        columns["gear by load"] = (variables["load"] * log_view.peak_torque / arm.joint_stiffness, SIGMA_GEAR_STIFFNESS)
+    return [BaseColumn(kind, j, size, values[:, j], True) for kind, (values, size) in columns.items()]

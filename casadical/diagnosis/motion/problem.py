@@ -22,7 +22,7 @@ from casadical.core.linear_gaussian.noise import serial_noise
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.motion.base import LogView, Part, base_of, bodies_of
+from casadical.diagnosis.motion.base import BaseColumn, LogView, base_columns, body_columns
 from casadical.diagnosis.motion.signals import delayed, lagged
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_NAME_OF_JOINT, MOTION_SEAMS
@@ -154,7 +154,7 @@ class MotionCase:
     floor : smallest noise of each row; trust : weight of each value, shape (blocks, rows)
     scale : factor from each joint's first row to the log's own unit, A or N m, or rad where unit is
         None
-    over : angle, speed, load and time at the log's windows, each of shape (blocks, joints)
+    region_values : angle, speed, load and time at the log's windows, each of shape (blocks, joints)
     """
 
     candidates: tuple[Candidate, ...]
@@ -166,12 +166,12 @@ class MotionCase:
     first: Array
     noise: RowNoise
     of_log: Array
-    parts: tuple[Part, ...]
+    parts: tuple[BaseColumn, ...]
     floor: Array
     trust: Array
     scale: Array
     unit: str | None
-    over: tuple[Array, ...]
+    region_values: tuple[Array, ...]
 
     @property
     def joints(self) -> int:
@@ -304,10 +304,10 @@ def motion_case(
     ends = np.cumsum([0, *(len(one.motion.windows) for one in log_views)])
     first = np.concatenate([one.motion.first for one in log_views])
     bodies = np.zeros((ends[-1], rows, log.arm.spread.shape[1]))
-    columns: dict[tuple[str, int, bool], tuple[Part, Array]] = {}
+    columns: dict[tuple[str, int, bool], tuple[BaseColumn, Array]] = {}
     for at, one in enumerate(log_views):
-        bodies[ends[at] : ends[at + 1], : log.arm.joints] = bodies_of(one)
-        base = base_of(one)
+        bodies[ends[at] : ends[at + 1], : log.arm.joints] = body_columns(one)
+        base = base_columns(one)
         for part in base + daily_changes(base, known) if known and not at else base:
             own = part.kind.startswith("before") and at > 0
             key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
@@ -342,7 +342,11 @@ def _floor(log: LogView) -> Array:
     )
     if log.response is None:
         return at_torque
-    served = BASE_SERVO_ERROR_SHARE * np.sqrt((log.names["servo"] ** 2).mean(axis=0)) if "servo" in log.names else 0.0
+    served = (
+        BASE_SERVO_ERROR_SHARE * np.sqrt((log.variables["servo"] ** 2).mean(axis=0))
+        if "servo" in log.variables
+        else 0.0
+    )
     return np.concatenate([at_torque, np.sqrt(step**2 + delayed**2 + served**2)])
 
 
@@ -364,8 +368,8 @@ def _reported(log: LogView) -> tuple[Array, str | None, tuple[Array, ...]]:
     if log.motion.torque is not None:
         unit = "N m" if arm.per_ampere is None else "A"
         scale = log.peak_torque / (1.0 if arm.per_ampere is None else arm.per_ampere)
-    over = tuple(log.motion.averaged(log.names[k]) for k in ("q", "v", "load", "time"))
-    return scale, unit, over
+    region_values = tuple(log.motion.averaged(log.variables[k]) for k in ("q", "v", "load", "time"))
+    return scale, unit, region_values
 
 
 def _residual(one: LogView) -> Array:
@@ -380,12 +384,12 @@ def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
     return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
 
 
-def daily_changes(base: Sequence[Part], known: Mapping[tuple[str, int, bool], float]) -> list[Part]:
+def daily_changes(base: Sequence[BaseColumn], known: Mapping[tuple[str, int, bool], float]) -> list[BaseColumn]:
     """Return columns for the difference of a base from that of the reference's day.
 
     They are each joint's friction in groups, and a small change of the other columns.
     """
-    parts: list[Part] = []
+    parts: list[BaseColumn] = []
     whole: dict[tuple[str, int], Array] = {}
     for p in base:
         if not p.kind.startswith(UNCHANGED_KINDS):
@@ -394,7 +398,9 @@ def daily_changes(base: Sequence[Part], known: Mapping[tuple[str, int, bool], fl
         for name, kinds in FRICTION_GROUPS.items():
             if p.kind.startswith(kinds) and not p.response:
                 whole[name, p.joint] = whole.get((name, p.joint), 0.0) + known.get(p.key, 0.0) * p.samples
-    return parts + [Part(f"{name}, today", j, DAILY_FRICTION_SHARE, samples) for (name, j), samples in whole.items()]
+    return parts + [
+        BaseColumn(f"{name}, today", j, DAILY_FRICTION_SHARE, samples) for (name, j), samples in whole.items()
+    ]
 
 
 def frictions(case: MotionCase, log: LogView) -> dict[str, Array]:
@@ -455,7 +461,7 @@ def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Ar
     none.
     """
     n, out = log_view.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
-    known = {**log_view.names, **own_variables(log_view, effect)}
+    known = {**log_view.variables, **own_variables(log_view, effect)}
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
@@ -464,10 +470,10 @@ def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Ar
             return []
         where = range(n) if seam.endswith("s") else [(effect.joint or 1) - 1]
         for j in where:
-            names = {k: known[k][:, j] for k in effect.drivers if k not in numbered}
-            names |= {k: known[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
-            names = names or {"none": np.zeros(len(log_view.motion.time))}
-            for k, values in enumerate(motion_columns(effect, seam, names)):
+            variables = {k: known[k][:, j] for k in effect.drivers if k not in numbered}
+            variables |= {k: known[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
+            variables = variables or {"none": np.zeros(len(log_view.motion.time))}
+            for k, values in enumerate(motion_columns(effect, seam, variables)):
                 at_response = seam.startswith("response")
                 if at_response and log_view.response is None:
                     values = log_view.as_torque(values, j)
@@ -478,18 +484,18 @@ def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Ar
 
 def own_variables(log_view: LogView, effect: DefinedEffect) -> dict[str, Array]:
     """Return the variables that belong to a cause's own link or joint, at every joint's torque."""
-    names: dict[str, Array] = {}
+    variables: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
         own = slice(10 * effect.joint - 10, 10 * effect.joint)
-        names["link"] = log_view.Y[:, :, own] @ log_view.arm.inertial[own] / log_view.peak_torque
+        variables["link"] = log_view.Y[:, :, own] @ log_view.arm.inertial[own] / log_view.peak_torque
     if "zero" in effect.drivers and effect.joint:
-        names["zero"] = log_view.by_angle(effect.joint - 1)
+        variables["zero"] = log_view.by_angle(effect.joint - 1)
     m = log_view.motion
     if "delayed" in effect.drivers and m.command is not None:
-        names["delayed"] = m.by_run(lambda c: c - delayed(c, effect.late / m.step), m.command)
+        variables["delayed"] = m.by_run(lambda c: c - delayed(c, effect.late / m.step), m.command)
     if "filtered" in effect.drivers and m.command is not None:
-        names["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
-    return names | {k: v for k, v in log_view.frictions.items() if k in effect.drivers}
+        variables["filtered"] = m.by_run(lambda c: c - lagged(c, effect.within, m.step), m.command)
+    return variables | {k: v for k, v in log_view.frictions.items() if k in effect.drivers}
 
 
 def _unlisted(log: LogView, sigma: Array) -> Iterator[_CandidateColumns]:
@@ -498,21 +504,21 @@ def _unlisted(log: LogView, sigma: Array) -> Iterator[_CandidateColumns]:
     The variables are time, the joint's load, all angles and speeds, and the angle times the
     direction of motion.
     """
-    n, names = log.arm.joints, log.names
+    n, variables = log.arm.joints, log.variables
     for row in range(len(sigma)):
         j, what = row % n, "torque" if row < n else "response"
         every = range(n) if row < n else [j]
-        drivers = {"load": names["load"][:, j], "time": names["t"][:, j]}
+        drivers = {"load": variables["load"][:, j], "time": variables["t"][:, j]}
         for letter, variable in (("q", "turned"), ("v", "speed")):
-            drivers |= {f"{letter}{k + 1}": names[variable][:, k] for k in every}
-        drivers["q and direction"] = names["turned"][:, j]
+            drivers |= {f"{letter}{k + 1}": variables[variable][:, k] for k in every}
+        drivers["q and direction"] = variables["turned"][:, j]
         for name, values in drivers.items():
             ends = np.quantile(values, [0.01, 0.99])
             if ends[1] - ends[0] < 1e-6:
                 continue
             centres = np.linspace(ends[0], ends[1], BUMPS_PER_FUNCTION)
             wide = (centres[1] - centres[0]) * 1.2
-            way = names["slip"][:, j] if "direction" in name else 1.0
+            way = variables["slip"][:, j] if "direction" in name else 1.0
             bumps = [log.motion.averaged(way * np.exp(-0.5 * ((values - c) / wide) ** 2)) for c in centres]
             label = f"smooth {what} of joint {j + 1} by {name}"
             yield (

@@ -183,7 +183,7 @@ class LogDiagnosis(Result):
         case = self.outcome.case
         residual = case.residual(NO_COLUMNS, *case.fitted(NO_COLUMNS))[case.of_log, j] ** 2
         parts = []
-        for name, values in zip(REGION_VARIABLES, case.over, strict=True):
+        for name, values in zip(REGION_VARIABLES, case.region_values, strict=True):
             edges = np.quantile(values[:, j], np.linspace(0, 1, REGION_PARTS + 1))
             part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, REGION_PARTS - 1)
             mean = np.array([residual[part == k].mean() if (part == k).any() else 0.0 for k in range(REGION_PARTS)])

@@ -210,9 +210,9 @@ def search(case: MotionCase) -> Outcome:
             or len(found) == MAX_CAUSES
         ):
             return Outcome(case, last, found, rankings)
-        ranking, case = _sharper(case, found, ranking)
+        ranking, case = _with_renewed_noise(case, found, ranking)
         rankings = (*rankings[:-1], ranking)
-        one = judged(case, found, ranking)
+        one = next_cause(case, found, ranking)
         least = MIN_LISTED_EVIDENCE if one.listed else MIN_UNLISTED_EVIDENCE
         least = MIN_LOCAL_EVIDENCE if case.by_label[one.label].name == "contact" else least
         if one.gain < max(least * (1.0 if case.unit else NO_TORQUE_FACTOR), SETTINGS.max_flaw * one.before):
@@ -229,7 +229,7 @@ def search(case: MotionCase) -> Outcome:
         found = (*found, one)
 
 
-def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
+def next_cause(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
     """Return the most probable next cause, with all that decides whether it is named."""
     top, chosen = ranking.order[0], cause_columns(case, found)
     own = case.group(top, ranking.variant[top])
@@ -240,7 +240,7 @@ def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Foun
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
     ways: tuple[float, ...] = ()
     if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
-        speed = case.over[1][:, acts.pop()]
+        speed = case.region_values[1][:, acts.pop()]
         ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
     joints = {f: case.by_label[f.label].joint for f in found if f.label != top}
@@ -249,7 +249,7 @@ def judged(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Foun
     return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, ways, before)
 
 
-def _sharper(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
+def _with_renewed_noise(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
     """Return ranking and case with the noise estimated given the most probable cause.
 
     The best candidates are judged again.

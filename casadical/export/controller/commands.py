@@ -320,13 +320,13 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
     be lost, unless `leave_out` is given or only effects of the measurement are omitted.
     """
     robot = _with_payload(robot_of(sources.robot), sources.payload_kg)
-    omissions = [o for e in robot.effects if (o := _not_followed(e))]
+    omissions = [o for e in robot.effects if (o := _omission_of(e))]
     lines = left_out(robot, omissions, "the correction of a joint command", sources.leave_out)
     gone = {o.label for o in omissions}
     return robot.with_only(e for e in robot.effects if e.label not in gone), lines
 
 
-def _not_followed(effect: Effect) -> Omission | None:
+def _omission_of(effect: Effect) -> Omission | None:
     """Return why a controller cannot evaluate an effect, or None if it can."""
     lost = [c for c in effect.conditions if c != "payload_kg"]
     if effect.of_measurement:

@@ -13,7 +13,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.transforms import frame, inverse, to_rpy
 from casadical.export.controller.commands import Sources, own_robots, robot_of
-from casadical.export.omission import rest_of_rigid
+from casadical.export.omission import rigid_omissions
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
@@ -41,7 +41,7 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
         raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
     real, nominal, _ = own_robots(replace(sources, leave_out=True))
     frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
-    return DRIVER_FORMS[form](real, nominal, checksum), (frames, *rest_of_rigid(replace(whole, payload=real.payload)))
+    return DRIVER_FORMS[form](real, nominal, checksum), (frames, *rigid_omissions(replace(whole, payload=real.payload)))
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:

@@ -1,4 +1,4 @@
-"""Write the calibrated geometry into a user's own MuJoCo model: bodies move, the rest stays.
+"""Transfer the calibrated geometry into a user's own MuJoCo model: bodies move, the rest stays.
 
 The user's link frames may differ from casadical's: each body keeps its pose relative to casadical's
 frame of the same link. Only the joints' axes must be those of the nominal robot, which is checked.

@@ -1,4 +1,4 @@
-"""Write a robot as an MJCF model of MuJoCo: geometry, masses, joint springs, four-bars, effects.
+"""Convert a robot to an MJCF model of MuJoCo: geometry, masses, springs, four-bars, effects.
 
 Drives are position actuators whose gain is the joint's stiffness: the link comes to rest where the
 spring carries its weight. Links and bars have the robot's exact lengths and angles; inertias,

@@ -26,7 +26,7 @@ from casadical.export.controller.programs.target import Number, Target
 
 
 @dataclass(frozen=True, eq=False)
-class Tooled:
+class ToolModels:
     """Correction and robot models for one tool.
 
     corrector : corrects joint targets
@@ -70,7 +70,7 @@ class Cell:
     external_still: bool = False
     leave_unreached: bool = False
     folder: Corrector | None = None
-    _made: dict[bytes, Tooled] = field(default_factory=dict, repr=False)
+    _made: dict[bytes, ToolModels] = field(default_factory=dict, repr=False)
 
     @property
     def units(self) -> tuple[str, ...]:
@@ -86,13 +86,13 @@ class Cell:
         assert self.sources is not None
         return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
-    def with_tool(self, tool: Array | None) -> Tooled:
+    def with_tool(self, tool: Array | None) -> ToolModels:
         """Return correction and models with a tool in the flange's frame, (4, 4) [m].
 
         tool : None: the robot file's tool
         """
         if self.folder:
-            return Tooled(self.folder)
+            return ToolModels(self.folder)
         assert self.sources is not None
         key = b"" if tool is None else tool.tobytes()
         if key in self._made:
@@ -108,10 +108,10 @@ class Cell:
                 nominal=replace(nominal, tool=replace(nominal.tool, T=held), knowledge=None),
                 tool="own",
             )
-        self._made[key] = self._tooled(files)
+        self._made[key] = self._tool_models(files)
         return self._made[key]
 
-    def _tooled(self, sources: Sources) -> Tooled:
+    def _tool_models(self, sources: Sources) -> ToolModels:
         """Return correction and models for robot files whose tool is set."""
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
@@ -119,7 +119,7 @@ class Cell:
             whole = command_of(sources, self.steps, orientation=True)
             corrector = model_corrector(whole, corrector)
         real, nominal, turn = own_robots(sources)
-        return Tooled(
+        return ToolModels(
             corrector,
             tool_function(nominal, "nominal", True),
             tool_function(real, "calibrated", True, turn, plain.network),
@@ -127,7 +127,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class CorrectedTarget:
     """Correction of one target: its new numbers, or the reason why it remains unchanged.
 
     status : OK, or why it keeps its numbers; why : the same in words, where the status does not say
@@ -162,7 +162,7 @@ class Result:
                     yield number, text
 
 
-def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
+def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[CorrectedTarget]:
     """Return the correction of each target, or the reason why it remains unchanged.
 
     Raises InputError where the nominal robot does not reach a pose: then the frames are not those
@@ -182,16 +182,16 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
         new, names = corrected_joints(made.corrector, q)
         fine = np.array([name in CORRECTED_STATUSES for name in names])
         corrected = [results[k].target for k in np.array(chosen)[fine]]
-        written = _written(language, corrected, cell, made, q[fine], new[fine])
+        written = _rewritten(language, corrected, cell, made, q[fine], new[fine])
         for k, name in zip(chosen, names, strict=True):
             result = next(written) if name in CORRECTED_STATUSES else replace(results[k], q=None)
             results[k] = replace(result, status=name if result.fine else result.status)
     return results
 
 
-def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[Result]:
+def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[CorrectedTarget]:
     """Return the targets with their joints [rad or m], or the reason why there are none."""
-    results = [Result(t, *_missing(t, cell)) for t in targets]
+    results = [CorrectedTarget(t, *_obstacle(t, cell)) for t in targets]
     flanges = {
         k: _flange(language, r.target, cell.root, np.eye(4))
         for k, r in enumerate(results)
@@ -205,11 +205,11 @@ def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) ->
         if not r.fine:
             continue
         if r.target.joints:
-            results[k] = _at(r.target, r.target.si)
+            results[k] = _with_joints(r.target, r.target.si)
         elif k in near:
-            results[k] = _at(r.target, near[k])
+            results[k] = _with_joints(r.target, near[k])
         elif r.target.posture is None and cell.nearest and before is not None:
-            results[k] = _at(r.target, *cell.postures.nearest(flanges[k][None], before[None]))
+            results[k] = _with_joints(r.target, *cell.postures.nearest(flanges[k][None], before[None]))
         else:
             results[k] = _in_posture(language, r.target, flanges[k], cell.postures)
         before = before if (q := results[k].q) is None else q[0]
@@ -226,7 +226,7 @@ def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Arra
     return np.asarray(root @ target.base @ language.matrix(target.si) @ np.linalg.inv(turned @ target.tool))
 
 
-def _missing(target: Target, cell: Cell) -> tuple[str, str]:
+def _obstacle(target: Target, cell: Cell) -> tuple[str, str]:
     """Return status and reason of a target that cannot be solved; status OK if it can be."""
     if target.skip_reason:
         return "LEFT", target.skip_reason
@@ -239,19 +239,23 @@ def _missing(target: Target, cell: Cell) -> tuple[str, str]:
     return ("EXTERNAL_AXIS" if target.external and not cell.external_still else Status.OK.name), ""
 
 
-def _at(target: Target, q: Array | None) -> Result:
+def _with_joints(target: Target, q: Array | None) -> CorrectedTarget:
     """Return a target with its joints q, or as unreachable where there are none."""
-    return Result(target, "UNREACHABLE") if q is None else Result(target, Status.OK.name, q=(q, q))
+    return CorrectedTarget(target, "UNREACHABLE") if q is None else CorrectedTarget(target, Status.OK.name, q=(q, q))
 
 
-def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> Result:
+def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> CorrectedTarget:
     """Return a target with the joints in the configuration that the program states."""
     if target.posture is None or target.turns is None:
-        return Result(target, "NO_CONFIGURATION")
+        return CorrectedTarget(target, "NO_CONFIGURATION")
     if postures.why_not:
-        return Result(target, "NO_CONFIGURATION", postures.why_not)
+        return CorrectedTarget(target, "NO_CONFIGURATION", postures.why_not)
     every = postures.solutions(flange, target.posture, language.turns, target.turns)
-    return _at(target, every[0] if len(every) else None) if len(every) < 2 else Result(target, "AMBIGUOUS")
+    return (
+        _with_joints(target, every[0] if len(every) else None)
+        if len(every) < 2
+        else CorrectedTarget(target, "AMBIGUOUS")
+    )
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
@@ -303,9 +307,9 @@ def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Arr
     return _in_posture(language, target, T, postures).status == Status.OK.name
 
 
-def _written(
-    language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: Tooled, old: Array, new: Array
-) -> Iterator[Result]:
+def _rewritten(
+    language: ProgramLanguage, targets: Sequence[Target], cell: Cell, made: ToolModels, old: Array, new: Array
+) -> Iterator[CorrectedTarget]:
     """Yield corrected targets with new texts, and the tool's deviation with the numbers as written.
 
     old, new : joints before and after the correction, each shape (k, n) [rad or m]
@@ -329,25 +333,25 @@ def _written(
         q[posed], reached[posed] = inverse.q, inverse.reached
     lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.limits
     beyond = np.any((q < lower) | (q > upper), axis=1)
-    off = _off(made, old, q)
+    off = _deviations(made, old, q)
     for k, t in enumerate(targets):
         if t.posture is not None and tuple(cell.postures.sides(new[k : k + 1])[0]) != t.posture:
-            yield Result(t, "CONFIGURATION_CHANGES")
+            yield CorrectedTarget(t, "CONFIGURATION_CHANGES")
         elif beyond[k] or not reached[k]:
-            yield Result(t, "LEAVES_BOX" if reached[k] else Status.NOT_CONVERGED.name)
+            yield CorrectedTarget(t, "LEAVES_BOX" if reached[k] else Status.NOT_CONVERGED.name)
         else:
             turned = language.turns_text(t, language.turns(new[k])) if t.turns is not None and t.turn_text else ()
             known = {name: v[k].tolist() if v.ndim == 1 else tuple(v[k].tolist()) for name, v in off.items()}
-            yield Result(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **known)  # type: ignore[arg-type]
+            yield CorrectedTarget(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **known)  # type: ignore[arg-type]
 
 
-def _off(made: Tooled, old: Array, new: Array) -> dict[str, Array]:
-    """Return the figures of `Result` for joints before and after, each shape (k,) or (k, 2)."""
+def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:
+    """Return the figures of `CorrectedTarget` for joints before and after, (k,) or (k, 2)."""
     if made.real is None or made.nominal is None:
-        return {"moved_mm": _apart(made.corrector.position(old), made.corrector.position(new))}
+        return {"moved_mm": _distances_mm(made.corrector.position(old), made.corrector.position(new))}
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
-    columns = {"moved_mm": _apart(was[:, :3, 3], now[:, :3, 3])}
-    columns["off_mm"] = np.stack([_apart(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
+    columns = {"moved_mm": _distances_mm(was[:, :3, 3], now[:, :3, 3])}
+    columns["off_mm"] = np.stack([_distances_mm(T[:, :3, 3], wanted[:, :3, 3]) for T in (was, now)], axis=1)
     turned = [np.linalg.norm((T - wanted)[:, :3, :3], axis=(1, 2)) for T in (was, now)]
     columns["off_deg"] = np.rad2deg(2 * np.arcsin(np.minimum(1.0, np.stack(turned, axis=1) / np.sqrt(8))))
     return columns
@@ -362,7 +366,7 @@ def _poses(function: ca.Function | None, q: Array) -> Array:
     return T
 
 
-def _apart(a: Array, b: Array) -> Array:
+def _distances_mm(a: Array, b: Array) -> Array:
     """Return distances [mm] between points a and b, each shape (k, 3) [m]."""
     return np.asarray(1e3 * np.linalg.norm(a - b, axis=1))
 

@@ -1,4 +1,4 @@
-"""Correct the targets of a program file, a CSV or one in a controller's language, and write it."""
+"""Read a program file, a CSV or one in a controller's language, and correct its targets."""
 
 import csv
 import io
@@ -89,19 +89,19 @@ class CorrectedProgram(Result):
     )
 
     program: TargetProgram
-    results: tuple[c.Result, ...]
+    results: tuple[c.CorrectedTarget, ...]
     units: tuple[str, ...]
     assumed: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
     texts: Mapping[Path, str | bytes] = field(default_factory=dict)
 
     @property
-    def fine(self) -> list[c.Result]:
+    def fine(self) -> list[c.CorrectedTarget]:
         """Return the corrected targets."""
         return [r for r in self.results if r.fine]
 
     @property
-    def refused(self) -> list[c.Result]:
+    def refused(self) -> list[c.CorrectedTarget]:
         """Return the targets that remain unchanged."""
         return [r for r in self.results if not r.fine]
 
@@ -226,7 +226,7 @@ def _numbers(target: Target) -> str:
     return " ".join(number.text for number in target.numbers)
 
 
-def _row(r: c.Result) -> list[str]:
+def _row(r: c.CorrectedTarget) -> list[str]:
     """Return the cells of one target in the report."""
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
@@ -236,14 +236,14 @@ def _row(r: c.Result) -> list[str]:
     return [*head, *("" if f is None else f"{f:.5f}" for f in figures)]
 
 
-def _figures(fine: Sequence[c.Result]) -> dict[str, Array]:
+def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
     """Return the figures of the corrected targets that have them, each (k,) or (k, 2) [mm, deg]."""
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
     known = {name: [v for v in values if v is not None] for name, values in tables.items()}
     return {name: np.array(values) for name, values in known.items() if values}
 
 
-def _moved(fine: Sequence[c.Result], units: Sequence[str]) -> list[Table]:
+def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Table]:
     """Return tables of how far joints and tool move, and of the tool's deviation."""
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     known, moved = _figures(fine), dict[str, Array]()
