@@ -99,7 +99,7 @@ def read_places(path: Path) -> Array:
     return Columns.of_file(read_table(path)).vector("")
 
 
-def declared(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
+def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
     """Return the kinds of a problem folder's tables, and the greatest declared noise [mm].
 
     A kind that is not declared is read from the table, if there is one; the noise is None where
@@ -129,7 +129,7 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
     It is the one that the folder's tables declare, else that of a laser tracker. Raises InputError
     where the tables are of no positions and it is not said what to plan for.
     """
-    kinds, noise = declared(path, robot)
+    kinds, noise = declared_kinds_and_noise(path, robot)
     if places is None and kinds and not any("position" in find_kind(kind).arrays for kind in kinds):
         raise InputError(
             f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions unless it is told more; "
@@ -153,7 +153,7 @@ def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -
     )
 
 
-def continued(
+def calibrated_so_far(
     robot: Robot, m: Measurements, noise: Noise | None, free: Sequence[str], prior: Prior | None = None
 ) -> tuple[Robot, Measurements, Noise]:
     """Return the robot calibrated with m, m with derived columns, and the noise.
@@ -171,7 +171,7 @@ def continued(
 
 
 def _with_first_target_alone(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
-    """Return robot and measurements with the first target alone, for which is planned."""
+    """Return robot and measurements with the first target alone, for which poses are planned."""
     if measured is not None and (rest := [t.column for t in robot.targets if t.column in measured.conditions]):
         first = ~measured.condition_matrix(rest, np.zeros(len(rest))).any(axis=1)
         measured = measured[np.flatnonzero(first)] if first.any() else None
@@ -257,7 +257,7 @@ def plan(
     free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in effects), *(prior.free if prior else ()))
     if measured is not None:
         show("calibrating with the poses measured so far")
-        robot, measured, noise = continued(robot, measured, noise, free, prior)
+        robot, measured, noise = calibrated_so_far(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
     robot, measured = _with_first_target_alone(robot, measured)
     circumstances = circumstances or Circumstances()
@@ -305,7 +305,7 @@ def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target:
     own = one_turn(own if workspace else replace(own, base=replace(own.base, T=np.eye(4))))
     # The second floor is for robots with axes in the plane that they stand on.
     above = [Workspace(floor=0.0, clearance=0.05), Workspace(floor=0.0, clearance=-1e-6)]
-    noise = Noise(1e-3 * (declared(folder, robot)[1] or TRACKER_SIGMA_MM))
+    noise = Noise(1e-3 * (declared_kinds_and_noise(folder, robot)[1] or TRACKER_SIGMA_MM))
     rooms = [workspace] if workspace else [*above, Workspace()]
     for k, room in enumerate(rooms, 1):
         how: dict[str, Any] = {"workspace": room, "noise": noise, "free": ("kinematic", "compliance"), "pool": 300}

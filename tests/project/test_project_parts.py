@@ -21,7 +21,7 @@ from casadical.project.check.slip_fit import Hypothesis
 from casadical.project.check.slips import outside
 from casadical.project.new.texts import Given, with_measured
 from casadical.project.outcome import changed_readings, report_blocks
-from casadical.project.planning import declared, plan
+from casadical.project.planning import declared_kinds_and_noise, plan
 from casadical.project.problem import read_problem
 
 if TYPE_CHECKING:
@@ -163,7 +163,7 @@ def test_a_plan_takes_the_kind_of_a_table_that_says_none(tmp_path: Path) -> None
         (tmp_path / name).mkdir()
         (tmp_path / name / "problem.toml").write_text(text.replace('kind = "position"', kind))
         shutil.copy(PLANAR / "robot.toml", tmp_path / name)
-        assert declared(tmp_path / name, robot)[0] == ("position",)
+        assert declared_kinds_and_noise(tmp_path / name, robot)[0] == ("position",)
 
 
 @pytest.mark.parametrize("far", [8, 9])

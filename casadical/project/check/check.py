@@ -142,9 +142,9 @@ def _slips(
 def _plausible(
     robot: Robot, m: Measurements, others: Sequence[Robot], standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Return findings on whether the nominal model explains a table, and a single slip that does.
+    """Return a finding on how well the nominal model explains a table, and its best single slip.
 
-    The slip is None where there are too few poses, or where the model explains the table.
+    The latter is None where there are too few poses, or where the model itself explains the table.
     """
     judged = facts.plausible(robot, m, others) if len(m) >= facts.MIN_PLAUSIBILITY_POSES else None
     if judged is None:

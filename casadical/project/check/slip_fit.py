@@ -382,9 +382,9 @@ def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
 
 
 def _project_out_frame(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
-    """Return p, R and further columns without their part in the span of M y + c.
+    """Return p, R and further columns less their least-squares fit by M y + c.
 
-    Shapes are (k, 3 n), (k, 3 n, 3) and (k, 3 n, columns).
+    The results have shapes (k, 3 n), (k, 3 n, 3) and (k, 3 n, columns).
     """
     basis = np.linalg.qr(np.column_stack([y - y.mean(axis=0), np.ones(len(y))]))[0]
     x = np.concatenate([R, p[..., None], *([] if more is None else [more])], axis=3)
@@ -411,7 +411,11 @@ def _rotated(first: Array, second: Array, angle: Array | float) -> tuple[Array, 
 
 
 def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
-    """Return M of p = M y + c - R t, shape (3, 3), by least squares."""
+    """Return M of p = M y + c - R t, from the measuring to the base frame, by least squares.
+
+    p, R : flange poses in the base frame, shapes (n, 3) and (n, 3, 3)
+    y : measured positions, shape (n, 3)
+    """
     n = len(p)
     A = np.zeros((n, 3, 15))
     for row in range(3):

@@ -64,7 +64,7 @@ def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
 
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
-    """Return the robot with random departures from nominal, somewhere in the measuring frame."""
+    """Return a simulated real robot, with random departures from nominal and another base pose."""
     values, times = {}, {"geometry": 1, "loop": 1, "tool": 5}
     for p in robot.parameters:
         if p.group in times:
