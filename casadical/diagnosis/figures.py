@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: the gap and its causes, where the gap lies, joint error curves."""
+"""Figures of a diagnosis: the gap and its causes, its localisation, and joint error curves."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -19,7 +19,7 @@ from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
-# Joint curves stand in so many columns; height of a row of them [px].
+# Number of columns of panels in the figure of joint curves.
 CURVE_PANEL_COLUMNS = 2
 _GAP = (
     "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
@@ -37,7 +37,7 @@ _SPACE = (
     "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
     "the legend."
 )
-# Table of where the gap lies -> title of its figure, and how to read it.
+# Title and caption of the figure of each table of a localisation.
 _WHERE = {
     "joints": (
         "Gap by joint", "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
@@ -54,11 +54,12 @@ _WHERE = {
 
 
 def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Figure]:
-    """Every figure of a diagnosis.
+    """Yield every figure of a diagnosis.
 
-    gap; errors (held out, pose by pose); workspace; of `analyse` where/TABLE as `Localisation` names them,
-    curves/angles; causes/STEP; shrink (where a cause was found); parameters/lengths, /angles, /compliance;
-    fit/residuals, /coverage, /pairs. more : what `analyse` computed; of it also the networks beside the gap
+    Their names are: gap; errors (held out, pose by pose); workspace; where/TABLE with the names of
+    `Localisation`; curves/angles; causes/STEP; shrink (if a cause was found); parameters/lengths,
+    /angles, /compliance; fit/residuals, /coverage, /pairs.
+    more : of `analyse`, for the figures where/ and curves/ and the networks in the figure gap
     """
     more = more or Details()
     floor = floor_of(d, more)
@@ -80,14 +81,14 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
 
 
 def where_figures(where: Localisation) -> Iterator[Figure]:
-    """Where the gap lies: a figure for each table of a localisation."""
+    """Yield a figure for each table of a localisation."""
     for name, table in where.tables():
         title, caption = _WHERE.get(name, (f"Error by {name}", ""))
         yield (_by_data if "poses" in table else _by_parts)(f"where/{name}", title, table, caption)
 
 
 def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
-    """Shares of the squared gap; of directions, with the name of each frame."""
+    """Return the figure of shares of the squared gap by part or by direction."""
     by = table["frame"] if "frame" in table else pd.Series("", index=table.index)
     words = {"base": "base frame", "axis": "about joint 1", "tool": "tool frame"}
     labels = [f"{words.get(f, f)}: {p}" if f else str(p) for f, p in zip(by, table["part"], strict=True)]
@@ -101,7 +102,7 @@ def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figur
 
 
 def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
-    """Root mean square error of the poses in each part; the line is that of all poses."""
+    """Return the figure of the rms error [mm] in each part, with a line for all poses."""
     notes = [
         f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)
     ]
@@ -110,7 +111,8 @@ def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure
     x = Axis("rms error [mm]", (0.0, 1.05 * float(table["rms_high_mm"].max())))
     labels = [str(p).replace("..", "to").replace("degC", "°C") for p in table["part"]]
     by = [str(b).replace("approach of joint", "joint") for b in table["by"]]
-    if len(set(by)) > 1:  # what they are divided by is told only where that differs
+    # The quantity that divides the poses is named only if there are several.
+    if len(set(by)) > 1:
         labels = [f"{b}: {label}" for b, label in zip(by, labels, strict=True)]
     return intervals(
         name, title, x, labels, table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
@@ -119,13 +121,13 @@ def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure
 
 
 def posteriors(d: Diagnosis, step: int = 0) -> Figure:
-    """Probability of each candidate for the next cause, at one step of the search (0: the first).
+    """Return the figure of the candidates' probabilities at one step of the search (0: the first).
 
-    Those of the unknown are summed up as one; "nothing" stands beside them.
+    Unlisted forms are summed up as one; the probability of no cause is shown as "nothing".
     """
     ranking = d.rankings[step]
     listed = {c.label for c in d.case.candidates if c.listed}
-    # Candidates of which the probability is drawn.
+    # At most eight listed candidates are drawn.
     rows = [(label, ranking.probability[label], "blue") for label in ranking.order if label in listed][:8]
     unknown = sum(p for label, p in ranking.probability.items() if label not in listed)
     rows += [("something on no list", unknown, "orange"), ("nothing", ranking.none, "grey")]
@@ -146,10 +148,11 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
 
 
 def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float | None = None) -> Figure:
-    """Mean position error on held-out poses [mm] as causes are added, beside what noise alone leaves.
+    """Return the figure of the mean held-out error [mm] as causes are added.
 
-    The intervals are of 95 %, over poses; outliers are left out. networks : instead of the causes, and after them.
-    floor : what noise alone would leave [m], by default beside the causes
+    The intervals are of 95 %, over poses; outliers are excluded.
+    networks : gaps with a network instead of the causes, and after them
+    floor : held-out error by noise alone [m], by default that with the causes
     """
     rows = [
         ("base model" if r.model == "base" else str(r.model), r.gap_mm, r.low_mm, r.high_mm, "blue" if k else "grey")
@@ -158,7 +161,8 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
     words = ("network instead", "network on the rest") if d.effects() else ("network",)
     for name, net in zip(words, networks, strict=False):
         note = ", refused" if net.refused else ""
-        # Tried on one partition: drawn by its ratio there, beside the gap of all partitions.
+        # Networks are trained on one partition only; so their ratio there scales the gap of all
+        # partitions.
         alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.kept) * net.used / net.before
         rows.append((name + note, alone, alone, alone, "orange"))
     alone = 1e3 * (d.gap.floor if floor is None else floor)
@@ -177,7 +181,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
 
 
 def shrinks(d: Diagnosis) -> Figure:
-    """By how much the held-out gap shrinks with each cause alone [%], with 95 % intervals."""
+    """Return the figure of how much each cause alone shrinks the held-out gap [%]."""
     causes = [c for c in d.causes if c.effects]
     low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
     return intervals(
@@ -189,7 +193,7 @@ def shrinks(d: Diagnosis) -> Figure:
 
 
 def curve_figure(curves: JointCurves) -> Figure:
-    """The curve of each joint with its 95 % band over a turn."""
+    """Return the figure of each joint's error curve over a turn, with its 95 % band."""
     reached = (((np.abs(c.value) + 1.96 * c.error)[c.covered].max(initial=0.0)) for c in curves.joints if c.seen)
     most = 1e6 * float(max(reached, default=1e-4))
     x = Axis(ends=(-180, 180), ticks=[-180, -90, 0, 90, 180], labels=["", "-90", "0", "90", ""])
@@ -213,7 +217,10 @@ def curve_figure(curves: JointCurves) -> Figure:
 
 
 def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
-    """Angles with readings, band and curve of one joint [deg, urad]; most : of the axis."""
+    """Yield the series of one joint: angles with readings, band and curve [deg, urad].
+
+    panel : index of the panel; most : limit of the error axis [urad]
+    """
     angle, value, band = np.rad2deg(c.angle), 1e6 * c.value, 1.96e6 * c.error
     x: list[float | None] = []
     y: list[float | None] = []

@@ -1,4 +1,4 @@
-"""A diagnosis as a page: its words, tables and figures in the order in which a reader asks."""
+"""HTML page of a diagnosis: statements, tables and figures in the order of questions."""
 
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -16,12 +16,15 @@ from casadical.diagnosis.statements import Statement, floor_of, left_over, state
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import correlated, parameter_tables, unidentifiable_table
 
-# Where a long name may be broken.
+# Character at which a browser may break a long name.
 ZERO_WIDTH_SPACE = "\u200b"
 
 
 def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
-    """One campaign's page; name : of the campaign; replayed : what a simulator says of its poses."""
+    """Return the page of one campaign.
+
+    name : of the campaign; more : of `analyse`; replayed : results of a replay in a simulator
+    """
     more = more or Details()
     figures = {figure.name: figure for figure in diagnosis_figures(d, more)}
     said = statements(d, more)
@@ -62,7 +65,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
 
 
 def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
-    """The statements about something, as sentences."""
+    """Yield the statements about some topics as sentences, in the order of the topics."""
     for topic in about:
         for s in (s for s in said if s.about == topic):
             text = s.sentence.replace("->", "→")
@@ -70,6 +73,7 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
 
 
 def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
+    """Yield the key figures at the top of the page."""
     yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
     if d.effects():
         yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
@@ -87,6 +91,7 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
 
 
 def _errors(d: Diagnosis) -> Table:
+    """Return the table of held-out error statistics [mm], without and with the causes."""
     summed = [(left.model, summarise(left.length)) for left in d.held_out.models]
     rows = [(name, str(a.n), *map(mm, (a.mean, a.max, a.std, a.rms, a.p95))) for name, a in summed]
     columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
@@ -94,6 +99,7 @@ def _errors(d: Diagnosis) -> Table:
 
 
 def _where(where: Localisation, figures: Iterable[Figure]) -> Iterator[Block]:
+    """Yield the localisation: the worst parts of the data as a table, and the figures."""
     yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
     rows = [
         (
@@ -109,6 +115,7 @@ def _where(where: Localisation, figures: Iterable[Figure]) -> Iterator[Block]:
 
 
 def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
+    """Yield the tables of the causes and of their sizes."""
     if not rows:
         return
     cells = [(r.named, r.shown, f"{r.cause.confidence:.3f}", r.gap.replace("->", "→"), r.shrinks) for r in rows]
@@ -127,6 +134,7 @@ def _curves(curves: JointCurves) -> Iterator[Block]:
 
 
 def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
+    """Yield figures and tables of the base model's parameters."""
     yield Words(
         "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base "
         "and tool frames are in the table only.",
@@ -139,6 +147,7 @@ def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
 
 
 def _next(said: Sequence[Statement], poses: pd.DataFrame | None) -> Iterator[Block]:
+    """Yield statements and table of the next poses; nothing if they were not computed."""
     if poses is None:
         return
     yield from _said(said, "NEXT")

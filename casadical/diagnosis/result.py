@@ -1,4 +1,4 @@
-"""What a diagnosis found: verdict, causes, the gap before and after."""
+"""Result of a diagnosis: verdict, causes, gap before and after, and the methods to use them."""
 
 from __future__ import annotations
 
@@ -37,14 +37,15 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 @dataclass(frozen=True)
 class Gap:
-    """Mean distance [m] of measured from computed positions on poses held out from the fit.
+    """Mean distance [m] between measured and computed positions on held-out poses.
 
-    A page shows kept, after and floor.
+    Reports show kept, after and floor.
 
-    before : of the base model, the outliers counted where they are named as a cause; else the same as kept
-    after : with the causes, of the same poses
-    floor : what noise alone would leave
-    kept : of the base model, outliers left out, over the same partitions into fifths
+    before : of the base model, with the outliers if they are named as a cause; else the same as
+        kept
+    after : with the causes, on the inlier poses
+    floor : of noise alone
+    kept : of the base model on the inlier poses, over the same partitions into fifths
     """
 
     before: float
@@ -55,7 +56,11 @@ class Gap:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A pose that was left out: line of the source, distance from the model [m], and in sigmas of the noise."""
+    """A pose that was rejected as an outlier.
+
+    row : line of the source; distance : error of the model there [m]
+    sigmas : Mahalanobis distance, in standard deviations of the noise
+    """
 
     row: int = field(metadata=WRITTEN)
     distance: float = field(metadata=written("distance", "mm", 5))
@@ -63,7 +68,7 @@ class Outlier:
 
 
 def settings_of(effect: Effect) -> dict[str, float]:
-    """Values of an effect in which it is not linear (cycles, knee, lag, time of a step)."""
+    """Return the nonlinear settings of an effect (cycles, knee, lag, time of a step) by name."""
     own = [f for f in fields(effect) if not f.metadata.get("tried") or getattr(effect, f.name)]
     return {f.name: value for f in own if isinstance(value := getattr(effect, f.name), float)}
 
@@ -73,13 +78,14 @@ class Cause:
     """One cause.
 
     effect : name of the effect
-    joint : its joint, 1-based; None where it belongs to none
+    joint : its joint, 1-based; None if it belongs to none
     confidence : its posterior probability
-    shrink : share by which the held-out gap falls when it is added
-    shrink_interval : of `shrink`, 95 %
-    indistinguishable : labels (name or name@joint) that this data cannot tell from it
-    effects : the symbolic effects with their most likely settings
-    estimates : parameter -> (value, standard error, unit) [SI]
+    shrink : share by which the held-out gap falls when it is added to the base model
+    shrink_interval : 95 % interval of `shrink`
+    indistinguishable : labels (name or name@joint) of causes that the data cannot distinguish from
+        it
+    effects : its effects with their most likely settings
+    estimates : (value, standard error, unit) [SI] by name of the parameter
 
     Examples
     --------
@@ -112,25 +118,27 @@ class Cause:
 
     @property
     def label(self) -> str:
-        """The effect's name, with @joint where it belongs to one."""
+        """Return the effect's name, with @joint if it belongs to one."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
     @property
     def of_instrument(self) -> bool:
-        """Whether it is a fault of what measures, such as a wire that drifts, and none of the robot."""
+        """Return whether it is a fault of the instrument (a drifting wire), not of the robot."""
         return any(e.from_kind for e in self.effects)
 
 
 @dataclass(frozen=True, eq=False)
 class CauseSet:
-    """The set of all named causes.
+    """The set of all named causes and its posterior probabilities.
 
-    probability : of exactly these, among all sets that differ from it by one cause
-    one_more : probability of a further cause beside them; members : of each cause, by label, whatever the others are
-    others : the most probable other sets, forms on no list among them, each with its probability
-    names : of a cause that these data do not tell from one or two others: each label with its probability, by the first
-    further : listed names of one more cause, where one is there that is not claimed: each label with its probability
-    further_gap : error on poses held out with the best of them beside the named ones [m]
+    probability : of exactly this set, among all sets that differ from it by at most one cause
+    one_more : of an additional cause given the set
+    members : of each cause, by label, whatever the others are
+    others : the most probable other sets, with unlisted forms, and the probability of each
+    names : by the label of a cause with indistinguishable alternatives: the probability of each
+        label
+    further : of each listed label of one additional cause that is detected but not claimed
+    further_gap : held-out error with the most probable of these in addition to the named causes [m]
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -151,7 +159,11 @@ class CauseSet:
 
 @dataclass(frozen=True)
 class Change:
-    """One effect, or its part in one joint; probability : that its parameters are no longer those of the prior"""
+    """Change of a known effect since another campaign.
+
+    effect : its label; joint : of the part that is meant, 1-based, or None
+    probability : that its parameters are no longer those of the prior
+    """
 
     effect: str = field(metadata=WRITTEN)
     joint: int | None = field(metadata=WRITTEN)
@@ -160,11 +172,13 @@ class Change:
 
 @dataclass(frozen=True, eq=False)
 class Unlisted:
-    """Forms that describe the unknown (see `describe_unlisted`); they name no cause.
+    """Forms that describe an unlisted cause without naming it (see `describe_unlisted`).
 
-    labels, effects : what the forms are, of listed effects too, and the same as effects of the model
-    before, after : mean held-out gap with the named causes, and with these forms too [m]
-    shrink, shrink_interval : share by which it falls, and 95 % of it; beside : what is most probable beside these forms
+    labels : labels of the forms, which may include listed effects; effects : their effects in the
+        model
+    before, after : mean held-out gap with the named causes, and with these forms in addition [m]
+    shrink, shrink_interval : share by which it falls, and its 95 % interval
+    beside : ranking of an additional cause given these forms
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -182,31 +196,33 @@ class Unlisted:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis(Result):
-    """The answer to: why is there still a gap?
+    """Result of a diagnosis: why the calibrated model still differs from the robot.
 
-    What costs more is asked for by name: `refit` and `apply` below, and in `casadical.diagnosis` `analyse`, `localise`,
-    `isolability`, `describe_unlisted`, `check_refit`, `network_gaps` and `next_poses`.
+    More expensive results are computed on request: `refit` and `apply` below, and in
+    `casadical.diagnosis` `analyse`, `localise`, `isolability`, `describe_unlisted`, `check_refit`,
+    `network_gaps` and `next_poses`.
 
     verdict : none, explained, ambiguous, unknown
-    causes : the largest shrink first
-    gap : held-out, before and after the causes
+    causes : named causes, the largest shrink first
+    gap : held-out error before and after the causes
     noise : instrument and joint repeatability
-    account : how large that is of a coordinate, beside what was declared and what repeated poses say, and what it
-        follows
-    unknown_rest : share of the gap that is there to be explained and that no named cause explains
-    course : how far the gap falls with each cause added (see `held_out_gap.course`)
-    replicates : scatter of repeated poses, of which there may be none
-    rankings : what each step saw
-    outliers : poses that were left out; joint_of_outliers : along whose motion they err, or None
-    missing : label -> columns that would be needed to judge it
-    case : the linear problem that it was computed from
+    account : size of the noise against declaration, data sheet and repeated poses, and its
+        structure
+    unknown_rest : share of the gap above the noise floor that no named cause explains
+    course : held-out error as causes are added (see `held_out_gap.course`)
+    replicates : standard deviation over repeated poses, of which there may be none
+    rankings : posterior over the next cause at each step of the search
+    outliers : rejected poses; joint_of_outliers : joint (1-based) along whose motion they deviate,
+        or None
+    missing : columns that were not logged, by label of the effect that needs them
+    case : linear model from which the diagnosis was computed
     identification : of the base model
-    seed : of everything random
-    p_nothing : how often noise alone would look as much like some cause; None without a bootstrap
-    prior : what another campaign told, before these data, or None
-    changes : what of it changed
-    cause_set : probability of the causes as a set; None where none is named
-    law : the law that was claimed beside nothing, with its rivals; None where none was, or none was to compare
+    seed : of all random numbers
+    p_nothing : bootstrap p-value of "no cause"; None without a bootstrap
+    prior : prior from another campaign, or None
+    changes : probability of change of each part of this prior
+    cause_set : probability of the causes as a set; None if none is named
+    law : the claimed expression of an unlisted effect with its rivals; None without one
 
     Examples
     --------
@@ -258,7 +274,7 @@ class Diagnosis(Result):
     joint_of_outliers: int | None = None
 
     def blocks(self) -> list[Words | Table]:
-        """The verdict and the causes; `casadical.diagnosis.page_of` has all that was found."""
+        """Return verdict and causes; `casadical.diagnosis.page_of` returns the full report."""
         rows = [
             (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
              ", ".join(c.indistinguishable))
@@ -269,12 +285,15 @@ class Diagnosis(Result):
         return [Words(f"{self.verdict}: {', '.join(c.label for c in self.causes) or 'no cause named'}"), *table]
 
     def bars(self) -> list[tuple[str, float]]:
-        """Mean errors on held-out poses."""
+        """Return the mean errors on held-out poses [m] with their names."""
         return [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
 
     @property
     def in_question(self) -> tuple[str, ...]:
-        """Labels that further poses should distinguish: a set of similar causes, of one more, or the first two."""
+        """Return the labels that additional poses should distinguish; empty if there are none.
+
+        They are those of an ambiguous cause, else of an additional one, else the two most probable.
+        """
         known = {c.label for c in self.case.candidates}
         for cause in self.causes:
             if cause.indistinguishable and cause.label in known:
@@ -284,17 +303,20 @@ class Diagnosis(Result):
             return tuple(names[k] for k in ranked([further[k] for k in names]))
         last = self.rankings[-1].probability
         order = [k for k in self.rankings[-1].order if k in known]
-        # Two forms are not in question where one has this share of what both have.
+        # Two labels are not in question if one has more than 0.99 of their common probability.
         certain = len(order) > 1 and last[order[0]] > 0.99 * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()
 
     def effects(self, top: int | None = None, unlisted: Unlisted | None = None) -> tuple[Effect, ...]:
-        """Effects of the first `top` causes (all by default), with their most likely settings."""
+        """Return the effects of the first `top` causes (default: all), with most likely settings.
+
+        unlisted : description whose effects are appended
+        """
         named = tuple(e for c in self.causes[:top] for e in c.effects)
         return (*named, *unlisted.effects) if unlisted else named
 
     def refit(self, top: int | None = None, unlisted: Unlisted | None = None) -> Identification:
-        """Base model and these effects identified together by Ipopt, with standard errors.
+        """Return base model and effects (see `effects`) identified together by Ipopt.
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
@@ -303,7 +325,7 @@ class Diagnosis(Result):
         return refit(self.case, self.effects(top, unlisted), self.noise)
 
     def apply(self, top: int | None = None, unlisted: Unlisted | None = None) -> Robot:
-        """The calibrated robot with these effects in its model (see `refit`): it predicts, and is exported, as any.
+        """Return the calibrated robot with the effects in its model (see `refit`).
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
@@ -311,15 +333,16 @@ class Diagnosis(Result):
 
     @property
     def columns(self) -> Array:
-        """Columns of all causes in the case's evidence, shape (k,), as whole numbers without unit; see `case`."""
+        """Return the indices of all causes' columns in the case's linear model, shape (k,)."""
         return np.unique(self.case.group(self.effects()))
 
     @property
     def remains(self) -> float:
-        """How probable it is that more than noise is left.
+        """Return the probability that the causes leave more than noise.
 
-        It is certain where more is seen than is passed over: something further, a rest above the floor, structure. Else
-        it is what the data leave for a further cause beside named ones; without any, zero.
+        It is one if an additional cause is detected, if the remaining error exceeds the noise
+        floor, or if the noise has structure. Else it is the probability of an additional cause
+        given the named ones; without these, zero.
         """
         none = self.rankings[-1].none
         if none <= SETTINGS.max_p_nothing_further or self.has_rest or self.account.is_structure:
@@ -328,13 +351,13 @@ class Diagnosis(Result):
 
     @property
     def has_rest(self) -> bool:
-        """Whether more is left above the noise floor than can be passed over."""
-        # From this share of the gap on, what lies above the noise floor and has no named cause is reported.
+        """Return whether the unexplained error above the noise floor is reported."""
+        # It is reported from 5 % of the gap on.
         return self.verdict != "none" and self.unknown_rest > 0.05
 
     @cached_property
     def held_out(self) -> PoseErrors:
-        """Held-out error of every pose that is no outlier: base model, and with the causes in it."""
+        """Return the held-out errors of all inliers: base model, and with the causes."""
         e = self.case.evidence
         lengths = [partitioned_errors(e, NO_COLUMNS, self.rankings[0].noise[""], self.seed)]
         if self.columns.size:
@@ -344,7 +367,7 @@ class Diagnosis(Result):
 
     @cached_property
     def left(self) -> Array:
-        """What a fit of base model and causes to all poses leaves at each, shape (kept, numbers) [m]."""
+        """Return the inliers' residuals after a fit with the causes, (n_inliers, numbers) [m]."""
         kept = self.case.kept
         if not self.columns.size:
             return self.case.evidence.r
@@ -352,7 +375,7 @@ class Diagnosis(Result):
 
     @cached_property
     def fitted(self) -> PoseErrors:
-        """What a fit to all poses leaves at each, as vectors: base model, and with the causes in it."""
+        """Return the residuals of fits to all inliers: base model, and with the causes."""
         base, vectors, size = self.case.lengths, self.case.vectors, self.case.evidence.size
         models = [ModelErrors("base model", np.linalg.norm(base, axis=1), vectors)]
         if self.columns.size:

@@ -1,8 +1,9 @@
-"""Settings in which a cause is not linear (knee, lag, cycles, time of a step), between the grid's points, and the size
-of an effect's parts, learnt from the data: marginal likelihood, by MacKay's fixed point.
+"""Refinement of a cause's nonlinear settings (knee, lag, cycles) and of its parts' sizes.
 
-A part's variance is set to the mean square of its parameters over the share of them that the data determine; the noise
-variance too. A part that the data do not determine keeps its size. (MacKay 1992, Bayesian interpolation, sec. 4.)
+Settings are optimised between the grid's points by their marginal likelihood. The prior sizes of an
+effect's parts are learnt by MacKay's fixed point: a part's variance is set to the sum of squares of
+its parameters over the number of them that the data determine; the noise variance likewise. A part
+that the data do not determine keeps its size (MacKay 1992, Bayesian interpolation, sec. 4).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,23 +21,41 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.measurements.measurements import Noise
 
-# Steps are halved once none of them helps, so often at most; a gain of log evidence below the second is none.
-MAX_HALVINGS, MIN_SETTING_GAIN, MAX_SETTING_ROUNDS = 2, 0.3, 10
-# Whole numbers are looked at within this share of a fraction; they may have so much less log evidence, and a setting
-# that is tried beside them must bring so much. Steps at which it is refined.
-WHOLE_NUMBER_RANGE, WHOLE_NUMBER_BONUS, TRIED_SETTING_PRICE = 0.12, 2.0, 5.0
+# Number of times that the steps are halved when none of them improves the settings.
+MAX_HALVINGS = 2
+# Gain of log evidence [nats] below which a step does not count as an improvement.
+MIN_SETTING_GAIN = 0.3
+# Number of rounds of steps.
+MAX_SETTING_ROUNDS = 10
+# Whole numbers are tried within this share of a fractional setting (and within one of it).
+WHOLE_NUMBER_RANGE = 0.12
+# Log evidence [nats] that a whole number may lack and still be preferred to the fraction.
+WHOLE_NUMBER_BONUS = 2.0
+# Log evidence [nats] that an additional setting must gain over the fraction: it must gain this plus
+# the bonus over a whole number.
+TRIED_SETTING_PRICE = 5.0
+# Steps by which an additional setting is refined, in its own unit.
 FINE_STEPS = (0.0, -0.6, -0.3, 0.3, 0.6)
-# Log evidences that differ by less are equal: a step between two poses fits alike wherever it lies between them.
+# Log evidences within this tolerance [nats] are tied: a step between two poses fits equally well
+# wherever it lies between them.
 EQUAL_LOG_EVIDENCE = 1e-6
-# Of learning sizes: rounds at most, and the change of a logarithm that is none.
-MAX_SIZE_ROUNDS, SIZE_TOLERANCE = 8, 0.05
-# A part of which the data determine less than this many parameters is left as it is.
+# Number of rounds in which sizes are learnt.
+MAX_SIZE_ROUNDS = 8
+# Change of the logarithm of all sizes at which learning has converged.
+SIZE_TOLERANCE = 0.05
+# A part keeps its size if the data determine fewer parameters of it.
 MIN_DETERMINED_PARAMETERS = 1.0
-MIN_SIZE_FACTOR, MAX_SIZE_FACTOR = 0.05, 8.0
+# Bounds of the factor on a part's size.
+MIN_SIZE_FACTOR = 0.05
+MAX_SIZE_FACTOR = 8.0
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
-    """The effect with one setting moved by a fraction of the grid's spacing, each in turn (see `Effect`)."""
+    """Return copies of an effect with one setting moved, each setting in turn (see `Effect`).
+
+    fineness : scale of the moves, 1 or less: shares of the grid's spacing, or changes of the
+        setting's logarithm
+    """
     effects = []
     for f in fields(effect):
         value = getattr(effect, f.name)
@@ -52,16 +71,18 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
 
 
 def _with(effect: Effect, **settings: Any) -> Effect:
-    """The effect with other settings."""
+    """Return the effect with other settings."""
     return replace(effect, **settings)
 
 
 def refined(
     case: Case, label: str, variant: tuple[Effect, ...], chosen: Array, noise: Noise
 ) -> tuple[Case, tuple[Effect, ...]]:
-    """The case with the best settings found near a variant, and these settings.
+    """Return the case and the effects with the best settings found near a variant.
 
-    chosen : columns of causes that are in the model already; noise : that is left with the variant
+    label : of the candidate; variant : its effects with settings of the grid
+    chosen : columns of causes that are in the model already; noise : most likely noise with the
+        variant
     """
     if len(variant) != 1:
         return case, variant
@@ -87,7 +108,11 @@ def refined(
 
 
 def _between_poses(case: Case, label: str, effect: Effect) -> tuple[Case, Effect]:
-    """A step between two poses, which fits alike wherever it lies between them, midway; another `at` as it is."""
+    """Return case and effect with the time of a step midway between two poses.
+
+    A step fits equally well wherever it lies between two poses; other effects are returned
+    unchanged.
+    """
     step: Any = effect
     at, progress = getattr(step, "at", None), np.unique(case.m.conditions.get("progress", []))
     if at is None or not len(progress) or not progress[0] <= at < progress[-1]:
@@ -100,10 +125,11 @@ def _between_poses(case: Case, label: str, effect: Effect) -> tuple[Case, Effect
 
 
 def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
-    """The case with a whole number in place of a fraction near it, where hardly less probable, and these settings.
+    """Return case and effects with a whole number for a fraction if hardly less probable.
 
-    A load that follows the joint's angle moves the cycles that are read: beside whole numbers, a phase that runs with
-    the load is tried, too (`tried` of a setting), and taken where it is worth its price.
+    A load that depends on the joint's angle shifts the apparent cycles per turn: in addition to
+    whole numbers, a phase that changes with the load is tried, too (`tried` of a setting), and
+    accepted if it gains enough evidence.
     """
     whole = [f.name for f in fields(effect) if f.metadata.get("whole")]
     tried = [(f.name, v) for f in fields(effect) for v in f.metadata.get("tried", ())]
@@ -131,7 +157,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
-    """Number of the best settings. Of equal ones those that explain the poses left out, too; else the first."""
+    """Return the index of the best settings; ties are decided by the outliers, then by order."""
     equal = np.flatnonzero(log >= log.max() - EQUAL_LOG_EVIDENCE)
     if len(equal) > 1 and not case.kept.all():
         every = case.with_kept(np.ones_like(case.kept))
@@ -141,7 +167,7 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
 
 
 def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
-    """Of each variant, shape (len(variants),)."""
+    """Return the log evidence of each variant, shape (len(variants),)."""
     grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
     return np.asarray(np.logaddexp.reduce((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1))
 
@@ -149,10 +175,11 @@ def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Ar
 def learnt_sizes(
     e: Evidence, group: Array, parts: Mapping[int, Array], beside: Array, noise: Noise
 ) -> tuple[dict[int, float], Noise]:
-    """Factor on the size of each part, and the noise that is left.
+    """Return the learnt factor on the size of each part, and the remaining noise.
 
-    e : the problem; group : columns of the effect, shape (k,); parts : places in the group, by part
-    beside : columns of other causes in the model; noise : as far as known
+    e : linear model; group : columns of the effect, shape (k,); parts : indices into the group, by
+        part
+    beside : columns of other causes in the model; noise : initial estimate
     """
     columns = np.union1d(beside, group)
     fit = new_fit(e, columns, noise)

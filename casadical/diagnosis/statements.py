@@ -1,4 +1,4 @@
-"""What a diagnosis says: the statements and rows that the terminal and the page of HTML both show."""
+"""Statements of a diagnosis in words, which the terminal's page and the HTML page both show."""
 
 from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,12 +22,14 @@ from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.gravity import in_words as gravity_in_words
 
-# Of the probability that a decision stands on: it is said to be just above or below its threshold where the odds
-# against it are at most so many times those of the threshold, or the reverse.
+# A probability is reported as just above or below the threshold of a decision if their odds differ
+# by at most this factor.
 NEAR_THRESHOLD_ODDS_RATIO = 1.5
-# Poses that raise the probability of a right choice by less tell nothing.
+# Additional poses are suggested only if they raise the probability of the right decision by this
+# much.
 MIN_DECISION_GAIN = 0.1
-# Words before what is said about something, where it is a sentence of its own; the most important first.
+# Words that precede a statement about a topic where it stands alone as a sentence; the most
+# important topics come first.
 SUBJECTS = {
     "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
     "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
@@ -37,10 +39,12 @@ SUBJECTS = {
 
 @dataclass(frozen=True)
 class Statement:
-    """One statement.
+    """One statement of a diagnosis.
 
-    about : VERDICT, PRIOR, GAP, NOISE, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (then come the causes, see `cause_rows`),
-        SET, MORE, AFTER, LAYERS (then come these, see `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
+    about : topic: VERDICT, PRIOR, GAP, NOISE, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (followed by
+        the causes, see `cause_rows`), SET, MORE, AFTER, LAYERS (followed by the table of
+        `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
+    text : the statement without its topic
     doubtful : whether it is a warning
     """
 
@@ -50,9 +54,10 @@ class Statement:
 
     @property
     def sentence(self) -> str:
-        """It without its label, as pages and the short answer have it."""
+        """Return it as a sentence without its topic, for the HTML page and the short answer."""
         text = SUBJECTS.get(self.about, "") + self.text.replace("   ", ", ")
-        text = f"{text[0].upper()}{text[1:]}" if text.split()[0].strip(":,").isalpha() else text  # no column's name
+        # The name of a column at the start is not capitalised.
+        text = f"{text[0].upper()}{text[1:]}" if text.split()[0].strip(":,").isalpha() else text
         return text if text.endswith((".", ")")) else f"{text}."
 
 
@@ -63,17 +68,17 @@ def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
 
 
 def headline(d: Diagnosis, more: Details | None = None) -> str:
-    """Return the verdict in a sentence: causes, and how much of the gap they leave without a cause."""
+    """Return the verdict in a sentence: causes, and the share of the gap that has no cause."""
     return sentence(_TEMPLATES / "headline.j2", d, more=more or Details(), **_SAYS)
 
 
 def assumptions(d: Diagnosis) -> tuple[str, ...]:
-    """Return what a missing column or a declared value was taken for, and what of it is in the comparison."""
+    """Return what was assumed for missing columns and declared values, as sentences."""
     return tuple(text for _, text in paragraphs(_TEMPLATES / "assumptions.j2", d, **_SAYS))
 
 
 def noise(d: Diagnosis) -> str:
-    """What the remainder of a campaign without causes is."""
+    """Return in words what the residual of a campaign without causes is taken for."""
     known = {
         Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared",
         Rule.SHEET: ", no larger than the data sheet allows",
@@ -82,49 +87,49 @@ def noise(d: Diagnosis) -> str:
 
 
 def hidden(d: Diagnosis) -> bool:
-    """Whether more of the remainder is structure that was taken as noise than lies beyond the noise."""
+    """Return whether structure taken as noise exceeds the remaining error beyond the noise."""
     beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 
 
 def members(d: Diagnosis) -> str:
-    """The causes; one that these data do not tell from others with all their names, each with its probability."""
+    """Return the causes in words, indistinguishable ones with all labels."""
     at = {c.label: f" ({joints_of(c)})" for c in d.causes if c.joint is None and len(c.effects) > 1 and joints_of(c)}
     each = [names_of(d, c.label) + at.get(c.label, "") for c in d.causes]
     return "; ".join(each) if d.cause_set and d.cause_set.names else listed(each)
 
 
 def names_of(d: Diagnosis, label: str) -> str:
-    """A cause's label, or all its names."""
+    """Return a cause's label, or all its indistinguishable labels with probabilities."""
     names = d.cause_set.names.get(label, {}) if d.cause_set else {}
     return " or ".join(f"{k} ({p:.2f})" for k, p in names.items()) or label
 
 
 def floor_of(d: Diagnosis, more: Details | None) -> float:
-    """What noise alone would leave beside the best model that is told [m]."""
+    """Return the held-out error by noise alone under the best model that is reported [m]."""
     return d.gap.floor if more is None or more.floor is None else more.floor
 
 
 def left_over(d: Diagnosis) -> tuple[float, float, float]:
-    """Error of the model without the noise, rms [mm]: of the base model, with all causes, and the share left of it."""
+    """Return the rms model errors without noise [mm], of base model and all causes; ratio."""
     before, after = float(d.course.iloc[0]["model_mm"]), float(d.course.iloc[-1]["model_mm"])
     return before, after, after / before if before > 0 else 0.0
 
 
 def readings_of(d: Diagnosis) -> str:
-    """Of how many readings the error of a pose is the norm, where several tables have readings of one pose."""
+    """Return in words over how many readings the error of a pose is the norm; empty for one."""
     most = d.case.observations.stops.most
     return f", of each the norm over up to {most} readings" if most > 1 else ""
 
 
 def unlogged(d: Diagnosis) -> list[int]:
-    """Return the joints of which no table says from where they came to a pose."""
+    """Return the joints (1-based) whose direction of approach was not logged."""
     logged = d.identification.measurements[0].conditions
     return [j for j in d.identification.given.numbers if f"approach{j}" not in logged]
 
 
 def wires_of(d: Diagnosis, faults: Sequence[Cause]) -> str:
-    """Return the wires that faults of the instrument are of; "" where these are of no wire."""
+    """Return in words the wires (distance sensors) with faults; empty if the faults are of none."""
     return listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
 
 
@@ -136,7 +141,7 @@ def great_parts(where: Localisation) -> list[dict[Hashable, Any]]:
 
 
 def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
-    """Yield causes whose probability is hardly above or below that of a claim: label, side, probability."""
+    """Yield (label, side, probability) of causes close to the threshold of a claim."""
     members, claimed = d.cause_set.members if d.cause_set else {}, d.verdict in ("explained", "ambiguous")
     judged = {c.label: members.get(c.label, c.confidence) for c in d.causes if claimed}
     ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
@@ -147,9 +152,10 @@ def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
 
 
 def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]]:
-    """Yield detections that are hardly above or below their threshold.
+    """Yield the detections whose probability is close to their threshold.
 
-    Each with what is there, the name of nothing, the side, the probability of nothing and its threshold.
+    Each item is what is detected, the name of its absence, the side, the probability of absence and
+    its threshold.
     """
     detected = (
         (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, SETTINGS.max_p_nothing),
@@ -161,7 +167,7 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
 
 
 def _beside(probability: float, threshold: float) -> str:
-    """Whether a probability is just above or below a threshold; empty where it is far from it."""
+    """Return "above" or "below" for a probability close to a threshold, else an empty string."""
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
     return (
         "above"
@@ -173,19 +179,22 @@ def _beside(probability: float, threshold: float) -> str:
 
 
 def change(ratio: float) -> str:
-    """An error beside another one on the same poses."""
+    """Return in words by how much an error is larger or smaller than another one, of this ratio."""
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
 def resembles(d: Diagnosis) -> str:
-    """Return the form on no list that the rest looks most like; "" where a listed cause comes first."""
+    """Return the unlisted form that the remaining error resembles most; empty without one.
+
+    There is none if a listed cause is the most probable, or the form's probability is below 0.5.
+    """
     ranking, on_list = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
     best = ranking.order[0] if ranking.order else ""
     return "" if best in on_list or (best and ranking.probability[best] < 0.5) else best
 
 
 def not_logged(d: Diagnosis) -> dict[str, str]:
-    """Columns as a user writes them -> what could be judged if they were logged."""
+    """Return what could be judged, by the columns (as a user writes them) that were not logged."""
     said = gathered_by_columns(missing_columns(d))
     logged = d.case.m.conditions
     if "temperature_degC" in logged and "time_s" not in logged:
@@ -194,18 +203,18 @@ def not_logged(d: Diagnosis) -> dict[str, str]:
 
 
 def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
-    """Effect that cannot be judged -> columns to log for it, as a table names them."""
+    """Return the columns to log, as a table names them, by label of the effect that needs them."""
     return columns_to_log(d.missing, d.case.m.conditions)
 
 
 def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
-    """How much more probable the right answer becomes by poses of `next_poses`."""
+    """Return by how much poses of `next_poses` raise the probability of the right decision."""
     before, after = discrimination_probability(d, poses)
     return after - before
 
 
 _TEMPLATES = Path(__file__).parent
-# What the templates ask for beside the diagnosis.
+# Names that the templates use in addition to the diagnosis.
 _SAYS: dict[str, Any] = {
     "NEW": MIN_CHANGE_PROBABILITY,
     "DETECT": SETTINGS.max_p_nothing,

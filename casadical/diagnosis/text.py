@@ -1,4 +1,4 @@
-"""A diagnosis in words, for a terminal: all that was found, and in few lines, the answer first."""
+"""Text of a diagnosis for a terminal: the full report and a short answer."""
 
 from collections.abc import Iterator, Sequence
 
@@ -10,17 +10,18 @@ from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
+# Width of the full report [characters].
 PAGE_WIDTH = 112
-# Labels that stand before each of their statements, not only before the first.
+# Topics whose label precedes each of their statements, not only the first.
 REPEATED_LABELS = ("CANNOT", "MISSING")
-# Of the short answer: things to know, causes that are listed.
+# Largest number of causes in the short answer.
 MAX_BRIEF_CAUSES = 6
-# Characters of a thing to know: three lines of a terminal.
+# Length of a note in the short answer [characters]: three lines of a terminal.
 MAX_NOTE_LENGTH = 290
 
 
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
-    """All that was found as plain text, at most `PAGE_WIDTH` characters wide (see `detailed`).
+    """Return the full report as plain text, at most `PAGE_WIDTH` characters wide (see `detailed`).
 
     Examples
     --------
@@ -31,9 +32,9 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
 
 
 def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
-    """All that was found: statements beside what they are about, the tables behind those that introduce them.
+    """Return the full report: statements by topic, each table after its introduction.
 
-    more : what `analyse` computed; None: what the diagnosis alone tells
+    more : of `analyse`; None for a report of the diagnosis alone
     """
     blocks: list[Words | Table] = []
     rows: list[tuple[str, str]] = []
@@ -54,7 +55,7 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
 
 
 def _sized(d: Diagnosis) -> Iterator[Table]:
-    """The causes: of each what the data show, its name and its parameters."""
+    """Yield the table of the causes, each with its signature, label and parameters."""
     rows = []
     for k, r in enumerate(cause_rows(d), 1):
         sizes = (
@@ -67,7 +68,10 @@ def _sized(d: Diagnosis) -> Iterator[Table]:
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
-    """Verdict, error before and after, causes, and three things to know: at most 25 lines of 100 columns."""
+    """Return the short answer, at most 25 lines of 100 columns.
+
+    It has verdict, error before and after, causes, and three things to know.
+    """
     sentences = statements(d, more)
     return [
         Words(title, "title"),
@@ -79,6 +83,7 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
 
 
 def _errors(d: Diagnosis, more: Details | None) -> Table:
+    """Return the table of mean held-out errors before and after causes, and of noise [mm]."""
     rows = [("before, outliers in", mm(d.gap.before))] if d.gap.before > d.gap.kept else []
     rows += [("before: calibrated, without causes", mm(d.gap.kept))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if d.effects() else []
@@ -88,6 +93,7 @@ def _errors(d: Diagnosis, more: Details | None) -> Table:
 
 
 def _causes(d: Diagnosis) -> Iterator[Table | Words]:
+    """Yield the table of the first causes, and how many more there are."""
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
         columns = ("cause", "probability", "error less, 95 %", "what the data show")
@@ -97,11 +103,11 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
 
 
 def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
-    """One statement of each kind at most, doubts first, and always what was taken as noise."""
+    """Return at most three statements, doubts first, and always the one on the noise."""
     of_each: dict[str, Statement] = {}
     for s in told:
         known = of_each.get(s.about)
-        # Of these only what casts a doubt is told.
+        # Of the topics CANNOT, AFTER and SET only doubts are shown.
         if (
             s.about in SUBJECTS
             and (s.doubtful or s.about not in ("CANNOT", "AFTER", "SET"))
