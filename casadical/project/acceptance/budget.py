@@ -148,7 +148,7 @@ class Budget:
 
     @property
     def resolved(self) -> bool:
-        """Return whether E exceeds its uncertainty; if not, it has an upper limit only."""
+        """Return whether E^2 exceeds its expanded uncertainty; if not, E has an upper limit only."""
         return self.square > self.factor * self.u_square
 
     @property
@@ -228,8 +228,8 @@ def budget_of(
         t = sum(robot.parameters[name].group != "base" for name in fitted.names)
     e = np.concatenate([errors(placed, m) for m in prepared.sets])
     p = np.concatenate([m.position for m in prepared.sets if m.position is not None])
-    made_up = (3 * n + t) / max(3 * n - k, 1)
-    whole, mean = made_up * float(np.std(e**2, ddof=1)) / np.sqrt(n), made_up * float(np.mean(e**2))
+    fit_correction = (3 * n + t) / max(3 * n - k, 1)
+    whole, mean = fit_correction * float(np.std(e**2, ddof=1)) / np.sqrt(n), fit_correction * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
     (s, freedom), noise = repeats, known.noise
     if freedom:  # the scatter of repeats includes the instrument's noise
@@ -252,7 +252,7 @@ def budget_of(
             freedom if by_noise[1] else n - 1.0, s > 0,
         ),
         Contribution("model", "B", 0.0, _interpolation_uncertainty(robot, sets)),
-        Contribution("frames", "A", mean - mean / made_up, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
+        Contribution("frames", "A", mean - mean / fit_correction, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
         Contribution("temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread,
                      stated=known.growth > 0),
         Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),

@@ -400,7 +400,7 @@ def _least_squares(A: Array, b: Array) -> Array:
 
 
 def _spread(p: Array) -> float:
-    """Return the root of the squared distances from the mean point."""
+    """Return the root of the summed squared distances from the mean point."""
     return float(np.linalg.norm(p - p.mean(axis=0)))
 
 

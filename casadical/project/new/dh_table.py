@@ -206,7 +206,7 @@ def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, s
                 return stated[0]
             numbers = frame[names].apply(pd.to_numeric, errors="coerce").abs().to_numpy(dtype=float)
             sizes = numbers[numbers > 0]
-            # The median decides for lengths, as one may be in another unit; for angles the greatest.
+            # Of lengths the median decides, as one may be in another unit; of angles the greatest.
             size = 0.0 if not len(sizes) else np.median(sizes) if ours[0] == "mm" else np.nanmax(sizes)
             return ours[0] if size > least else ours[1]
     return ""
