@@ -148,7 +148,7 @@ class Budget:
 
     @property
     def resolved(self) -> bool:
-        """Return whether E^2 exceeds its expanded uncertainty; if not, E has an upper limit only."""
+        """Return whether E^2 exceeds its expanded uncertainty; if not, E has a limit only."""
         return self.square > self.factor * self.u_square
 
     @property
