@@ -148,6 +148,7 @@ def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
         by_label.setdefault(label, []).append(variant)
 
     def candidate(label: str, own: list[tuple[Effect, ...]]) -> Candidate:
+        """Return the candidate of the variants of one label."""
         first, alone = own[0][0], len(_joints(own[0])) == 1
         return Candidate(label, first.answers_as or first.name, first.joint if alone else None, tuple(own))
 
@@ -187,6 +188,7 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
     made_of = {"progress": ("time_s",), "warmth": warmth, "heat": ("time_s",), "head": ("x_mm", "y_mm", "z_mm")}
 
     def named(condition: str) -> tuple[str, ...]:
+        """Return the columns from which a condition is made, as a table names them."""
         made = re.fullmatch("progress|(warmth|heat|head)[0-9]*_.*", condition)
         return made_of[made[1] or "progress"] if made else (condition,)
 

@@ -120,9 +120,11 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
     steps, own = state.steps, state.steps[k]
 
     def errors(model: Sequence[Step], noise: Noise) -> Array:
+        """Return the held-out errors with the causes of some steps, shape (n_inliers,) [m]."""
         return partitioned_errors(state.case.judged, state.columns(model), noise, seed)
 
     def shrinks(before: Array, after: Array) -> bool:
+        """Return whether the mean error shrinks significantly."""
         return shrink_interval(before, after, seed)[0] > 0
 
     if shrinks(errors((), state.rankings[0].noise[""]), errors((own,), own.ranking.noise[own.labels[0]])):

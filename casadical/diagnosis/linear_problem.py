@@ -479,6 +479,7 @@ def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:
     held = {e.label for e in robot.effects} - set(free)
 
     def sigma(p: Parameter) -> float:
+        """Return the prior standard deviation of one parameter [SI]."""
         if p.group in held:
             # A prior standard deviation of 1e-3 of the parameter's scale is practically fixed.
             return 1e-3 * p.scale

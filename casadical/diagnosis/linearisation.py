@@ -137,6 +137,7 @@ class Linearisation:
             yield ends[0], len(ends) * seams + POINT_VARIABLES * turn - seams, seams - POINT_VARIABLES, turn
 
     def _condition(self, name: str, turn: int) -> Array:
+        """Return a condition at a reading, shape (n,): logged, else the robot's declared value."""
         for own in (condition_of_reading(name, turn), name):
             if own in self.conditions:
                 return self.conditions[own]
@@ -238,6 +239,7 @@ class EffectColumns:
 
     @property
     def _all(self) -> Factors:
+        """Return all columns at all poses of the linearisation as seam derivatives, from the cache."""
         if self.cached.factors is None:
             if self.first is None:
                 self.cached.factors = self._factors_at(self.linear)
@@ -251,7 +253,7 @@ class EffectColumns:
 
     @property
     def _cacheable(self) -> bool:
-        """Whether the factors at all poses are small enough, in bytes, to be cached."""
+        """Return whether the seam derivatives at all poses are small enough to be cached (100 MB)."""
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:

@@ -148,6 +148,7 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
 
     def judged(shares: Sequence[float]) -> list[tuple[float, Form, Array]]:
+        """Return log evidence, form and log likelihood grid of each AR(1) coefficient."""
         forms = [ar_form(ar_coefficient, len(e.r), e.count / len(e.r)) for ar_coefficient in shares]
         grids = [problem.log_likelihood(form) for form in forms]
         return [

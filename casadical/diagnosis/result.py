@@ -384,6 +384,7 @@ class Diagnosis(Result):
         return self._pose_errors("All poses fitted", tuple(models))
 
     def _pose_errors(self, name: str, models: tuple[ModelErrors, ...]) -> PoseErrors:
+        """Return the errors of models at the inlier poses, with the outliers listed."""
         m, k = self.case.m, self.case.kept
         out = tuple(LeftOut(m.source, o.row, o.distance) for o in self.outliers)
         position = self.case.positions[k]

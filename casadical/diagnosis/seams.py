@@ -38,24 +38,30 @@ class _Probe(Effect):
         object.__setattr__(self, "names", (*names, "point_x", "point_y", "point_z"))
 
     def sizes(self) -> dict[str, tuple[float, str]]:
+        """Return size one for every variable."""
         return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the variables of the joints, which are added to their angles."""
         return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
 
     def _frame(self, context: Context, seam: str) -> Symbolic:
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return the transform by the twist behind a link (1-based)."""
         return self._frame(context, f"link{number}")
 
     def base(self, context: Context) -> Symbolic:
+        """Return the transform by the twist at the base."""
         return self._frame(context, "base")
 
     def tool(self, context: Context) -> Symbolic:
+        """Return the transform by the twist in the tool."""
         return self._frame(context, "tool")
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the measured point displaced by its variables."""
         return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
 
 
@@ -135,6 +141,7 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
     ends: list[tuple[ca.SX, ca.SX]] = []
 
     def at(q: Symbolic) -> tuple[Symbolic, Symbolic]:
+        """Return position and rotation at joint readings, with seam variables of their own."""
         ends.append((ca.SX(q), ca.SX.sym(f"end{len(ends)}", probes)))
         whole = ca.vertcat(phi, ends[-1][1])
         p, R = position(q, model.w, whole, model.constants, whole)

@@ -35,10 +35,12 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     forms: dict[str, tuple[Effect, ...]] = {}
 
     def ranked(without: str = "") -> Ranking:
+        """Return the posterior over an additional form given the present ones, except `without`."""
         others = [case.group(e) for label, e in forms.items() if label != without]
         return rank(case, np.unique(np.concatenate([found.columns, *others])), named | forms.keys() - {without})
 
     def best(ranking: Ranking) -> tuple[str, tuple[Effect, ...]]:
+        """Return label and effects of the most probable form."""
         label = ranking.order[0]
         return label, by_label[label].variants[ranking.variant[label]]
 

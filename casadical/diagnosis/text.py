@@ -121,6 +121,7 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
 
 
 def _short(text: str) -> str:
+    """Return a text cut to `MAX_NOTE_LENGTH`, if possible at the end of a clause."""
     if len(text) <= MAX_NOTE_LENGTH:
         return text
     whole, part, _ = text[:MAX_NOTE_LENGTH].rpartition("; ")
