@@ -14,35 +14,33 @@ from casadical.core.basics import Array
 from casadical.core.statistics import best_of
 from casadical.diagnosis.motion.signals import Arm, Motion, lagged, servo_error
 
-# Half-widths [rad] of the play operators that model the memory of friction: over the measured
-# angle, and over the command of a servo that yields.
+# Half-widths [rad] of the play operators that model the memory of friction, over measured angles.
 MEASURED_PLAY_WIDTHS_RAD = (3e-4, 3e-3, 2e-2)
+# The same over commands, for logs without torque: a yielding servo lags behind its command.
 COMMANDED_PLAY_WIDTHS_RAD = (4e-3, 1.2e-2, 3e-2, 6e-2, 1e-1)
 DIP_SPEEDS_RAD_S = (0.05, 0.3)  # speeds [rad/s] over which friction drops (Stribeck effect)
 RELAXATION_TIMES_S = (0.3, 2.0)  # time constants [s] of friction relaxing at rest
 # Prior standard deviations of the base's torque columns, as shares of the joint's peak torque.
-SIGMA_FRICTION = 0.3
-SIGMA_TORQUE_OFFSET = 0.1
-SIGMA_TORQUE_SCALE = 0.02  # of a logged torque
-# Prior standard deviations of the rotor inertia, as shares of it: of a declared and an estimated
-# one.
-SIGMA_DECLARED_ROTOR = 0.05
-SIGMA_ESTIMATED_ROTOR = 1.0
+SIGMA_FRICTION = 0.3  # of each friction coefficient
+SIGMA_TORQUE_OFFSET = 0.1  # of a constant torque
+SIGMA_TORQUE_SCALE = 0.02  # of the scale error of a logged torque
+# Prior standard deviations of the rotor inertia, as shares of it.
+SIGMA_DECLARED_ROTOR = 0.05  # where the robot file declares it
+SIGMA_ESTIMATED_ROTOR = 1.0  # where it is a rough estimate
 # Prior standard deviations of the servo's parameters.
 SIGMA_SERVO_GAIN = 0.15  # share of the gain
 SIGMA_GEAR_STIFFNESS = 0.5  # share of the stiffness of the gear
-SIGMA_DECLARED_DELAY_S = 1e-3
-SIGMA_UNKNOWN_DELAY_S = 0.03
+SIGMA_DECLARED_DELAY_S = 1e-3  # error of a declared command delay [s]
+SIGMA_UNKNOWN_DELAY_S = 0.03  # undeclared command delay [s]
 SIGMA_FILTER_S2 = 2e-4  # square of a command filter's time constant [s^2], with a logged torque
-SIGMA_CONSTANT_ERROR_RAD = 1e-3  # constant part of the position error
-SIGMA_DIRECTION_ERROR_RAD = 2e-4  # parts of the position error that follow direction or load
+SIGMA_CONSTANT_ERROR_RAD = 1e-3  # constant part of the position error [rad]
+SIGMA_DIRECTION_ERROR_RAD = 2e-4  # parts of the position error that follow direction or load [rad]
 SIGMA_UNKNOWN_FILTER_S2 = 2e-3  # as SIGMA_FILTER_S2, without a logged torque
 # As SIGMA_TORQUE_SCALE, of a torque computed from the position error with a declared gain.
 SIGMA_ROUGH_TORQUE_SCALE = 0.2
-# Prior standard deviation of an undeclared payload: its mass as a share of the arm's, and its first
-# moments as this mass times a lever [m].
+# Typical mass of an undeclared payload, as a share of the arm's mass.
 UNDECLARED_PAYLOAD_SHARE = 0.05
-PAYLOAD_LEVER_M = 0.1
+PAYLOAD_LEVER_M = 0.1  # typical distance of its centre of mass from the last link's frame [m]
 LIMIT_SHARE = 0.97  # share of its maximum from which on a torque or speed counts as at its limit
 AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a limit decays
 

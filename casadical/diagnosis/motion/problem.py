@@ -32,26 +32,22 @@ from casadical.measurements.measurements import Noise
 
 # Grid of noise levels relative to the estimated one, by which the rows are whitened.
 RELATIVE_NOISE_GRID = np.geomspace(0.4, 2.5, 25)
-# Standard deviations of what differs from one day to another: friction, as a share of it; other
-# torque columns, in their coefficient's unit at most; servo columns, as a share of their prior.
-DAILY_FRICTION_SHARE = 0.15
-MAX_DAILY_SIGMA = 0.01
-DAILY_SERVO_SHARE = 0.7
+# Prior standard deviations of the differences between the log's and the reference's day.
+DAILY_FRICTION_SHARE = 0.15  # of each joint's friction, as a share of it
+MAX_DAILY_SIGMA = 0.01  # largest one of another torque column's coefficient
+DAILY_SERVO_SHARE = 0.7  # of a position-error column, as a share of its own prior
 MAX_AR_COEFFICIENT = 0.8  # largest AR(1) coefficient of the noise from one window to the next
 NOISE_ROUNDS = 3  # number of times that the noise is estimated again
-# Smallest noise, as every base is wrong by some amount: share of the peak torque, share of the
-# servo's position error, and time [s] by which the motion is shifted.
-BASE_TORQUE_ERROR = 0.005
-BASE_SERVO_ERROR_SHARE = 0.03
-BASE_TIME_ERROR_S = 1e-3
+# Smallest noise of a row, as every base is wrong by some amount.
+BASE_TORQUE_ERROR = 0.005  # of torques, as a share of the peak torque
+BASE_SERVO_ERROR_SHARE = 0.03  # of position errors, as a share of what the servo's equation gives
+BASE_TIME_ERROR_S = 1e-3  # of angles, as a shift of the motion in time [s]
 STUDENT_TAIL_SIGMAS = 8.0  # residual, in noise sigmas, from which on weights decay as Student's
 MAX_NOISE_SIGMAS = 4.0  # residuals are cut at so many sigmas when the noise is estimated
 UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows
 NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
-# Smooth functions that stand for causes on no list: number of Gaussian bumps, and their prior
-# standard deviation in units of the row's noise.
-BUMPS_PER_FUNCTION = 6
-UNLISTED_SIGMAS = 3.0
+BUMPS_PER_FUNCTION = 6  # Gaussian bumps of a smooth function that stands for an unlisted cause
+UNLISTED_SIGMAS = 3.0  # prior standard deviation of a bump, in units of the row's noise
 # A variant of a candidate, and for each of its parameters the effect: row -> values of the windows.
 _CandidateColumns = tuple[Candidate, list[Mapping[int, Array]]]
 DRY_FRICTION_KINDS = ("slip", "dip", "at rest")  # beginnings of the kinds of dry friction columns

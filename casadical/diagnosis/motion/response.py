@@ -35,19 +35,17 @@ from casadical.robot.robot import Robot
 PIECE_DURATION_S = 30.0  # runs are fitted in pieces of about this duration [s]
 # Prior standard deviations of the logarithms of a joint's parameters. The compliance is one over
 # the servo's gain [rad/(N m)]; friction, damping and inertia are divided by the gain [rad, s, s^2].
-SIGMA_LOG_COMPLIANCE = 0.5
+SIGMA_LOG_COMPLIANCE = 0.5  # of a servo whose gain nobody declared or measured
 SIGMA_LOG_DECLARED_GAIN = 0.1  # of a declared gain
 SIGMA_LOG_MEASURED_GAIN = 0.02  # of a gain found from logged torques
-SIGMA_LOG_FRICTION = 1.5
+SIGMA_LOG_FRICTION = 1.5  # of dry friction
 SIGMA_LOG_TIMES = 1.5  # of damping, inertia and delay
-# A joint whose gravity torque is below this share of the largest one cannot show its compliance:
-# its gain is near that of the others, with this standard deviation of the logarithm.
+# A joint whose gravity torque is below this share of the largest one cannot show its compliance.
 LIGHT_LOAD_SHARE = 0.1
-SIGMA_LOG_LIGHT_GAIN = 0.25
-# Prior means of damping / gain [s], inertia / gain [s^2] and delay [s].
-TYPICAL_LAG_S = 0.05
-TYPICAL_INERTIA_S2 = 0.002
-TYPICAL_DELAY_S = 0.02
+SIGMA_LOG_LIGHT_GAIN = 0.25  # prior of such a joint's gain, around that of the others
+TYPICAL_LAG_S = 0.05  # prior mean of damping / gain [s]
+TYPICAL_INERTIA_S2 = 0.002  # prior mean of inertia / gain [s^2]
+TYPICAL_DELAY_S = 0.02  # prior mean of the command's delay [s]
 SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
 INDEPENDENT_SAMPLE_SHARE = 0.05  # share of the samples that count as independent
 OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
@@ -59,22 +57,21 @@ DIFFERENCE_STEP = 1e-4  # step of finite differences, in the parameters' own uni
 # joint that sticks), steps amplify rounding errors, and processors would arrive at different
 # parameters.
 STEP_DECIMALS = 6
-# A joint whose commands span less than this [rad] carries no information on its response; its
-# parameters stay near the prior means, with this standard deviation of the logarithm.
+# A joint whose commands span less than this [rad] carries no information on its response.
 MIN_COMMAND_SPAN_RAD = 0.02
-SIGMA_LOG_UNMOVED = 0.05
-# A logged torque counts as proportional to the position error above this correlation, at the best
-# of these delays [s].
+SIGMA_LOG_UNMOVED = 0.05  # prior of such a joint's parameters, which stay near the prior means
+# Correlation above which a logged torque counts as proportional to the position error.
 MIN_SERVO_CORRELATION = 0.95
+# Delays of the command [s] that are tried for this correlation.
 TRIED_DELAYS_S = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 SLIDING_SPEED_RAD_S = 0.01  # speed [rad/s] scale of the smoothed sign of dry friction
 MIN_TORQUE_ROWS = 20  # smallest number of rows of a run from which torque terms are fitted
 MIN_NOISE_RAD = 5e-4  # smallest standard deviation of a residual [rad]
 MIN_ROTOR_SHARE = 0.05  # smallest share of a joint's inertia that is its rotor's
-# Parameters of each joint: logarithm of the compliance, offset, logarithms of friction, damping and
-# inertia (all three divided by the gain) and of the delay; and which of them are logarithms.
+# Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
+# damping and inertia (all three divided by the gain) and of the delay.
 PARAMETERS_PER_JOINT = 6
-_LOG_PARAMETERS = (0, 2, 3, 4, 5)
+_LOG_PARAMETERS = (0, 2, 3, 4, 5)  # indices of those that are logarithms
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,11 +28,10 @@ from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Where the residual of a joint is largest is reported over these variables, each in so many
-# quantile ranges, if the rms in a range exceeds the mean one by this factor.
+# Variables over which the region of a joint's largest residual is reported.
 REGION_VARIABLES = ("angle", "speed", "load", "time")
-REGION_PARTS = 4
-MIN_REGION_RATIO = 1.5
+REGION_PARTS = 4  # number of quantile ranges of each variable
+MIN_REGION_RATIO = 1.5  # ratio of a range's rms residual to the overall one, to be reported
 MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of what fits
 MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 # Levels (torque or position, with a reference or without) at which causes are named: none so far.

@@ -16,38 +16,35 @@ from casadical.diagnosis.settings import SETTINGS
 
 # A first cause is assumed if "nothing" is less probable than this.
 MAX_NOTHING_PROBABILITY = 0.02
-# Smallest size of a cause relative to the residual where it acts, by which shares are divided; and
-# the share, in that unit, from which a cause of the whole arm can be named, which no fault of one
-# joint resembles.
+# Size of a cause, relative to the residual where it acts, from which it counts as visible.
 VISIBLE_SHARE = 0.5
+# The same, in units of VISIBLE_SHARE, of a cause of the whole arm, which no fault of one joint
+# resembles.
 ARM_VISIBLE_SHARE = 0.5
 MAX_CAUSES = 3  # largest number of causes
 BASE_PRIOR_SIGMAS = 2.0  # a usual base is within so many standard deviations of its priors
-# Smallest log evidence [nats] of a cause: of a listed one, of a contact (it is short in time, where
-# every friction model has flaws), of one on no list; and the factor without a logged torque, where
-# gain and friction of the servo are far less certain.
-MIN_LISTED_EVIDENCE = 30.0
-MIN_LOCAL_EVIDENCE = 150.0
-MIN_UNLISTED_EVIDENCE = 100.0
+# Smallest log evidence [nats] with which a cause enters the model.
+MIN_LISTED_EVIDENCE = 30.0  # of a listed cause
+MIN_LOCAL_EVIDENCE = 150.0  # of a contact: over short times every friction model has flaws
+MIN_UNLISTED_EVIDENCE = 100.0  # of a cause on no list
+# Factor of these where no torque was logged: gain and friction of the servo are less certain there.
 NO_TORQUE_FACTOR = 2.5
-# A cause is named from this log evidence [nats] on if it exceeds the best unlisted candidate by a
-# margin, or has clear evidence: some unlisted candidates include every cause as one of their
-# shapes.
-MIN_NAMED_EVIDENCE = 150.0
-MIN_RIVAL_MARGIN = 40.0
+MIN_NAMED_EVIDENCE = 150.0  # smallest log evidence [nats] of a cause that is named
+MIN_RIVAL_MARGIN = 40.0  # by which it must exceed the best unlisted candidate's [nats]
+# Log evidence [nats] that needs no such margin, as some unlisted candidates include every cause as
+# one of their shapes.
 CLEAR_EVIDENCE = 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")  # causes that are short in time
 # A cause that acts on one joint must have evidence in both directions of motion: friction in one
 # direction only is on no list. Exceptions are short in time, or act where a load pulls one way.
 ONE_DIRECTION_CAUSES = (*LOCAL_CAUSES, "saturation")
-# Smallest gain of a cause on runs that were not fitted: as a share of its log evidence, over all
-# runs and of the median run; and in nats, over all runs and of the median run. The parts of one run
-# resemble each other, so that a local cause needs a larger share.
+# Smallest gain of a cause on all runs that were not fitted, as a share of its log evidence.
 MIN_HELD_OUT_SHARE = 0.1
-MIN_RUN_SHARE = 0.005
+MIN_RUN_SHARE = 0.005  # the same of the median run
+# The same of a local cause, of which parts of one run are left out: they resemble each other.
 MIN_HELD_OUT_SHARE_LOCAL = 0.5
-MIN_HELD_OUT_GAIN = 30.0
-MIN_RUN_GAIN = 3.0
+MIN_HELD_OUT_GAIN = 30.0  # smallest gain on all runs that were not fitted [nats]
+MIN_RUN_GAIN = 3.0  # smallest gain on the median run [nats]
 INTERLEAVED_WINDOWS = 10  # windows that are left out together, of a cause in part of one run
 REJUDGED_CANDIDATES = 12  # best candidates that are judged again with the noise estimated anew
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]

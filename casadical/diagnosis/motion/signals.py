@@ -26,16 +26,14 @@ EXCLUDED_EDGE_S = 0.15  # time at both ends of a run that is excluded [s]
 MAX_RATE_HZ = 62.5  # largest sample rate that is analysed [Hz]
 MAX_WINDOWS = 1500  # largest number of windows, about
 PAUSE_BETWEEN_RUNS_S = 10.0  # time that is assumed between runs [s]
-# A joint stands still below this share of its rms speed, or below this speed [rad/s].
-STANDSTILL_SPEED_SHARE = 0.02
-STANDSTILL_SPEED_RAD_S = 2e-3
+STANDSTILL_SPEED_SHARE = 0.02  # share of its rms speed below which a joint stands still
+STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which any joint stands still
 FILTER_BLOCK_SAMPLES = 64  # samples that a filter processes at once
 REGRESSOR_BLOCK_SAMPLES = 4000  # samples of which the regressor is computed at once
 MIN_QUANTUM_RAD = 1e-6  # smallest resolution of a reading [rad]
 MAX_CLOCK_ERROR = 0.01  # relative error of the sample rate that counts as a clock fault
-# Shares of missing and of repeated samples that every log may have.
-MAX_LOST_SHARE = 0.01
-MAX_REPEATED_SHARE = 0.02
+MAX_LOST_SHARE = 0.01  # share of missing samples that every log may have
+MAX_REPEATED_SHARE = 0.02  # share of repeated samples that every log may have
 MIN_GAP_STEPS = 1.6  # a time step of so many usual ones or more is a gap
 MIN_MOVING_QUANTA = 3.0  # a joint moves if it changes by more than so many quanta per step
 

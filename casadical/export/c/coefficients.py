@@ -122,8 +122,9 @@ _DOUBLE_COEFFICIENTS = Coefficients(
     smallest=float(np.finfo(np.float64).tiny),
     largest=float(np.finfo(np.float64).max),
 )
-# Constants and NumPy types by the name of the real type.
+# Constants of the elementary functions by the name of the real type.
 COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT_COEFFICIENTS, "double": _DOUBLE_COEFFICIENTS}
+# NumPy types by the name of the real type.
 NUMPY_TYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 

@@ -15,8 +15,9 @@ from casadical.export.c import coefficients
 from casadical.export.c.coefficients import COEFFICIENTS, Real, literal, turn_parts
 from casadical.export.c.tape import Node, Tape
 
-# Operations of a tape that are calls of elementary functions, and those that are C operators.
+# Operations of a tape that the C calls as elementary functions.
 _CALLED_FUNCTIONS = ("sincos", "tansig", "exp", "sqrt", "atan2")
+# Operations of a tape that are C operators, by name.
 _INFIX_OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 

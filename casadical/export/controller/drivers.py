@@ -17,8 +17,9 @@ from casadical.export.omission import rigid_omissions
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
-# Links of a UR robot in the order of its joints, and the twists alpha of its DH table.
+# Links of a UR robot in the order of its joints, as its driver names them.
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+# Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
 _UR_TWISTS_RAD = np.deg2rad([0, 90, 0, 0, 90, -90])
 # Largest sine of the angle between two axes, or distance [m], at which they count as parallel, or
 # as coincident, so that their common normal is not unique.

@@ -27,14 +27,14 @@ from casadical.export.mjcf.mjcf import (
 )
 from casadical.robot.robot import Robot
 
-# Drive parameters without which motion cannot be simulated, and further ones: attributes of
-# `Drive`, with their names in the exported JSON.
+# Drive parameters without which motion cannot be simulated: attribute of `Drive` -> JSON key.
 REQUIRED_DRIVE_KEYS = {
     "kp": "stiffness",
     "damping": "damping",
     "friction": "friction",
     "rotor_inertia_at_joint": "armature",
 }
+# Further drive parameters that are exported where they are declared: attribute -> JSON key.
 OPTIONAL_DRIVE_KEYS = {
     "delay": "delay_s",
     "bias": "constant_torque",
