@@ -9,7 +9,7 @@ from casadical.core.basics import Array, InputError
 from casadical.effects import Effect
 from casadical.effects.base import Omission
 from casadical.identification.accuracy import errors
-from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
     Poses at which a closed loop (four-bar) cannot close are excluded.
     """
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
-    closed = (margin.reshape(-1, SAMPLED_POSES) > LEAST_MARGIN).all(axis=0)
+    closed = (margin.reshape(-1, SAMPLED_POSES) > MIN_LOOP_MARGIN).all(axis=0)
     moved = np.linalg.norm(p - other, axis=0)[closed]
     return float(moved.mean()), float(moved.max())
 

@@ -18,7 +18,7 @@ from casadical.fleet.estimates import Estimate, with_common_noise
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import refuse_another
 from casadical.robot.axes import row_matrix
-from casadical.robot.parameter_list import SIX
+from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
 # Prior weights of the courses; those that a kind of change may have are normalised.
 COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
@@ -401,7 +401,7 @@ def _placements(
 
 def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
     """Yield how the measured point of the tool moved, with its standard error."""
-    own = [n for n in SIX["tool"][:3] if n in before.names and n in after.names and n not in names]
+    own = [n for n in PLACEMENT_PARAMETERS["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
     apart, cov = between(own)
@@ -446,10 +446,10 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
         return
     turn = float(np.rad2deg(np.arccos(np.clip((np.trace(T[:3, :3]) - 1) / 2, -1, 1))))
     words = "the instrument stands elsewhere, or the robot's foot moved"
-    if set(SIX["base"]) <= {*before.names} & {*after.names}:
-        _, cov = between(SIX["base"])
+    if set(PLACEMENT_PARAMETERS["base"]) <= {*before.names} & {*after.names}:
+        _, cov = between(PLACEMENT_PARAMETERS["base"])
         apart = np.concatenate([T[:3, 3], to_xyz(T[:3, :3])])
-        apart = apart / [after.robot.parameters[n].scale for n in SIX["base"]]
+        apart = apart / [after.robot.parameters[n].scale for n in PLACEMENT_PARAMETERS["base"]]
         if apart @ np.linalg.solve(cov, apart) < len(apart) * MOVED_SIGMAS**2:
             words = "the same place, as far as these poses show"
     far = f"{1e3 * np.linalg.norm(T[:3, 3]):.3g} mm and {turn:.3g} deg"
@@ -460,5 +460,5 @@ def _base_pose(c: Estimate) -> Array:
     """Return the pose of a campaign's base in the measuring frame, shape (4, 4)."""
     if c.robot.base.unknown == "none":  # the first row of the table places the robot
         return np.asarray(c.robot.base.T @ row_matrix(c.robot.joints[0]))
-    values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in SIX["base"]]
+    values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in PLACEMENT_PARAMETERS["base"]]
     return np.asarray(c.robot.base.T @ np.array(small_frame(*values)))

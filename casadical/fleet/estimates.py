@@ -31,7 +31,7 @@ from casadical.identification.remaining_errors import residuals_and_jacobian, un
 from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import clock_faults
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
 # Number of random poses that replace those of a robot file, which does not store its own.
@@ -202,7 +202,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
             "--out`, or give the folder of the problem"
         )
     drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
-    wide = doubted(robot, MAX_FITTED_HARMONIC)
+    wide = with_joint_harmonics(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
     turns = np.arange(DRAWN_POSES) % (1 + len(wide.targets))  # of several targets each pose tells one

@@ -28,7 +28,7 @@ from casadical.core.linear_gaussian.normal_equations import inverse_of, root_of_
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import first_of_best
 from casadical.identification.misfit import MAX_COMPARED_HARMONIC
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
 # Prior standard deviation of a change of one length [m].
@@ -106,7 +106,7 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
     High harmonics are not among them, and tool and base only if these are the same.
     """
     gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
-    low = doubted(robot, MAX_COMPARED_HARMONIC).parameters
+    low = with_joint_harmonics(robot, MAX_COMPARED_HARMONIC).parameters
     return tuple(n for n in names if n in low.names and low[n].group not in gone)
 
 

@@ -29,7 +29,7 @@ from casadical.fleet.evidence import KAPPAS, RELATIVE_FREQUENCY, Candidate, cand
 from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.project.acceptance.budget import covariance_root
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
 # Kinds of change that are usual between two days.
@@ -135,7 +135,7 @@ class TouchModel:
 
         Raises InputError: the file has neither.
         """
-        wide = doubted(robot)
+        wide = with_joint_harmonics(robot)
         names = tuple(p.name for p in wide.parameters if p.prior > 0)
         scale = np.array([wide.parameters[n].scale for n in names])
         if robot.remaining is not None:

@@ -26,7 +26,7 @@ from casadical.identification.remaining_errors import (
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.kinds.registry import find_kind
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
 # Highest harmonic of each joint's error that is compared between campaigns.
@@ -150,7 +150,7 @@ def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
     kept : maximum number of poses whose rows are cached
     Raises InputError for known distances between touched points.
     """
-    robot = doubted(found.robot, MAX_FITTED_HARMONIC)
+    robot = with_joint_harmonics(found.robot, MAX_FITTED_HARMONIC)
     doubts = uncertain_parameters_of(robot, found.names)
     low = [joint[: 2 * MAX_COMPARED_HARMONIC] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * MAX_COMPARED_HARMONIC :] for joint in doubts.joints)))

@@ -13,7 +13,7 @@ from casadical.identification.residuals import MAX_CACHED_DATA_POSES
 from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
-from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
 # A table is checked for a change of unit in this number of parts, in the order of its rows.
@@ -127,11 +127,11 @@ def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
 
 def _refuse_implausible(robot: Robot, m: Measurements) -> None:
     """Raise InputError for open four-bars, wrong orientations, and lengths in another unit."""
-    if robot.loops and (smallest := least_margins(robot, m)).min() < LEAST_MARGIN:
+    if robot.loops and (smallest := least_margins(robot, m)).min() < MIN_LOOP_MARGIN:
         k = int(np.argmin(smallest))
         raise InputError(
             f"{m.source}: row {m.row[k]}: the four-bar cannot close there, or nearly not (margin {smallest[k]:.3f}; "
-            f"at least {LEAST_MARGIN} is needed, {int((smallest < LEAST_MARGIN).sum())} such poses); "
+            f"at least {MIN_LOOP_MARGIN} is needed, {int((smallest < MIN_LOOP_MARGIN).sum())} such poses); "
             "check the signs and zeros of its joints, or leave these poses out"
         )
     if fault := fault_of_orientations(robot, m):

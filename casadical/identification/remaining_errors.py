@@ -19,7 +19,7 @@ from casadical.identification.reduction import MIN_NOISE_FREEDOM
 from casadical.identification.residuals import make_block
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements, unmeasured
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import RemainingErrors, Robot
 
 # Minimum number of poses; fewer do not show the errors that no parameter explains.
@@ -69,7 +69,7 @@ def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> Rema
         share = most / poses
         sets = [m.split({"some": share})["some"] for m in sets if share * len(m) >= 1]
         poses = sum(map(len, sets))
-    robot = doubted(found.robot)
+    robot = with_joint_harmonics(found.robot)
     gone = [n for n in found.names if n not in robot.parameters.names]
     if gone:
         raise InputError(f"the errors that remain cannot hold the curve that {gone[0]} is part of")

@@ -25,7 +25,7 @@ from casadical.core.schema import (
     Triple,
     check,
 )
-from casadical.robot.kinematics import LEAST_MARGIN, link_frames
+from casadical.robot.kinematics import MIN_LOOP_MARGIN, link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
 
@@ -141,7 +141,7 @@ class Workspace:
 
     lower: Array | None = None
     upper: Array | None = None
-    margin: float = 5 * LEAST_MARGIN
+    margin: float = 5 * MIN_LOOP_MARGIN
     floor: float | None = None
     boxes: tuple[Box, ...] = ()
     clearance: float = 0.0

@@ -1,1 +1,1 @@
-"""The robot: its parts, its symbolic model, its parameters, and the files it is read from and written to."""
+"""The robot: parts, symbolic model, parameters, and its files."""

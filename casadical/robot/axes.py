@@ -1,7 +1,8 @@
-"""Joint axes in space to modified DH rows: common normals (Craig), Hayati's form where neighbours are nearly parallel.
+"""Modified DH rows from joint axes in space: common normals (Craig), or Hayati's form.
 
-Each row is read off in the frame of the rows before it, so that no rounding adds up along the chain. Where a common
-normal leaves a choice, the simpler table wins: d = 0 in front of a nearly parallel axis, a >= 0, frames 0 and n turned
+The latter is for nearly parallel neighbours. Each row is computed in the frame of the rows before
+it, so that rounding errors do not accumulate along the chain. Where the common normal leaves a
+choice, the simpler table wins: d = 0 before a nearly parallel axis, a >= 0, frames 0 and n oriented
 like the base and the tip.
 """
 
@@ -16,12 +17,16 @@ from casadical.core.basics import Array
 from casadical.core.parts import NEAR_PARALLEL_RAD, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 
-NOISE = 1e-14  # of products of sines
+# Smaller values [m or rad] are rounding errors of products of sines.
+ROUNDING_TOLERANCE = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A joint's axis at zero reading: a point on it, shape (3,) [m], and its unit direction, shape (3,)."""
+    """A joint's axis at zero reading, in the frame of its chain.
+
+    point : on the axis, shape (3,) [m]; direction : unit vector, shape (3,)
+    """
 
     point: Array
     direction: Array
@@ -33,8 +38,9 @@ class Chain:
 
     base : frame 0 in the frame in which the axes were given, shape (4, 4) [m]
     rows : with their geometry only
-    frames : of the links at zero readings, in the same frame as `base`, each (4, 4)
-    tool : the tip in the last link's frame, shape (4, 4)
+    frames : of the links at zero readings, in the frame in which the axes were given, each (4, 4)
+        [m]
+    tool : the tip in the last link's frame, shape (4, 4) [m]
     """
 
     base: Array
@@ -44,25 +50,28 @@ class Chain:
 
 
 def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
-    """Modified DH rows of a chain given by its axes at zero readings, in a common frame, and its tip, shape (4, 4).
+    """Return the modified DH rows of a chain that is given by its axes at zero readings.
 
     Axes may be parallel, antiparallel, intersecting or coincident.
+
+    axes : in a common frame; tip : frame of the chain's end in it, shape (4, 4) [m]
     """
-    # Frame 0: z along the first axis, origin where it passes the given frame's, x turned like that one's.
+    # Frame 0 has z along the first axis, its origin at the axis' point nearest to the common
+    # frame's origin, and x oriented like the common frame's.
     z = axes[0].direction
-    x = _sideways(np.eye(3), z)
+    x = _perpendicular_x(np.eye(3), z)
     T = base = frame(np.column_stack([x, np.cross(z, x), z]), axes[0].point - (axes[0].point @ z) * z)
     rows, frames = [], []
     row = Joint()
     for k in range(len(axes)):
         entry = T @ row_matrix(row)
         if k + 1 < len(axes):
-            row, following = _towards(row, np.linalg.inv(entry), axes[k + 1])
+            row, following = _row_and_next(row, np.linalg.inv(entry), axes[k + 1])
         else:
-            # The last row: its origin beside the tip's, x turned like the tip's.
+            # The last frame has its origin at the height of the tip, and x oriented like the tip's.
             end = np.linalg.inv(entry) @ tip
-            x = _sideways(end[:3, :3], np.array([0.0, 0.0, 1.0]))
-            row = replace(row, theta=_tidy(np.arctan2(x[1], x[0])), d=_tidy(end[2, 3]))
+            x = _perpendicular_x(end[:3, :3], np.array([0.0, 0.0, 1.0]))
+            row = replace(row, theta=_without_rounding(np.arctan2(x[1], x[0])), d=_without_rounding(end[2, 3]))
         T = T @ row_matrix(row)
         rows.append(row)
         frames.append(T)
@@ -71,12 +80,12 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
 
 
 def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:
-    """Frames of all links at zero readings, in the base frame, each (4, 4) [m]."""
+    """Return the frames of all links at zero readings in the base frame, each (4, 4) [m]."""
     return list(accumulate(map(row_matrix, rows), operator.matmul))
 
 
 def row_matrix(row: Joint) -> Array:
-    """Frame i in frame i-1 at zero reading, shape (4, 4) [m]."""
+    """Return frame i in frame i-1 at zero reading, shape (4, 4) [m]."""
     return np.array(
         rot_x(row.alpha)
         @ translate(row.a, 0, 0)
@@ -87,17 +96,20 @@ def row_matrix(row: Joint) -> Array:
     )
 
 
-def _sideways(R: Array, z: Array) -> Array:
-    """The x axis of R, or its y axis where x is nearly along z, made perpendicular to z; shape (3,)."""
+def _perpendicular_x(R: Array, z: Array) -> Array:
+    """Return the x axis of R made perpendicular to z, shape (3,).
+
+    It is the y axis where x is nearly along z.
+    """
     x = R[:, 0] if abs(R[:, 0] @ z) < np.sqrt(0.75) else R[:, 1]
     x = x - (x @ z) * z
     return np.asarray(x / np.linalg.norm(x))
 
 
-def _towards(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint]:
-    """The row with theta and d that point x at the next axis, and the beginning of the next row.
+def _row_and_next(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint]:
+    """Return the row with theta and d that point x at the next axis, and the next row's beginning.
 
-    to_entry : shape (4, 4), from the common frame to that of the row without theta and d
+    to_entry : transform from the common frame to that of the row without theta and d, shape (4, 4)
     """
     p = to_entry[:3, :3] @ axis.point + to_entry[:3, 3]
     z = to_entry[:3, :3] @ axis.direction
@@ -107,30 +119,38 @@ def _towards(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint]:
 
 
 def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """By the common normal of the z axis and the line p + t z."""
+    """Return the same by the common normal of the z axis and the line p + t z."""
     sine, cosine = np.hypot(z[0], z[1]), z[2]
     normal = np.array([-z[1], z[0], 0.0]) / sine
     a = p @ normal
     d = (p[2] - (p @ z) * cosine) / sine**2
     theta, alpha = np.arctan2(normal[1], normal[0]), np.arctan2(sine, cosine)
-    # m: a shorter common normal is rounding in the file, its sign means nothing
-    backwards = abs(theta) > np.pi / 2 + NOISE if abs(a) < 1e-5 else a < 0
+    # The direction of a common normal shorter than 1e-5 m is determined by rounding in the file.
+    backwards = abs(theta) > np.pi / 2 + ROUNDING_TOLERANCE if abs(a) < 1e-5 else a < 0
     if backwards:
         theta, a, alpha = theta - np.copysign(np.pi, theta), -a, -alpha
-    return replace(row, theta=_tidy(theta), d=_tidy(d)), Joint(alpha=_tidy(alpha), a=_tidy(a))
+    return replace(row, theta=_without_rounding(theta), d=_without_rounding(d)), Joint(
+        alpha=_without_rounding(alpha), a=_without_rounding(a)
+    )
 
 
 def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """By the point where the line p + t z, nearly parallel to the z axis, meets the x-y plane."""
+    """Return the same for a line p + t z nearly parallel to the z axis.
+
+    It uses the point where the line meets the x-y plane.
+    """
     foot = p - (p[2] / z[2]) * z
     a = np.hypot(foot[0], foot[1])
-    # m: nearer axes have no direction between them
+    # Axes closer than 1e-12 m have no direction between them.
     theta = np.arctan2(foot[1], foot[0]) if a > 1e-12 else 0.0
     c, s = np.cos(theta), np.sin(theta)
     beta = np.arcsin(c * z[0] + s * z[1])
     alpha = np.arctan2(s * z[0] - c * z[1], z[2])
-    return replace(row, theta=_tidy(theta)), Joint(alpha=_tidy(alpha), a=_tidy(a), beta=_tidy(beta))
+    return replace(row, theta=_without_rounding(theta)), Joint(
+        alpha=_without_rounding(alpha), a=_without_rounding(a), beta=_without_rounding(beta)
+    )
 
 
-def _tidy(value: float) -> float:
-    return 0.0 if abs(value) < NOISE else float(value)
+def _without_rounding(value: float) -> float:
+    """Return the value, or zero where it is a rounding error."""
+    return 0.0 if abs(value) < ROUNDING_TOLERANCE else float(value)

@@ -1,8 +1,9 @@
-"""Inverse dynamics of a robot and its regressor, tau = Y(q, v, a) pi, by Newton and Euler's recursion.
+"""Inverse dynamics of a robot and its regressor, tau = Y(q, v, a) pi, by Newton-Euler recursion.
 
-Y is linear in ten numbers of each link (Atkeson, An and Hollerbach 1986): mass, first moment and inertia about the
-origin of its frame, and in the rotor inertia of each drive. Physical bodies are those whose pseudo-inertia is positive
-definite (Wensing, Kim and Slotine 2018); `Dynamics.at` leads to no others (log-Cholesky, Rucker and Wensing 2022).
+Y is linear in ten numbers of each link (Atkeson, An and Hollerbach 1986): mass, first moment and
+inertia about the origin of its frame, and in the rotor inertia of each drive. Physical bodies are
+those whose pseudo-inertia is positive definite (Wensing, Kim and Slotine 2018); `Dynamics.at` leads
+to no others (log-Cholesky, Rucker and Wensing 2022).
 """
 
 from dataclasses import dataclass
@@ -19,18 +20,25 @@ from casadical.robot.kinematics import own_variables, row_factors
 from casadical.robot.model import Structure, base_frame, gravity_in_base
 from casadical.robot.robot import Robot
 
-# Of each joint, as a model of poses does not have them: readings are given there.
+# Coupling of each joint, None without; a model of poses has none, as all readings are given there.
 Couplings = tuple[Coupling | None, ...]
-BODY = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
-# One sigma of the logarithm of a stated inertia, of an estimated one, and of a rotor inertia, stated and estimated.
-INERTIA, GUESSED_INERTIA, ROTOR, GUESSED_ROTOR = 0.3, 1.0, 0.1, 2.0
+# Names of a link's ten inertial parameters.
+BODY_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+# Prior standard deviation of the logarithm of a declared link inertia.
+INERTIA_LOG_SIGMA = 0.3
+# The same of an estimated link inertia.
+ESTIMATED_INERTIA_LOG_SIGMA = 1.0
+# The same of a declared rotor inertia.
+ROTOR_LOG_SIGMA = 0.1
+# The same of an estimated rotor inertia.
+ESTIMATED_ROTOR_LOG_SIGMA = 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """Inverse dynamics of a robot; a robot without masses gets some that are estimated from its reach.
+    """Inverse dynamics of a robot; one without masses gets estimates from its reach.
 
-    robot : its geometry counts, effects and compliance do not
+    given : the robot, whose geometry counts, while effects and compliance do not
     """
 
     given: Robot
@@ -43,52 +51,69 @@ class Dynamics:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters pi: m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg]."""
-        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in BODY)
+        """Names of the parameters pi.
+
+        m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
+        """
+        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in BODY_PARAMETERS)
         return (*links, *(f"Ia{i}" for i in self.robot.numbers))
 
     @cached_property
     def values(self) -> Array:
-        """Parameters pi as the robot file states them, the declared payload with the last link, shape (11 n,) [SI]."""
+        """Parameters pi by the robot file, shape (11 n,) [SI].
+
+        The declared payload is part of the last link.
+        """
         return self.at(np.zeros(len(self.names)))
 
     @cached_property
     def payload(self) -> Array:
-        """The ten numbers of the declared payload, by whose columns of the last link it acts, shape (10,) [SI]."""
+        """The ten numbers of the declared payload, shape (10,) [SI].
+
+        It acts through the last link's columns.
+        """
         return body_numbers(self.robot.payload) if self.robot.payload else np.zeros(10)
 
     @cached_property
     def gravity(self) -> Array:
-        """In the robot's base frame, shape (3,) [m/s^2]."""
+        """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
         foot = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
         frame = self.robot.gravity_frame
         known = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
         return np.asarray(known).ravel()
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """Y, shape (N, n, 11 n), at many states: tau = Y pi. Of many thousand states it is large: take some at a time.
+        """Return the regressor Y at many states, shape (N, n, 11 n): tau = Y pi.
 
-        q, v, a : readings, speeds, accelerations, each (N, n) [rad or m, per s, per s^2]
+        It is large for many thousand states: evaluate them in parts.
+
+        q, v, a : readings, velocities, accelerations, each (N, n) [rad or m, per s, per s^2]
         """
         (Y,) = self._evaluated("regressor", q, v, a, np.zeros(0), self.gravity)
         return Y.T.reshape(len(q), len(self.names), self.robot.n).transpose(0, 2, 1)
 
     def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
-        """tau, shape (N, n) [N m or N], of pi, shape (11 n,), or `values`; gravity : (3,) [m/s^2], or the robot's"""
+        """Return the joint torques tau, shape (N, n) [N m or N].
+
+        q, v, a : as of `regressor`; pi : shape (11 n,), by default `values`
+        gravity : in the base frame, shape (3,) [m/s^2], by default the robot's
+        """
         g = self.gravity if gravity is None else gravity
         return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
     def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
+        """Evaluate regressor or torque at many states."""
         shared = (pi, self.robot.parameters.values, gravity)
         return _mapped(self.robot.structure, self._couplings, what)(np.hstack([q, v, a]).T, np.concatenate(shared))
 
     @property
     def _couplings(self) -> Couplings:
+        """Coupling of each joint."""
         return tuple(joint.coupling for joint in self.robot.joints)
 
     @cached_property
     def function(self) -> ca.Function:
-        """inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N]."""
+        """Function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N]."""
         point, geometry, gravity, Y = _expressions(self.robot.structure, self._couplings)
         pi = ca.SX.sym("pi", len(self.names))
         known = [ca.DM(self.robot.parameters.values), ca.DM(self.gravity)]
@@ -99,7 +124,7 @@ class Dynamics:
 
     @cached_property
     def rotors(self) -> Array:
-        """Rotor inertias as the joints feel them, stated or estimated, shape (n,) [kg m^2 or kg]."""
+        """Rotor inertias reflected to the joints, declared or estimated, shape (n,) [kg m^2 or kg]."""
         drive = self.robot.drive
         if drive and (stated := drive.inertia_at_joint(self.robot.n)) is not None:
             return np.asarray(stated)
@@ -107,36 +132,45 @@ class Dynamics:
         middle = np.tile(np.mean(self.robot.limits, axis=0), (n, 1))
         pi = np.concatenate([links, np.zeros(n)])
         inertia = np.diag(self.torque(middle, np.zeros((n, n)), np.eye(n), pi, np.zeros(3)))
-        # Rotor inertia where none is stated, as a share of the links' at the joint in the middle of
-        # its range, and where these are small, of those at the strongest joint.
+        # A rotor inertia that is not declared is 30 % of the links' at the joint in mid range, and
+        # at least 3 % of the largest such inertia of all joints.
         return np.asarray(np.maximum(0.3 * inertia, 0.03 * inertia.max()))
 
     @cached_property
     def sigma(self) -> Array:
-        """One sigma of each coordinate as the robot file states the bodies, shape (11 n,) [1 or m]."""
+        """Prior standard deviation of each coordinate, shape (11 n,) [1 or m], by the robot file."""
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
         for joint in self.robot.joints:
-            shape = INERTIA if joint.body and joint.body.inertia is not None else GUESSED_INERTIA
+            shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else ESTIMATED_INERTIA_LOG_SIGMA
             sigma += [width.share / 2, *[width.centre] * 3, *[shape / 2] * 6]
         stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
-        return np.array([*sigma, *[ROTOR if stated else GUESSED_ROTOR] * self.robot.n])
+        return np.array([*sigma, *[ROTOR_LOG_SIGMA if stated else ESTIMATED_ROTOR_LOG_SIGMA] * self.robot.n])
 
     def at(self, coordinates: Array) -> Array:
-        """Parameters pi, shape (11 n,), of coordinates, shape (11 n,): zero is the robot file's, all are physical."""
+        """Return the parameters pi, shape (11 n,), for coordinates, shape (11 n,).
+
+        Zero gives those of the robot file; all are physical.
+        """
         n = self.robot.n
         links = self._links(coordinates[: 10 * n])
         links[10 * (n - 1) :] += self.payload
         return np.concatenate([links, self.rotors * np.exp(coordinates[10 * n :])])
 
     def _links(self, coordinates: Array) -> Array:
+        """Return the parameters of the links, shape (10 n,), for their coordinates."""
         none = Body(0.0, np.zeros(3))
         bodies = [joint.body or none for joint in self.robot.joints]
-        return np.concatenate([_moved(b, x) for b, x in zip(bodies, coordinates.reshape(-1, 10), strict=True)])
+        return np.concatenate(
+            [_deformed_numbers(b, x) for b, x in zip(bodies, coordinates.reshape(-1, 10), strict=True)]
+        )
 
     @cached_property
     def tangent(self) -> Array:
-        """Derivatives of pi by the coordinates at zero, shape (11 n, 11 n): columns of coordinates are Y tangent."""
+        """Derivatives of pi by the coordinates at zero, shape (11 n, 11 n).
+
+        The columns of the coordinates are Y tangent.
+        """
         step = 1e-6
         both = ([self.at(sign * step * unit) for unit in np.eye(len(self.names))] for sign in (1, -1))
         ahead, behind = (np.array(side) for side in both)
@@ -144,16 +178,22 @@ class Dynamics:
 
 
 def body_numbers(body: Body) -> Array:
-    """The ten numbers of a body, shape (10,) [kg, kg m, kg m^2]; an unknown inertia is taken as none."""
+    """Return the ten numbers of a body, shape (10,) [kg, kg m, kg m^2].
+
+    An unknown inertia counts as zero.
+    """
     inertia = np.zeros((3, 3)) if body.inertia is None else body.inertia
     about = inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
     return np.array([body.mass, *(body.mass * body.com), *about[np.triu_indices(3)]])
 
 
-def _moved(body: Body, coordinates: Array) -> Array:
-    """The ten numbers of a body deformed by ten coordinates: the affine image of its density, and so a body.
+def _deformed_numbers(body: Body, coordinates: Array) -> Array:
+    """Return the ten numbers of a body deformed by ten coordinates.
 
-    coordinates : logarithm of its mass / 2, centre, logarithms of three lengths, three shears
+    The deformation is an affine map of its density, so that the result is a physical body.
+
+    coordinates : logarithm of its mass / 2, shift of the centre [m], logarithms of three stretches,
+        three shears
     """
     half, centre, lengths, shears = coordinates[0], coordinates[1:4], coordinates[4:7], coordinates[7:]
     stretch = np.diag(np.exp(lengths))
@@ -166,7 +206,10 @@ def _moved(body: Body, coordinates: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunction:
-    """regressor or torque over many states; shared are pi (of torque alone), the geometry's parameters and gravity."""
+    """Return the function of regressor or torque over many states.
+
+    Its shared inputs are pi (for the torque only), the parameters of the geometry, and gravity.
+    """
     point, geometry, gravity, Y = _expressions(structure, couplings)
     pi = ca.SX.sym("pi", Y.shape[1] if what == "torque" else 0)
     output = Y @ pi if what == "torque" else Y
@@ -175,9 +218,10 @@ def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunc
 
 @lru_cache(maxsize=16)
 def _expressions(structure: Structure, couplings: Couplings) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """(q, v, a), geometry, gravity and Y, shape (n, 11 n).
+    """Return (q, v, a), geometry, gravity and Y, shape (n, 11 n).
 
-    A coupled joint, or one that a four-bar drives, has a variable u(q) of its own: tau = (du/dq)^T tau_u.
+    A coupled joint, or one that a four-bar drives, has a variable u(q) of its own: tau = (du/dq)^T
+    tau_u.
     """
     arm, n = structure.arm, structure.arm.n
     point, geometry = ca.SX.sym("state", 3 * n), ca.SX.sym("geometry", len(structure.parameters.names))
@@ -199,10 +243,13 @@ def _expressions(structure: Structure, couplings: Couplings) -> tuple[ca.SX, ca.
 
 
 def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Symbolic], gravity: Symbolic) -> ca.SX:
-    """Rows of each joint, shape (n, 10 n); frames : of each link in the one before; moved : variables and derivatives.
+    """Return the regressor rows of each joint for the links, shape (n, 10 n).
 
-    Outward go angular speed w, its derivative and the acceleration of each origin, less gravity; inward each link's
-    force and moment, as ten columns.
+    Angular velocity w, its derivative and the acceleration of each origin minus gravity are
+    propagated outwards; each link's force and moment, as ten columns, inwards.
+
+    frames : of each link in the previous one; moved : joint variables and their first two
+        derivatives
     """
     n, z = len(frames), ca.DM([0, 0, 1])
     w, dw, acc = ca.SX.zeros(3), ca.SX.zeros(3), -gravity
@@ -230,6 +277,6 @@ def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Sy
 
 
 def _moments(w: Symbolic) -> Symbolic:
-    """I w by the six numbers of I, shape (3, 6)."""
+    """Return the matrix of I w by the six numbers of I, shape (3, 6)."""
     x, y, z = ca.vertsplit(w)
     return ca.blockcat([[x, y, z, 0, 0, 0], [0, x, 0, y, z, 0], [0, 0, x, 0, y, z]])

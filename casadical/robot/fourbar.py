@@ -1,10 +1,9 @@
 """The closed four-bar loop that drives a joint from a crank: closed form, feasibility margin.
-
-All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar. Angles count from that
-joint's x axis at zero reading. Ground bar, length g, from the carrying joint (origin) to the driven joint; crank,
-length L5, from the origin; coupler L4 from the crank's end to the rocker's end; rocker L3 from the driven joint and
-fixed to the driven link. With L3 = L5 and L4 = g the loop is a parallelogram and the rocker turns with the crank
-(paper, eq. 3).
+ All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar.
+Angles count from that joint's x axis at zero reading. Ground bar, length g, from the carrying joint
+(origin) to the driven joint; crank, length L5, from the origin; coupler L4 from the crank's end to
+the rocker's end; rocker L3 from the driven joint and fixed to the driven link. With L3 = L5 and L4
+= g the loop is a parallelogram and the rocker turns with the crank (paper, eq. 3).
 """
 
 import casadi as ca
@@ -16,7 +15,7 @@ Bars = tuple[Symbolic, Symbolic, Symbolic, Symbolic]
 
 
 def _triangle(crank: Symbolic, ground: Symbolic, lengths: Bars) -> tuple[Symbolic, Symbolic, Symbolic]:
-    """Diagonal from driven joint to crank end (x, y) and its length, seen in the plane of the loop."""
+    """Return the diagonal from driven joint to crank end in the loop's plane: x, y, length [m]."""
     L5, _L4, _L3, g = lengths
     x = L5 * ca.cos(crank) - g * ca.cos(ground)
     y = L5 * ca.sin(crank) - g * ca.sin(ground)
@@ -24,28 +23,29 @@ def _triangle(crank: Symbolic, ground: Symbolic, lengths: Bars) -> tuple[Symboli
 
 
 def rocker_angle(crank: Symbolic, ground: Symbolic, lengths: Bars, side: int) -> Symbolic:
-    """Direction of the rocker [rad] in the plane of the loop, continuous with the crank's angle.
+    """Return the direction of the rocker [rad] in the loop's plane, continuous with the crank's.
+
+    It follows from the law of cosines in the triangle driven joint - crank end - rocker end; atan2
+    keeps the digits near the folded positions. An open loop gives NaN: test `margin` first.
 
     crank, ground : angles of crank and ground bar [rad]
-    side : +1 or -1, on which side of the diagonal the rocker stands (see `assembly_side`)
-
-    The cosine theorem in the triangle driven joint - crank end - rocker end; atan2 keeps the digits near the folded
-    positions. An open loop gives NaN: ask `margin` first.
+    lengths : of the bars [m]
+    side : +1 or -1, the side of the diagonal on which the rocker is (see `assembly_side`)
     """
     x, y, diagonal = _triangle(crank, ground, lengths)
     _, L4, L3, _ = lengths
     cosine = diagonal**2 + L3**2 - L4**2
     inner = ca.atan2(ca.sqrt((2 * diagonal * L3) ** 2 - cosine**2), cosine)
-    # Difference to the crank's direction, so that no branch cut of atan2 lies in the working range.
+    # The angle is relative to the crank, so that no branch cut of atan2 is in the working range.
     along = x * ca.cos(crank) + y * ca.sin(crank)
     across = y * ca.cos(crank) - x * ca.sin(crank)
     return crank + ca.atan2(across, along) + side * inner
 
 
 def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
-    """How far the loop is from opening, as the sine of the angle between rocker and diagonal, squared.
+    """Return how far the loop is from opening: the squared sine between rocker and diagonal.
 
-    1 where rocker and diagonal are square, 0 at a folded position, negative where the bars cannot close.
+    1 where they are perpendicular, 0 at a folded position, negative where the bars cannot close.
     """
     _, _, diagonal = _triangle(crank, ground, lengths)
     _, L4, L3, _ = lengths
@@ -53,6 +53,6 @@ def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
 
 
 def assembly_side(crank: float, ground: float, lengths: Bars) -> int:
-    """The side on which the uncrossed loop is assembled: the rocker points as the crank does."""
+    """Return the side of the uncrossed assembly: its rocker points as the crank does."""
     candidates = {side: float(rocker_angle(crank, ground, lengths, side)) for side in (1, -1)}
     return min(candidates, key=lambda side: abs(float(ca.remainder(candidates[side] - crank, 2 * ca.pi))))

@@ -1,7 +1,8 @@
-"""Inverse kinematics by damped Newton steps, many poses at once; plain numbers, the model is the caller's.
+"""Inverse kinematics by damped Newton steps for many poses at once, for any model.
 
-The step is J^T (J J^T + lambda I)^-1 r (Levenberg and Marquardt; Nakamura and Hanafusa 1986), by singular values. With
-more joints than numbers it is the one of least norm: the elbow stays where it was started.
+The step is J^T (J J^T + lambda I)^-1 r (Levenberg and Marquardt; Nakamura and Hanafusa 1986), by
+singular values. With more joints than residuals it is the one of least norm: the elbow stays near
+its start.
 """
 
 from collections.abc import Callable
@@ -10,8 +11,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Residuals, shape (k, m), wanted less reached, and Jacobians, shape (k, m, n), of joints q, shape (k, n), at poses of
-# these indices, shape (k,).
+# (joints q, shape (k, n), indices of the poses, shape (k,)) -> residuals, target minus reached,
+# shape (k, m), and Jacobians, shape (k, m, n).
 Evaluate = Callable[[Array, Array], tuple[Array, Array]]
 
 
@@ -30,10 +31,12 @@ def solve_joints(
 ) -> Array:
     """Return the joints after the steps, shape (k, n) [rad or m]; they need not reach the poses.
 
-    start : shape (k, n); largest : change of a joint in one step [rad or m]; limits : of the joints, shape (n,) each
+    start : shape (k, n); steps : maximum number; largest : change of a joint in one step [rad or m]
+    limits : of the joints, shape (n,) each
     coupled : completes joints that follow others, shape (k, n) to (k, n)
-    least : share of the greatest singular value of J below which a direction is left aside
-    damping, of_error : lambda is damping + of_error |r|^2; done : pose whose residual is no longer take no more steps
+    least : share of the largest singular value of J below which a direction is omitted
+    damping, of_error : lambda is damping + of_error |r|^2
+    done : poses with a residual of at most this length take no more steps
     """
     q, active = np.array(start, float), np.arange(len(start))
     for _ in range(steps):

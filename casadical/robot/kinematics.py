@@ -1,4 +1,7 @@
-"""The open chain with its loops: actuated joint variables to link frames (paper, eqs. 1-3), gravity on it (eq. 4)."""
+"""Kinematics of the open chain with its loops, and gravity torques.
+
+Actuated joint variables give link frames (paper, eqs. 1-3) and torques (eq. 4).
+"""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,14 +15,18 @@ from casadical.effects import Context
 from casadical.robot import fourbar
 from casadical.robot.parameter_list import bar_names, parameters_of
 
+# Name of a parameter -> its value or symbol [SI].
 Values = Mapping[str, Symbolic]
 
-# Below this margin a loop counts as folded.
-LEAST_MARGIN = 0.02
+# Minimum margin of a four-bar (see `fourbar.margin`); below it the loop counts as folded.
+MIN_LOOP_MARGIN = 0.02
 
 
 def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
-    """Elementary transforms whose product is frame i in frame i-1 (1-based); variable : the joint's own [rad or m]."""
+    """Return the elementary transforms whose product is frame i (1-based) in frame i-1.
+
+    variable : the joint's own [rad or m]
+    """
     theta, d = values[f"theta{i}"], values[f"d{i}"]
     if arm.joints[i - 1].kind == "revolute":
         theta = theta + variable
@@ -34,7 +41,7 @@ def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Sy
 
 
 def loop_bars(arm: Arm, number: int, values: Values) -> fourbar.Bars:
-    """Lengths of loop `number` (1-based) [m]."""
+    """Return crank, coupler, rocker and ground lengths of loop `number` (1-based) [m]."""
     crank, coupler, rocker = (values[name] for name in bar_names(number).values())
     return crank, coupler, rocker, values[f"a{arm.loops[number - 1].driven - 1}"]
 
@@ -42,14 +49,17 @@ def loop_bars(arm: Arm, number: int, values: Values) -> fourbar.Bars:
 def loop_angles(
     loop: FourBar, actuated: Sequence[Symbolic], own: Sequence[Symbolic], values: Values
 ) -> tuple[Symbolic, Symbolic]:
-    """Angles of crank and ground bar [rad] in the plane of the loop; own : the rows' variables up to the carrier's."""
+    """Return the angles of crank and ground bar [rad] in the loop's plane.
+
+    actuated : joint variables; own : variables of the rows up to the carrier's
+    """
     crank = actuated[loop.driven - 1] + values[f"theta{loop.driven}"]
     ground = own[loop.carrier - 1] + values[f"theta{loop.carrier}"]
     return crank, ground
 
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Feasibility margin of every loop (see `fourbar.margin`)."""
+    """Return the margin of every loop (see `fourbar.margin`)."""
     own = own_variables(arm, actuated, values)
     return [
         fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
@@ -58,7 +68,7 @@ def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list
 
 
 def chain_factors(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[list[Symbolic]]:
-    """For each row the elementary transforms whose product it is.
+    """Return for each row the elementary transforms whose product it is.
 
     actuated : joint variables, readings with all that is added to them, n of them [rad or m]
     """
@@ -67,7 +77,10 @@ def chain_factors(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> lis
 
 
 def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple[Symbolic, ...]:
-    """T_01..T_0n, frames of the links in the robot's base frame, each (4, 4); actuated as of `chain_factors`."""
+    """Return T_01..T_0n, frames of the links in the robot's base frame, each (4, 4).
+
+    actuated : as of `chain_factors`
+    """
     T, frames = ca.SX.eye(4), []
     for row in chain_factors(arm, actuated, values):
         T = T @ product(row)
@@ -76,7 +89,7 @@ def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple
 
 
 def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """The variable of each row: the actuated one, or what its loop makes of it (paper, eq. 3)."""
+    """Return the variable of each row: the actuated one, or the result of its loop (paper, eq. 3)."""
     own = list(actuated)
     sides = assembly_sides(arm)
     for k in _from_base(arm):
@@ -86,20 +99,27 @@ def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> lis
 
 
 def _from_base(arm: Arm) -> list[int]:
-    """Numbers of the loops (1-based), nearer ones first: a loop may stand on a link that another drives."""
+    """Return the numbers of the loops (1-based), those nearer to the base first.
+
+    A loop may be mounted on a link that another drives.
+    """
     return sorted(range(1, len(arm.loops) + 1), key=lambda k: arm.loops[k - 1].driven)
 
 
 def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
-    """The variable of the row that loop k drives, for its angles of crank and ground bar."""
+    """Return the variable of the row that loop k drives, for its crank and ground angles."""
     loop = arm.loops[k - 1]
     rocker = fourbar.rocker_angle(*angles, loop_bars(arm, k, values), side)
-    # theta of the driven row turns the crank, not the link: row_factors adds it, so it is taken off here.
+    # theta of the driven row rotates the crank, not the link: as row_factors adds it, it is
+    # subtracted here.
     return rocker - angles[1] + loop.offset - values[f"theta{loop.driven}"]
 
 
 def assembly_sides(arm: Arm) -> dict[int, int]:
-    """Assembly of every uncrossed loop, at mid range of its joints' limits. Raises InputError where it cannot close."""
+    """Return the side of each loop's uncrossed assembly, at mid range of its joints.
+
+    Raises InputError where it cannot close.
+    """
     if not arm.loops:
         return {}
     middle = [0.5 * (j.lower + j.upper) for j in arm.joints]
@@ -108,7 +128,7 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
     for k in _from_base(arm):
         loop, bars = arm.loops[k - 1], loop_bars(arm, k, nominal)
         crank, ground = angles = loop_angles(loop, middle, own, nominal)
-        if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > LEAST_MARGIN:
+        if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > MIN_LOOP_MARGIN:
             raise InputError(
                 f"{arm.name}: four_bar[{k}] cannot be assembled at the middle of its joints' ranges, crank at "
                 f"{np.rad2deg(crank):.1f} deg and ground bar at {np.rad2deg(ground):.1f} deg; give limits_deg of "
@@ -120,7 +140,7 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
 
 
 def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payload_kg: Symbolic) -> Symbolic:
-    """Potential energy [J] of all bodies and of the payload.
+    """Return the potential energy [J] of all bodies and of the payload.
 
     frames : T_01..T_0n in the robot's base frame; gravity : shape (3,) [m/s^2] in the same frame
     payload_kg : mass on the flange at this pose, its mass centre as declared
@@ -135,9 +155,11 @@ def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payl
 
 
 def gravity_torques(context: Context, added: Symbolic = 0.0) -> Symbolic:
-    """tau = -dV/dq, shape (n,) [N m or N]: on the actuated joints, right for closed loops too.
+    """Return tau = -dV/dq on the actuated joints, shape (n,) [N m or N].
 
-    Evaluated at the pose after one deflection step. added : potential energy of effects [J]
+    It holds for closed loops too, and is evaluated at the pose after one deflection step.
+
+    added : potential energy of effects [J]
     """
     arm, q = context.arm, context.q
     energy = gravity_energy(arm, context.frames, context.gravity, context.conditions.get("payload_kg", 0.0))
@@ -146,5 +168,5 @@ def gravity_torques(context: Context, added: Symbolic = 0.0) -> Symbolic:
 
 
 def deflections(arm: Arm, torque: Symbolic, values: Values) -> Symbolic:
-    """Joint deflections c_i tau_i, shape (n,) [rad or m] (paper, eq. 4)."""
+    """Return the joint deflections c_i tau_i, shape (n,) [rad or m] (paper, eq. 4)."""
     return ca.vertcat(*(values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, arm.n + 1)))

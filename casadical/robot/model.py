@@ -19,7 +19,7 @@ from casadical.core.parts import GRAVITY_COLUMNS, Arm
 from casadical.core.transforms import Symbolic, carry, product, rot_x, rot_y, rot_z, small_frame, translate
 from casadical.effects import Context, Effect
 from casadical.robot import kinematics
-from casadical.robot.parameter_list import SIX
+from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +229,7 @@ def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
     """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
     if arm.base.unknown == "none":
         return T
-    return T @ small_frame(*(values.get(name, 0.0) for name in SIX["base"]))
+    return T @ small_frame(*(values.get(name, 0.0) for name in PLACEMENT_PARAMETERS["base"]))
 
 
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:

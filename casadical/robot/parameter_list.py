@@ -1,4 +1,4 @@
-"""Every parameter of a robot's model, with its nominal value, bounds and prior, and why some are always held."""
+"""All parameters of a robot's model: nominal value, bounds, prior, and why some are fixed."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -9,13 +9,15 @@ from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, FourBar, Joint, parallel
 from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
-NEAR_PARALLELOGRAM = 0.02
+# A four-bar is a parallelogram if opposite bars differ by less than this share.
+PARALLELOGRAM_TOLERANCE = 0.02
 
-SIX = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
+# Placement (base or tool) -> names of its six parameters.
+PLACEMENT_PARAMETERS = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
 
 
 def bar_names(number: int) -> dict[str, str]:
-    """Parameters of a four-bar's lengths; number : of the loop, from 1."""
+    """Return bar -> parameter name of a four-bar; number : of the loop, from 1."""
     suffix = "" if number == 1 else f"_{number}"
     return {"crank": f"L5{suffix}", "coupler": f"L4{suffix}", "rocker": f"L3{suffix}"}
 
@@ -23,95 +25,110 @@ def bar_names(number: int) -> dict[str, str]:
 def parameters_of(
     arm: Arm, effects: Iterable[Effect] = (), effect_values: Mapping[str, float] | None = None
 ) -> Iterable[Parameter]:
-    """All parameters, those first that identifiability prefers: placement, rows, loops, compliance, effects."""
+    """Yield all parameters, in the order in which identifiability prefers them.
+
+    That is placement, rows, loops, compliance, effects.
+    """
     for which, placement in (("base", arm.base), ("tool", arm.tool)):
         count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
         start = placement.T[:3, 3] if which == "tool" else np.zeros(3)
-        for name, value in list(zip(SIX[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
-            yield _number(arm, name, which, "rad" if "_r" in name else "m", float(value))
+        for name, value in list(zip(PLACEMENT_PARAMETERS[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
+            yield _length_or_angle(arm, name, which, "rad" if "_r" in name else "m", float(value))
     for target in arm.targets:
         held = "" if arm.tool.unknown != "none" else "given as known in the robot file"
         for name, value in zip(target.parameters, target.point, strict=True):
-            yield _number(arm, name, "tool", "m", float(value), held)
+            yield _length_or_angle(arm, name, "tool", "m", float(value), held)
     given = tuple(effects)
-    # Base and tool of further sessions come before the rows, as those of the first do.
+    # Base and tool of further sessions precede the rows, like those of the first session.
     sessions = tuple(e for e in given if isinstance(e, Session))
     yield from _of_effects(arm, sessions, effect_values or {})
     for i, joint in enumerate(arm.joints, 1):
-        yield from _row(arm, i, joint)
+        yield from _row_parameters(arm, i, joint)
     for k, loop in enumerate(arm.loops, 1):
-        yield from _loop(arm, k, loop)
+        yield from _loop_parameters(arm, k, loop)
     for i, joint in enumerate(arm.joints, 1):
         if joint.compliance is not None:
-            yield _compliance(arm, i, joint.compliance)
+            yield _compliance_parameter(arm, i, joint.compliance)
     yield from _of_effects(arm, (e for e in given if e not in sessions), effect_values or {})
 
 
 def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
+    """Yield the parameters of effects, with their values; errors of estimated masses are guesses."""
     for effect in effects:
         guess = arm.masses == "estimated" and isinstance(effect, (LinkMasses, PayloadError))
         for p in effect.parameters():
             yield replace(p, value=values.get(p.name, p.value), guess=guess)
 
 
-def _number(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
+def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
+    """Return a length or angle parameter with bounds and prior of its group."""
     width = arm.widths[group]
     bound = width.length_bound if unit == "m" else width.angle_bound
     prior = width.length_prior if unit == "m" else width.angle_prior
     return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, held)
 
 
-def _row(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
+def _row_parameters(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
+    """Yield the parameters of row i (1-based)."""
     # A first row with all six numbers is the base frame itself, as in the paper's Table 1.
     group = "base" if i == 1 and joint.b is not None else "geometry"
-    yield _number(arm, f"alpha{i - 1}", group, "rad", joint.alpha)
-    yield _number(arm, f"a{i - 1}", group, "m", joint.a)
+    yield _length_or_angle(arm, f"alpha{i - 1}", group, "rad", joint.alpha)
+    yield _length_or_angle(arm, f"a{i - 1}", group, "m", joint.a)
     if joint.beta is not None:
-        yield _number(arm, f"beta{i - 1}", group, "rad", joint.beta)
+        yield _length_or_angle(arm, f"beta{i - 1}", group, "rad", joint.beta)
     if joint.b is not None:
-        yield _number(arm, f"b{i - 1}", group, "m", joint.b)
+        yield _length_or_angle(arm, f"b{i - 1}", group, "m", joint.b)
     held = ""
-    if _slides_together(arm, i):
+    if _parallel_axes(arm, i):
         held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
-    elif i > 1 and arm.base.unknown != "none" and all(_slides_together(arm, k) for k in range(1, i)):
+    elif i > 1 and arm.base.unknown != "none" and all(_parallel_axes(arm, k) for k in range(1, i)):
         held = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
-    yield _number(arm, f"d{i}", group, "m", joint.d, held)
-    yield _number(arm, f"theta{i}", group, "rad", joint.theta)
+    yield _length_or_angle(arm, f"d{i}", group, "m", joint.d, held)
+    yield _length_or_angle(arm, f"theta{i}", group, "rad", joint.theta)
 
 
-def _slides_together(arm: Arm, i: int) -> bool:
-    """Whether joints i and i+1 (1-based) turn about nearly parallel axes, so that their d are one."""
+def _parallel_axes(arm: Arm, i: int) -> bool:
+    """Return whether joints i and i+1 (1-based) are revolute about nearly parallel axes.
+
+    Only the sum of their d is then determined.
+    """
     return parallel(arm.joints, i - 1) and all(j.kind == "revolute" for j in arm.joints[i - 1 : i + 1])
 
 
-def _loop(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
+def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
+    """Yield the bar lengths of loop k (1-based); a parallelogram's rocker is fixed."""
     names = bar_names(k)
     ground = abs(arm.joints[loop.driven - 1].a)
     parallelogram = (
-        abs(loop.crank - loop.rocker) < NEAR_PARALLELOGRAM * loop.rocker
-        and abs(loop.coupler - ground) < NEAR_PARALLELOGRAM * ground
+        abs(loop.crank - loop.rocker) < PARALLELOGRAM_TOLERANCE * loop.rocker
+        and abs(loop.coupler - ground) < PARALLELOGRAM_TOLERANCE * ground
     )
     scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
     for bar, name in names.items():
         held = scale if bar == "rocker" and parallelogram else ""
-        yield _number(arm, name, "loop", "m", getattr(loop, bar), held)
+        yield _length_or_angle(arm, name, "loop", "m", getattr(loop, bar), held)
 
 
-def _compliance(arm: Arm, i: int, value: float) -> Parameter:
+def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
+    """Return the compliance of joint i (1-based), scaled by its largest load."""
     width = arm.widths["compliance"]
     rotary = arm.joints[i - 1].kind == "revolute"
     bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)
-    load = _greatest_load(arm, i)
+    load = _largest_load(arm, i)
     unit = "rad/(N m)" if rotary else "m/N"
-    # Of estimated masses only the product with the compliance is in the data: both are held back by their priors.
+    # With estimated masses the data determine only their product with the compliance, so that both
+    # have priors.
     guess = arm.masses == "estimated"
     return Parameter(
         f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load, guess=guess
     )
 
 
-def _greatest_load(arm: Arm, i: int) -> float:
-    """Roughly the greatest torque [N m] (or force [N]) at joint i: all weight beyond it at half the reach beyond."""
+def _largest_load(arm: Arm, i: int) -> float:
+    """Return a rough upper limit of the torque [N m] (or force [N]) at joint i (1-based).
+
+    All weight beyond it acts at half the reach beyond.
+    """
     beyond = arm.joints[i - 1 :]
     mass = sum(j.body.mass for j in beyond if j.body) + (arm.payload.mass if arm.payload else 0.0)
     reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(arm.tool.T[:3, 3]))

@@ -26,7 +26,7 @@ from casadical.core.telling.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, constants_of, expressions
-from casadical.robot.parameter_list import SIX, bar_names, parameters_of
+from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
 # Parameters whose covariances are kept in one block; of more, those of each effect have their own.
 ONE_BLOCK = 120
@@ -377,8 +377,10 @@ class Robot(Shown, Arm):
         for k, loop in enumerate(self.loops, 1):
             bars: Any = {bar: v[name] for bar, name in bar_names(k).items()}
             loops.append(replace(loop, **bars))
-        moved = np.array([v.get(n, 0.0) for n in SIX["base"]])
-        tool = np.array([v.get(n, old) for n, old in zip(SIX["tool"], (*T[:3, 3], 0, 0, 0), strict=True)])
+        moved = np.array([v.get(n, 0.0) for n in PLACEMENT_PARAMETERS["base"]])
+        tool = np.array(
+            [v.get(n, old) for n, old in zip(PLACEMENT_PARAMETERS["tool"], (*T[:3, 3], 0, 0, 0), strict=True)]
+        )
         return replace(
             self,
             joints=tuple(joints),
@@ -399,7 +401,11 @@ class Robot(Shown, Arm):
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
         nine = (*moved[:3, 3], *to_xyz(moved[:3, :3]), *to_xyz(turned[:3, :3]))
-        values |= {n: v for n, v in zip((*SIX["base"], *SIX["tool"][3:]), nine, strict=True) if n in values}
+        values |= {
+            n: v
+            for n, v in zip((*PLACEMENT_PARAMETERS["base"], *PLACEMENT_PARAMETERS["tool"][3:]), nine, strict=True)
+            if n in values
+        }
         return np.array([values[n] for n in self.parameters.names])
 
 

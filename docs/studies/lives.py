@@ -48,7 +48,7 @@ from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate
 from casadical.identification.accuracy import predicted
 from casadical.project.problem import read_campaign_robot
-from casadical.robot.parameter_list import SIX
+from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
 ROOT = Path(__file__).parents[2]
 CAMPAIGNS, POSES, NOISE, MONTH = 30, 40, 3e-5, 30.4
@@ -131,7 +131,7 @@ def drawn(robot: Robot, kind: str, rng: np.random.Generator) -> Life:
 def frame_of(robot: Robot) -> tuple[str, ...]:
     """Parameters that place the robot in the measuring frame: three lengths, three angles."""
     row = ("a0", "b0", "d1", "alpha0", "beta0", "theta1")
-    return row if "b0" in robot.parameters.names else SIX["base"]
+    return row if "b0" in robot.parameters.names else PLACEMENT_PARAMETERS["base"]
 
 
 def daily(robot: Robot, rng: np.random.Generator) -> dict[str, float]:

@@ -28,7 +28,7 @@ from casadical.fleet.evidence import (
 )
 from casadical.identification.accuracy import predicted
 from casadical.identification.misfit import misfit_of, wide_fit
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_the_directions_of_what_is_anew_are_projected_out() -> None:
 
 def test_harmonics_that_every_campaign_shows_are_no_change_after_the_first(arm: tuple[Robot, Robot]) -> None:
     """Twenty campaigns alike, a harmonic many times as large as their priors have it."""
-    robot = doubted(arm[0], 2)
+    robot = with_joint_harmonics(arm[0], 2)
     rng = np.random.default_rng(3)
     names = ("a2", "theta3", "joint_error_curve.s1_q3", "joint_error_curve.c1_q3")
     spread = np.array([1.0, 1.0, 0.2, 0.2])
@@ -410,7 +410,7 @@ def test_the_figure_of_a_life(tables: Path, tmp_path: Path) -> None:
 
 def test_a_robot_whose_first_row_places_it_may_have_a_moved_foot() -> None:
     """The HH800 has no base beside the first row of its table: six numbers that each campaign fits again."""
-    robot = doubted(read_robot(Path(__file__).parents[2] / "problems/hh800/campaign.robot.toml"), 2)
+    robot = with_joint_harmonics(read_robot(Path(__file__).parents[2] / "problems/hh800/campaign.robot.toml"), 2)
     row = ("alpha0", "a0", "beta0", "b0", "d1", "theta1")
     names = [p.name for p in robot.parameters]
     foot = next(c for c in candidates_of(robot, names) if c.kind == "foot")

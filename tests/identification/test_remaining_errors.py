@@ -11,7 +11,7 @@ from casadical.effects import GearEccentricity
 from casadical.identification.accuracy import predicted
 from casadical.identification.remaining_errors import learn_remaining, residuals_and_jacobian
 from casadical.measurements.measurements import unmeasured
-from casadical.robot.remaining_errors import doubted
+from casadical.robot.remaining_errors import with_joint_harmonics
 
 ARM = arms.six_axis()
 SIZE = 3e-4  # rad, of each joint's own error that no calibration has: some tenths of a millimetre
@@ -35,7 +35,7 @@ def errors_at(robot, built, q):
 def expected_at(robot, q):
     """Root mean square of the distance by the robot's own account, shape (n,) [m]: rest^2 + tr(J M J')."""
     remaining = robot.remaining
-    model = doubted(robot)
+    model = with_joint_harmonics(robot)
     scale = np.array([model.parameters[name].scale for name in remaining.names])
     J = 1e-3 * residuals_and_jacobian(model, [unmeasured(q)], remaining.names)[1] / scale
     return np.sqrt(remaining.rest**2 + ((J @ remaining.factor) ** 2).sum(axis=(1, 2)))

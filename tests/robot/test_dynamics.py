@@ -9,7 +9,7 @@ import urdf_arms
 
 from casadical import Body, FourBar, InputError, Joint, Robot, read_robot, read_urdf, write_robot
 from casadical.core.drive import Drive, read_drive
-from casadical.robot.dynamics import INERTIA, Dynamics
+from casadical.robot.dynamics import INERTIA_LOG_SIGMA, Dynamics
 from casadical.robot.robot_file import robot_from
 
 STATES = np.random.default_rng(3).normal(size=(3, 20, 7))
@@ -162,7 +162,7 @@ def test_all_coordinates_lead_to_bodies(arm) -> None:
     assert heavier[:10] == pytest.approx(1.1 * dynamics.values[:10])
     wider = dynamics.at(np.r_[np.zeros(4), dynamics.sigma[4:7], np.zeros(11 * arm.n - 7)])
     moments = as_body(wider[:10]).inertia, as_body(dynamics.values[:10]).inertia
-    assert moments[0] == pytest.approx(np.exp(INERTIA) * moments[1])  # one sigma of their logarithm
+    assert moments[0] == pytest.approx(np.exp(INERTIA_LOG_SIGMA) * moments[1])  # one sigma of their logarithm
     step = 1e-4 * rng.normal(size=len(dynamics.sigma))
     assert dynamics.at(step) - dynamics.values == pytest.approx(dynamics.tangent @ step, abs=1e-6)
 

@@ -23,7 +23,7 @@ from casadical.project.check.slips import Slips
 from casadical.project.problem import Problem
 from casadical.project.robot_columns import computed, some_rows, unfitted, unmeasured
 from casadical.project.targets import Targets, WrongNames
-from casadical.robot.kinematics import LEAST_MARGIN
+from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
 # Columns that the model or an effect may need, besides readings and observations.
@@ -150,9 +150,9 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
 def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
     """Return a finding on a four-bar that is nearly folded; an open one is refused elsewhere."""
     smallest = margin(robot, m)
-    if smallest is None or not LEAST_MARGIN <= smallest < 5 * LEAST_MARGIN:
+    if smallest is None or not MIN_LOOP_MARGIN <= smallest < 5 * MIN_LOOP_MARGIN:
         return []
-    text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {LEAST_MARGIN} refused)"
+    text = f"the four-bar is nearly folded in some pose (margin {smallest:.3f}; 1 is square, {MIN_LOOP_MARGIN} refused)"
     return [Finding("warning", "four-bar", f"{m.source}: {text}; small errors of the bars count much there")]
 
 
