@@ -10,7 +10,7 @@ from casadical.diagnosis.held_out_gap import Check, NetworkGap, check_refit, net
 from casadical.diagnosis.isolability import Isolability, isolability, ruled_out
 from casadical.diagnosis.joint_curves import JointCurves, curve_of, joint_curves
 from casadical.diagnosis.laws.answer import Discovery
-from casadical.diagnosis.laws.discovery import laws_beside
+from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.localisation import Localisation, localise
 from casadical.diagnosis.next_poses import next_poses
 from casadical.diagnosis.noise_floor import noise_floor
@@ -28,7 +28,7 @@ class Details:
     unlisted : description of an unlisted cause, see `describe_unlisted`
     check : nonlinear refit against linear model; networks : gap with a network (see `held_out_gap`)
     curves : joint error curves, see `joint_curves`
-    laws : expressions of an unlisted effect, see `laws_beside`; computed if the verdict is unknown,
+    laws : expressions of an unlisted effect, see `laws_of_diagnosis`; computed if the verdict is unknown,
         or on request
     poses : next poses to measure, see `next_poses`; file : name of the file to which they are
         written; empty if none
@@ -87,7 +87,7 @@ def analyse(
         show("joint error curves")
     curves = joint_curves(found) if curved else None
     search = found.case.one_end and found.verdict == "unknown" if laws is None else laws
-    discovery = laws_beside(found, show) if search else None
+    discovery = laws_of_diagnosis(found, show) if search else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")

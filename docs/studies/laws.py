@@ -32,7 +32,7 @@ from casadical.blind_check.mujoco_physics.plant import Plant
 from casadical.core.basics import CasadicalError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import held_out
-from casadical.diagnosis.laws.discovery import Discovery, laws_beside
+from casadical.diagnosis.laws.discovery import Discovery, laws_of_diagnosis
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 
@@ -124,7 +124,7 @@ def judged(trial: Trial) -> dict[str, Any]:
     begun = time.process_time()
     diagnosis = diagnose(robot, m)
     middle = time.process_time()
-    found = laws_beside(diagnosis)
+    found = laws_of_diagnosis(diagnosis)
     out |= {"diagnosis_s": round(middle - begun, 2), "laws_s": round(time.process_time() - middle, 2)}
     out |= _said(found)
     if trial.effect in TRUTH:

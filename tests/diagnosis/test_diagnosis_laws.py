@@ -26,10 +26,10 @@ from casadical.diagnosis.laws import contest
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.beams import Beam, stations
 from casadical.diagnosis.laws.contest import aliases, held_out, with_law
-from casadical.diagnosis.laws.discovery import laws_beside
+from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.laws.forms import (
     FINE_WAVE,
-    FORMS,
+    FORMS_BY_KIND,
     LINEAR,
     WAVE,
     Driver,
@@ -40,7 +40,15 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import NEVER, SCREENED, Problem, Scored, Screen, Tried, scale_of
+from casadical.diagnosis.laws.problem import (
+    NOT_JUDGED_LOG_EVIDENCE,
+    SCREENED_RHO_INDICES,
+    Problem,
+    ScoredLaw,
+    Screen,
+    TriedLaws,
+    scale_of,
+)
 from casadical.diagnosis.laws.problem import with_columns as seams_with_columns
 from casadical.diagnosis.laws.search import search_laws
 from casadical.diagnosis.linear_problem import Case
@@ -95,7 +103,7 @@ def discovered(seed: int, hidden: str = "nothing") -> Discovery:
 
 
 @pytest.mark.parametrize(
-    "form", {f.name: f for fs in FORMS.values() for f in (*fs, FINE_WAVE)}.values(), ids=lambda f: f.name
+    "form", {f.name: f for fs in FORMS_BY_KIND.values() for f in (*fs, FINE_WAVE)}.values(), ids=lambda f: f.name
 )
 def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> None:
     x = np.random.default_rng(0).uniform(-1.5, 1.0, 40)
@@ -110,7 +118,7 @@ def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> Non
 def test_a_form_that_is_constant_over_the_poses_has_a_size() -> None:
     assert scale_of(np.ones((1, 20, 3))).tolist() == [[1e-3] * 3]
     x = np.linspace(0.0, 1.0, 20)
-    assert scale_of(FORMS["signed"][0].values(x, np.zeros((1, 0))))[0, 0] == pytest.approx(x.std())
+    assert scale_of(FORMS_BY_KIND["signed"][0].values(x, np.zeros((1, 0))))[0, 0] == pytest.approx(x.std())
 
 
 def test_drivers_are_what_the_robot_and_the_table_say() -> None:
@@ -135,13 +143,13 @@ def where_noise_follows(name: str, stays: float) -> Case:
 @pytest.mark.parametrize("stays", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
 def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
     c = where_noise_follows("kr210-P02", stays)
-    problem = Problem.beside(c, NONE)
+    problem = Problem.of_case(c, NONE)
     by_rho = np.logaddexp.reduce(problem.log_base, axis=1)
     for s in laws_alone(c)[:8]:
         seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
         values = s.tried.form.values(x, s.settings[None])
         exact = np.logaddexp.reduce(problem.grids([s.columns])[0], axis=(1, 2)) - by_rho
-        for rho in SCREENED:
+        for rho in SCREENED_RHO_INDICES:
             screen = Screen.at_rho(problem.evidence, rho)
             G, b = screen.products(*problem.in_order(seam.columns * seam.size, values / scale_of(values)[:, None, :]))
             assert screen.gains(G, b) == pytest.approx(exact[rho], abs=1.0)
@@ -150,14 +158,14 @@ def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
 @pytest.mark.slow
 def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(5)
-    problem, n = Problem.beside(c, NONE), int(c.kept.sum())
+    problem, n = Problem.of_case(c, NONE), int(c.kept.sum())
     screen = Screen.at_rho(problem.evidence, 2)
     G, b = screen.products(3e-4 * rng.standard_normal((n, 3, 2)), rng.standard_normal((1, n, 200)))
     gains, reach = screen.gains(G, b), screen.reach(G, b)
     assert np.all(gains <= reach)
     least = float(np.quantile(reach, 0.7))
     some = screen.gains(G, b, least)
-    np.testing.assert_array_equal(some == NEVER, reach < least)
+    np.testing.assert_array_equal(some == NOT_JUDGED_LOG_EVIDENCE, reach < least)
     np.testing.assert_allclose(some[reach >= least], gains[reach >= least], rtol=1e-12)
     best = laws_alone(c)[0]
     assert search_laws(c, NONE, least=best.score - 1)[0].law == best.law
@@ -167,7 +175,7 @@ def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> N
 @pytest.mark.parametrize("stays", [0.0, 0.7])
 def test_products_of_functions_of_each_column_are_those_of_the_columns(stays: float) -> None:
     c, rng = where_noise_follows("kr210-P02", stays), np.random.default_rng(3)
-    problem, n = Problem.beside(c, NONE), int(c.kept.sum())
+    problem, n = Problem.of_case(c, NONE), int(c.kept.sum())
     places, functions = rng.standard_normal((n, 3, 4)), rng.standard_normal((2, n, 4, 3))
     screen = Screen.at_rho(problem.evidence, 2)
     G, b = screen.products(*problem.in_order(places, functions))
@@ -209,8 +217,8 @@ def test_memory_and_waves_by_the_load_are_written_out_as_they_were_judged(text: 
     x = known[text.removeprefix("tau2*")] * (known["tau2"] if "*" in text else 1.0)
     assert np.abs(known[text.removeprefix("tau2*")]).max() <= 1
     (seam,) = seams_with_columns(linear, [Law(2, "joint", "a")])
-    waves = [Tried((seam,), drivers["q2"], f("tau2", known["tau2"]), (known["q2"],)) for f in (wave_by, wave_plus)]
-    judged = [(Tried((seam,), drivers[text], LINEAR, (x,)), []), (waves[0], [2.5]), (waves[1], [2.0, -1.5])]
+    waves = [TriedLaws((seam,), drivers["q2"], f("tau2", known["tau2"]), (known["q2"],)) for f in (wave_by, wave_plus)]
+    judged = [(TriedLaws((seam,), drivers[text], LINEAR, (x,)), []), (waves[0], [2.5]), (waves[1], [2.0, -1.5])]
     for tried, settings in ((tried, np.array(values)) for tried, values in judged):
         law, columns = tried.column(0, settings)
         np.testing.assert_allclose(linear.columns([law]) * [s for s, _ in law.sizes().values()], columns, atol=1e-12)
@@ -269,17 +277,17 @@ def test_a_place_is_moved_each_way_by_a_step(out) -> None:
 @pytest.mark.parametrize("stays", [0.0, 0.7])
 def test_what_is_left_pulls_at_columns_as_their_products_say(stays: float) -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(3)
-    problem = Problem.beside(c.with_form(ar_form(stays, int(c.kept.sum()))) if stays else c, NONE)
+    problem = Problem.of_case(c.with_form(ar_form(stays, int(c.kept.sum()))) if stays else c, NONE)
     if stays:
         problem = replace(problem, order=rng.permutation(problem.order))
     screen, column = problem.screens[0][1], rng.standard_normal(c.evidence.r.shape)
     white = np.einsum("nab,nb->na", screen.W, problem.white(column[:, :, None])[:, :, 0])
-    assert (problem.pulled * column).sum() == pytest.approx((white * screen.y).sum(), rel=1e-9)
+    assert (problem.residual_weights * column).sum() == pytest.approx((white * screen.y).sum(), rel=1e-9)
 
 
 def test_laws_of_several_places_pay_for_all_that_were_looked_at() -> None:
     c = case("kr210-P02")
-    problem, linear = Problem.beside(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
+    problem, linear = Problem.of_case(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
     beam = Beam(linear, c.given.base.T[:3, 3], 3.0, "beam", Driver("r", "range", "range"))
     there = beam.at_all(stations(robot(NAME))[:3])
     few, many = (beam.tried(problem, WAVE, there, settings) for settings in (0, 3000 * 63))
@@ -293,10 +301,10 @@ def test_a_fold_knows_no_place_that_other_poses_said() -> None:
     tried, poses = law.tried, np.arange(0, len(law.columns), 2)
     assert law.seam >= tried.given > 0
     c = diagnose(robot(NAME), from_table(table(4), 6), ["backlash"], laws=False).case
-    other = tried.by(Problem.beside(c, NONE), np.flatnonzero(c.kept))  # of a campaign without the wave
+    other = tried.by(Problem.of_case(c, NONE), np.flatnonzero(c.kept))  # of a campaign without the wave
     assert {s.law.station for s in other.seams}.isdisjoint({s.law.station for s in tried.seams[tried.given :]})
     assert {s.law.station for s in other.seams} != {s.law.station for s in tried.seams[: tried.given]}
-    alone = replace(tried, again=None).by(Problem.beside(c, NONE), poses)
+    alone = replace(tried, again=None).by(Problem.of_case(c, NONE), poses)
     assert alone.seams == tried.seams[: tried.given]
 
 
@@ -334,7 +342,7 @@ def test_a_target_that_looks_aside_is_found() -> None:
     assert "the target looks along" in line_of(found.law)
 
 
-def law_of_instrument(changed, stays: float) -> Scored:
+def law_of_instrument(changed, stays: float) -> ScoredLaw:
     """The best law of a robot without another fault."""
     c = diagnose(robot(NAME), changed(from_table(table(4), 6)), ["backlash"], laws=False).case
     return search_laws(c.with_form(ar_form(stays, 80)) if stays else c, NONE)[0]
@@ -345,7 +353,7 @@ def test_places_of_short_waves_are_looked_for_some_at_a_time() -> None:
     c = diagnose(robot(NAME), ranged(from_table(table(4, poses=200), 6)), ["backlash"], laws=False).case
     linear = linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
     beam = Beam(linear, c.given.base.T[:3, 3], robot(NAME).reach, "beam", Driver("r", "range", "range"))
-    (rough,) = beam.short_waves(Problem.beside(c, NONE))
+    (rough,) = beam.short_waves(Problem.of_case(c, NONE))
     ways = [at / np.linalg.norm(at) for at in (np.array(rough.tried.seams[rough.seam].law.station), STATION)]
     assert np.linalg.norm(ways[0] - ways[1]) < 0.1
     assert rough.settings[0] == pytest.approx(9.0, abs=0.5)
@@ -368,7 +376,7 @@ def test_laws_are_screened_where_few_ratios_of_noise_are_looked_at() -> None:
     near = int(np.argmax(e.log_base().max(axis=1)))
     (seam,) = seams_with_columns(linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept)), [Law(2, "joint", "a")])
     functions = np.random.default_rng(0).normal(size=(1, len(e.r), 5))
-    for some in ((near,), (near, *(k for k in SCREENED if k != near))):
+    for some in ((near,), (near, *(k for k in SCREENED_RHO_INDICES if k != near))):
         found = Problem(replace(e, E=np.zeros((len(e.r), 3, 1)), cause_prior=None, near=tuple(sorted(some)))).gains(
             seam, functions
         )
@@ -435,7 +443,7 @@ def test_a_law_is_looked_for_where_all_would_be_noise_of_any_size(changed, place
     there = changed(m)
     there = replace(m, position=there.position + predicted(arm, there)[0] - predicted(arm, m)[0])
     found = diagnose(arm, there)
-    best = laws_beside(found).rounds[0].best
+    best = laws_of_diagnosis(found).rounds[0].best
     assert (found.verdict, found.causes, found.law is None) == ("unknown", (), driver.startswith("heat"))
     assert (best.law.place in places, best.tried.driver.text) == (True, driver)
 
@@ -493,7 +501,7 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     c = discovered(6).diagnosis.case
     r = following_noise(c.whole.r.shape, 0.95, 40e-6, 4) + shift_of(c, PRODUCT, 20e-6)
     hidden = replace(c, whole=replace(c.whole, r=r))
-    follows = contest.as_noise_follows(hidden, rank(hidden, NONE))
+    follows = contest.with_ar_noise(hidden, rank(hidden, NONE))
     assert follows is not None
     assert follows.form.stays > 0.85
     plain, first = (contest.round_of(case, NONE, rank(case, NONE)) for case in (hidden, follows))
@@ -503,7 +511,7 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     assert first.form is follows.form
     assert first.noise[1] < 3
     assert (first.best.law.place, first.best.tried.driver.text) == ("joint 2", "tau2*tau3")
-    assert contest.as_noise_follows(c, rank(c, NONE)) is None
+    assert contest.with_ar_noise(c, rank(c, NONE)) is None
 
 
 @cache
@@ -536,7 +544,7 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
     assert found.law.best.tried.driver.text == "tau2*tau3"
     law = found.law.best.law
     assert_noise_is_best_beside(with_law(found.case, law), [law])
-    said, later = laws_beside(found), laws_beside(cause)  # which has no law yet
+    said, later = laws_of_diagnosis(found), laws_of_diagnosis(cause)  # which has no law yet
     assert later.rounds[0].form.stays == said.rounds[0].form.stays == found.case.form.stays
     assert later.lines == said.lines
     note = f"Nats and factors are under noise of which {found.case.form.stays:.2g} stays from one"
@@ -548,7 +556,7 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
 def test_the_noise_is_found_again_beside_each_further_law() -> None:
     wave = Law(5, "joint", "a*sin(3*q5)", (("a", 1e-4),))
     found = diagnose(robot(NAME), hidden_in(0.8, 20e-6, 5, {PRODUCT: 60e-6, wave: 45e-6}), ["backlash"])
-    both = laws_beside(found)
+    both = laws_of_diagnosis(found)
     assert {s.law.place for s in both.laws} == {"joint 2", "joint 5"}
     first, second, *_ = (r.form.stays for r in both.rounds)
     assert 0 < first < second == both.case.form.stays
@@ -581,7 +589,7 @@ def test_noise_is_a_rival_of_every_law() -> None:
 
 @pytest.mark.slow
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
-    found = laws_beside(replace(discovered(5, "stop").diagnosis, law=None), poses=36)
+    found = laws_of_diagnosis(replace(discovered(5, "stop").diagnosis, law=None), poses=36)
     assert found.thinned == (36, 80)
     assert found.case.kept.sum() == 36
     assert [s.law.place for s in found.laws] == ["joint 3"]
@@ -609,7 +617,7 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
 def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> None:
     found = diagnose(robot(NAME), from_table(table(5, "stop"), 6), ["joint_error_curve"])
     assert found.verdict == "unknown"
-    assert laws_beside(found).laws
+    assert laws_of_diagnosis(found).laws
     assert analyse(found, laws=False).laws is None
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
-from casadical.diagnosis.laws.discovery import laws_beside
+from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.result import Diagnosis
@@ -127,7 +127,7 @@ def test_noise_of_repeated_poses_is_no_structure_and_no_law(poses: int, times: i
     m = with_noise(replace(again, position=predicted(arm, again)[0]))
     d = diagnose(arm, m, ["backlash"], laws=True)
     assert (d.verdict, d.account.structures) == ("none", ())
-    assert not laws_beside(d).laws
+    assert not laws_of_diagnosis(d).laws
 
 
 @pytest.mark.slow

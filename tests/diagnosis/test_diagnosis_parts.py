@@ -126,7 +126,7 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
 
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
     case = small_case()
-    problem = Problem.beside(case, NONE)
+    problem = Problem.of_case(case, NONE)
     E = case.whole.E.values
     assert_allclose(problem.evidences([E[:, :, [0]], E[:, :, [2]]]), [odds[0], odds[2]], atol=1e-6)
 

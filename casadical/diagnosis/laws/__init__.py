@@ -1,1 +1,1 @@
-"""The search for a law of what is left: at which place of the robot, by what, in which form."""
+"""Search for laws: symbolic expressions of residual errors, at one place of the robot each."""

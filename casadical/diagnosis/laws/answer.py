@@ -1,4 +1,4 @@
-"""What a discovery found: laws, their rivals, what each leaves; as words, tables, figures, JSON and files."""
+"""The result of a search for laws, and its report as text, tables, figures, JSON and files."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,14 @@ from casadical.core.telling.blocks import Block, Page, Section, Table, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result, plain_text
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.laws.contest import CORRELATION
-from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Round, Scored
+from casadical.diagnosis.laws.contest import MIN_ALIAS_CORRELATION
+from casadical.diagnosis.laws.problem import (
+    INDISTINGUISHABLE_NATS,
+    MIN_CLAIM_MARGIN_NATS,
+    MIN_CLAIM_SCORE_NATS,
+    Round,
+    ScoredLaw,
+)
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
@@ -29,32 +35,39 @@ from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-# Unit of a factor -> (in words, its size).
-READABLE = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
-_DRAWN = (
+# Unit of reports and its number per SI unit, by the unit of a factor.
+REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
+_FIGURE_CAPTION = (
     "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "
     "the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
 )
-_MODELS = {"base": "base model", "causes": "with listed causes", "law": "with the law", "smooth": "with smooth forms"}
+_MODEL_WORDS = {
+    "base": "base model",
+    "causes": "with listed causes",
+    "law": "with the law",
+    "smooth": "with smooth forms",
+}
 
 
-Kept = Literal["law", "smooth", "causes", "base"]
+KeptModel = Literal["law", "smooth", "causes", "base"]
 
 
 @dataclass(frozen=True, eq=False)
 class Discovery(Result):
-    """The answer to: which law is missing?
+    """Laws (symbolic expressions of unlisted effects) that were found in the residuals of a
+    diagnosis.
 
     diagnosis : of the same data
-    rounds : each beside what was in the model before
-    case : with the laws among its candidates
-    laws : that were claimed
-    causes : listed effects beside them
-    noise : that they leave
-    values : of the laws' factors: (value, standard error, unit) [SI] by parameter
-    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and causes beside
-        them), with causes and smooth forms; only those that there are
-    shrink : share by which it falls with the laws, and a 95 % interval; settings were chosen again in each fold
+    rounds : comparisons of laws with their rivals, each given the laws of the rounds before
+    case : linear problem with the laws among its candidates
+    laws : the claimed laws
+    causes : listed effects in the model with the laws
+    noise : most probable noise given both
+    values : factors of the laws: (value, standard error, unit) [SI] by parameter
+    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and
+        causes given them), with causes and smooth forms; only those that exist
+    shrink : share by which the gap falls with the laws, and its 95 % interval; settings are chosen
+        again in each fold
     smooth : the smooth description, None without one
 
     Examples
@@ -71,22 +84,22 @@ class Discovery(Result):
     diagnosis: Diagnosis
     rounds: tuple[Round, ...]
     case: Case
-    laws: tuple[Scored, ...]
+    laws: tuple[ScoredLaw, ...]
     causes: tuple[Effect, ...]
     noise: Noise
     values: dict[str, tuple[float, float, str]]
-    gap: dict[Kept, float]
+    gap: dict[KeptModel, float]
     shrink: tuple[float, tuple[float, float]] | None
     smooth: Unlisted | None
 
     @property
-    def kept(self) -> Kept:
-        """Which model predicts best where it was not fitted; a law only if it was claimed."""
+    def kept(self) -> KeptModel:
+        """Return which model predicts held-out poses best; laws count only if claimed."""
         return best_of(self.gap, lambda name: -self.gap[name])
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects of the model that is kept."""
+        """Return the effects of the model that predicts held-out poses best."""
         laws = tuple(s.law for s in self.laws)
         effects = {
             "law": (*self.causes, *laws),
@@ -96,7 +109,7 @@ class Discovery(Result):
         return effects.get(self.kept, ())
 
     def refit(self) -> Identification:
-        """Base model and the effects that are kept identified together.
+        """Return the identification of the base model together with `effects`.
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
@@ -105,22 +118,24 @@ class Discovery(Result):
 
     @property
     def thinned(self) -> tuple[int, int] | None:
-        """On how many poses laws were searched, and of how many; None where these are all."""
+        """Return the numbers of poses searched and of all inliers; None where they are equal."""
         some, whole = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
         return None if some == whole else (some, whole)
 
     def apply(self) -> Robot:
-        """The calibrated robot with laws or smooth forms in its model, whichever predict better."""
+        """Return the calibrated robot with the effects that predict held-out poses best."""
         return self.refit().robot
 
     @property
     def lines(self) -> list[str]:
-        """Each claimed law as a line."""
-        return [line_of(s.law, _own(self, s)) for s in self.laws]
+        """Return each claimed law as a line of text."""
+        return [line_of(s.law, _factor_values(self, s)) for s in self.laws]
 
     @property
     def in_words(self) -> str:
-        """The laws that were claimed and what they leave, in a sentence; why there is none, else."""
+        """Return the claimed laws and their held-out error in a sentence, or why none is
+        claimed.
+        """
         if not self.laws:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
@@ -141,36 +156,46 @@ class Discovery(Result):
             tables=each,
             shares=shares if len(set(shares)) > 1 else shares[:1],
             gaps=_gaps(self),
-            model=_MODELS[self.kept],
+            model=_MODEL_WORDS[self.kept],
         )
 
     @cached_property
     def remainder(self) -> Array:
-        """What the laws and the causes beside them leave of the readings, as of `Fit.left`."""
+        """Return the residuals given the laws and causes, shape (n, 3) [m], as of
+        `Fit.residual`.
+        """
         columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
         fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
         return fit.residual(fit.x)
 
     def figures(self) -> list[Figure]:
-        """A figure of each claimed law."""
+        """Return a figure of each claimed law."""
         return [
             _figure(self, s, line, self.remainder, f"law{k}")
             for k, (s, line) in enumerate(zip(self.laws, self.lines, strict=True))
         ]
 
     def section(self) -> Section:
-        """Of a page: laws with all that competes, and each over its driver."""
+        """Return the section of a page: each law over its driver, and all rivals."""
         return Section("The missing law", [*self.figures(), *self.blocks()])
 
     def page(self, name: str, files: Sequence[Path] = ()) -> Page:
-        """The page; name : of the campaign; files : from which it was made."""
+        """Return the page of a report.
+
+        name : of the campaign; files : the files from which it was made
+        """
         robot = self.diagnosis.identification.given.name
         return Page("Discovery", f"Laws of {name}", robot, [self.section()], files=files)
 
     def to_json(self, name: str = "") -> dict[str, Any]:
-        """All figures in rad, m, nats (gaps in mm); name : of the campaign, by default its table."""
+        """Return the result as plain data in rad, m and nats (gaps in mm).
+
+        name : of the campaign, by default its table
+        """
         first = self.rounds[0]
-        verdict = "law" if self.laws else "alias" if first.alias and first.best.score >= CLAIMED else "none"
+        verdict = (
+            "law" if self.laws else "alias" if first.alias and first.best.score >= MIN_CLAIM_SCORE_NATS else "none"
+        )
         return {
             "campaign": name or self.case.m.source,
             "verdict": verdict,
@@ -181,7 +206,7 @@ class Discovery(Result):
         }
 
     def laws_json(self) -> dict[str, Any]:
-        """The laws that were claimed, what each model leaves [mm], and the model that is kept."""
+        """Return the claimed laws, the held-out error of each model [mm] and the best model."""
         shrink = self.shrink and {"share": round(self.shrink[0], 4), "interval": [round(x, 4) for x in self.shrink[1]]}
         return {
             "laws": [_law(self, s, line) for s, line in zip(self.laws, self.lines, strict=True)],
@@ -193,7 +218,7 @@ class Discovery(Result):
         }
 
     def files(self, folder: str | Path, name: str = "") -> dict[Path, str]:
-        """What `casadical diagnose --laws --out` writes: the robot with what is kept, the laws alone, figures and text.
+        """Return the files of `casadical diagnose --laws --out`: robot, laws, JSON and text.
 
         name : of the campaign. Raises ConvergenceError.
         """
@@ -210,8 +235,11 @@ class Discovery(Result):
 
 
 def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
-    """A law as a line: joint 2 += 84 urad * max(0, |tau3| - 0.3). values : of its factors, by short name [SI]"""
-    unit, factor = READABLE[SEAMS[law.seam][1]]
+    """Return a law as a line of text: joint 2 += 84 urad * max(0, |tau3| - 0.3).
+
+    values : of its factors, by short name [SI]; without them the names are shown
+    """
+    unit, factor = REPORT_UNITS[SEAMS[law.seam][1]]
 
     def shown(name: str) -> str:
         if values is not None and law.seam == "joints":
@@ -237,36 +265,46 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
 
 
 def _point(of: tuple[float, float, float]) -> str:
+    """Return a point or direction as text."""
     return ", ".join(f"{v:g}" for v in of)
 
 
-def _own(d: Discovery, s: Scored) -> dict[str, float]:
+def _factor_values(d: Discovery, s: ScoredLaw) -> dict[str, float]:
+    """Return the values [SI] of a law's factors, by short name."""
     return {name: d.values[f"{s.law.label}.{name}"][0] for name in s.law.sizes()}
 
 
-def _factors(d: Discovery, s: Scored) -> str:
-    unit, factor = READABLE[SEAMS[s.law.seam][1]]
+def _factors(d: Discovery, s: ScoredLaw) -> str:
+    """Return a law's factors with standard errors, as text."""
+    unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
     each = {name: d.values[f"{s.law.label}.{name}"] for name in s.law.sizes()}
     return "; ".join(
         f"{n} = {factor * value:.3g} +/- {factor * error:.2g} {unit}" for n, (value, error, _) in each.items()
     )
 
 
-def _settings(s: Scored) -> str:
+def _settings(s: ScoredLaw) -> str:
+    """Return a law's settings with standard errors, as text."""
     names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
     return "".join(f"; {name} = {value:.4g} +/- {error:.2g}" for name, value, error in names)
 
 
 def _why_not(r: Round) -> str:
-    if r.alias and r.best.score >= CLAIMED:
-        return f"The best one is {', '.join(r.alias)} by another name (correlation above {CORRELATION})."
-    if r.best.score >= CLAIMED:
+    """Return why the best law of a round is not claimed."""
+    if r.alias and r.best.score >= MIN_CLAIM_SCORE_NATS:
+        return f"The best one is {', '.join(r.alias)} by another name (correlation above {MIN_ALIAS_CORRELATION})."
+    if r.best.score >= MIN_CLAIM_SCORE_NATS:
         name, score = r.rival
-        return f"The best one has {r.best.score:.1f} nats, {name} {score:.1f}; {ABOVE:g} more are needed."
-    return f"The best one has {r.best.score:.1f} nats after the price of the search; {CLAIMED:g} are needed."
+        return (
+            f"The best one has {r.best.score:.1f} nats, {name} {score:.1f}; {MIN_CLAIM_MARGIN_NATS:g} more are needed."
+        )
+    return (
+        f"The best one has {r.best.score:.1f} nats after the price of the search; {MIN_CLAIM_SCORE_NATS:g} are needed."
+    )
 
 
 def _table(r: Round, title: str) -> Table:
+    """Return the table of the laws of a round and their rivals."""
     rows = [(f"{s.score:.1f}", line_of(s.law), s.tried.form.name) for s in (r.best, *r.alike)]
     rivals = (("listed", r.listed), ("on no list", r.smooth), ("noise", r.noise))
     rows += [(f"{score:.1f}", f"{kind}: {label}", "") for kind, (label, score) in rivals]
@@ -282,11 +320,13 @@ def _table(r: Round, title: str) -> Table:
 
 
 def _gaps(d: Discovery) -> Table:
-    rows = [(_MODELS[name], mm(value)) for name, value in d.gap.items()]
+    """Return the table of the held-out errors of all models."""
+    rows = [(_MODEL_WORDS[name], mm(value)) for name, value in d.gap.items()]
     return Table("Held-out error [mm]", ("model", "mean"), rows, frozenset({1}))
 
 
-def _law(d: Discovery, s: Scored, line: str) -> dict[str, Any]:
+def _law(d: Discovery, s: ScoredLaw, line: str) -> dict[str, Any]:
+    """Return a law as plain data."""
     names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
     own, keys = {n: d.values[f"{s.law.label}.{n}"] for n in s.law.sizes()}, ("value", "std_error", "unit")
     return {
@@ -302,23 +342,27 @@ def _law(d: Discovery, s: Scored, line: str) -> dict[str, Any]:
 
 
 def _round(r: Round) -> dict[str, Any]:
+    """Return a round as plain data."""
     rivals = {"listed": r.listed, "smooth": r.smooth, "noise": r.noise}
     return {
         "claimed": r.claimed,
         "best": {"line": line_of(r.best.law), "form": r.best.tried.form.name, "score": round(r.best.score, 2)},
         "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
-        "within": ALIKE,
+        "within": INDISTINGUISHABLE_NATS,
         **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
         "alias_of": list(r.alias),
         **({"noise_stays": round(r.form.stays, 4)} if r.form.stays else {}),
     }
 
 
-def _figure(d: Discovery, s: Scored, line: str, left: Array, name: str) -> Figure:
-    """Along the direction in which the law acts most; left : what a fit to all poses leaves."""
-    unit, factor = READABLE[SEAMS[s.law.seam][1]]
+def _figure(d: Discovery, s: ScoredLaw, line: str, left: Array, name: str) -> Figure:
+    """Return the figure of a law over its driver, along the direction in which it acts most.
+
+    left : residuals of the fit to all poses, shape (n, 3) [m]
+    """
+    unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
     seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
-    amplitude = np.array([*_own(d, s).values()]).reshape(len(s.tried.form.parts), -1)
+    amplitude = np.array([*_factor_values(d, s).values()]).reshape(len(s.tried.form.parts), -1)
     _, _, direction = np.linalg.svd(amplitude)
     towards = direction[0]
     grid = np.linspace(x.min(), x.max(), 400)
@@ -331,4 +375,4 @@ def _figure(d: Discovery, s: Scored, line: str, left: Array, name: str) -> Figur
     size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
     poses = Series("points", x.round(5), (factor * seen).round(2), name="poses", colour="grey", size=size, tip=tip)
     law = Series("line", grid.round(5), (factor * along).round(2), name="law", tip=tip)
-    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=_DRAWN)
+    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=_FIGURE_CAPTION)

@@ -1,8 +1,9 @@
-"""Laws of the beam of an instrument, and of the head that turns it. Where it stands is a setting like others.
+"""Laws of an instrument's beam and of its rotating head; the instrument's station is a setting.
 
-Some places around the robot are tried, and moved once a law is among the best. Waves over the range that are short
-beside the spread of the poses need far more places: what is left is multiplied with all of them at once, as if nothing
-of a wave were in the base model, and those with the greatest products are judged.
+Some stations around the robot are tried, and moved once a law is among the best. Waves over the
+range that are short compared with the spread of the poses need many more stations: the products of
+the residual with all of these waves are computed without the projection by the base model, and the
+stations with the greatest products are judged.
 """
 
 import itertools
@@ -15,32 +16,46 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS
 from casadical.core.statistics import best_of, first_of_best, ranked
-from casadical.diagnosis.laws.forms import FORMS, SLOW, WAVE, Driver, Form
-from casadical.diagnosis.laws.problem import Problem, Rough, Seam, Tried, log_mean, scaled
+from casadical.diagnosis.laws.forms import FORMS_BY_KIND, MAX_SLOW_CYCLES, WAVE, Driver, Form
+from casadical.diagnosis.laws.problem import InsertionPoint, Problem, ScreenedLaw, TriedLaws, log_mean, scaled
 from casadical.diagnosis.linearisation import POINT_VARIABLES, Linearisation
 from casadical.effects.formula import NUMERIC_FUNCTIONS, parse
 from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, HEAD_NAME, Law, head_column
 from casadical.robot.robot import Robot
 
-# Where an instrument stands in the measuring frame [m], or which way its target looks in the flange's.
+# Position of an instrument in the measuring frame [m], or direction of its target in the flange
+# frame.
 Point: TypeAlias = tuple[float, float, float]
-# Where instruments stand: so many directions around the robot, at these distances from it, in reaches.
-DIRECTIONS, DISTANCES = 8, (1.5, 2.5, 4.0)
-# A step in those of other settings: a station's angle about the robot [rad], a share of its distance; a target's angle.
-TURN, FARTHER, LOOK = 3.0, 6.0, 9.0
-# Waves over the range by their radians a metre: bands, each with places of its own, and the step between two waves.
-BANDS, APART = (2.0, 4.0, 8.0, SLOW), 0.25
-# Places for them: distances in reaches, and angles above the horizon [rad].
-FAR, LOW, HIGH = (1.0, 1.6, 3.0), -0.15, 0.6
-# Products of so many numbers are made at a time; so many places are judged.
-AT_A_TIME, JUDGED = 500_000, 24
-# Places are looked for by so many poses, spread over all. A band that needs more products (some seconds) is left out.
-LOOKED_AT, MOST_PRODUCTS = 200, 2e8
-# Ways that a target may look, to both sides: along the flange's axes, between two, and between all three.
-_HALF = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]
+# Stations that are tried: number of directions around the robot, and distances from it divided by
+# its reach.
+STATION_DIRECTIONS = 8
+STATION_DISTANCES_OF_REACH = (1.5, 2.5, 4.0)
+# Moves of a refinement for a unit step of other settings: angle of a station about the robot [rad],
+# distance of a station
+# as a share of itself, and angle of a target [rad].
+STATION_ANGLE_PER_STEP = 3.0
+STATION_DISTANCE_PER_STEP = 6.0
+TARGET_ANGLE_PER_STEP = 9.0
+# Short waves over the range: edges of the bands, each with its own stations, and spacing of the
+# wave numbers.
+WAVE_BANDS_RAD_PER_M = (2.0, 4.0, 8.0, MAX_SLOW_CYCLES)
+WAVE_SPACING_RAD_PER_M = 0.25
+# Stations for short waves: distances divided by the reach, and angles above the horizontal.
+WAVE_STATION_DISTANCES_OF_REACH = (1.0, 1.6, 3.0)
+MIN_ELEVATION_RAD = -0.15
+MAX_ELEVATION_RAD = 0.6
+# Number of products computed at a time, which bounds memory, and of stations that are judged.
+MAX_PRODUCTS_AT_A_TIME = 500_000
+MAX_JUDGED_STATIONS = 24
+# Stations are searched on at most this many poses, spread over all; bands with more products (some
+# seconds) are skipped.
+MAX_SEARCH_POSES = 200
+MAX_BAND_PRODUCTS = 2e8
+# Directions of a target, up to sign: along the flange's axes, between two, and between all three.
+_TARGET_DIRECTIONS = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]
 
-# Drivers of what an instrument measures along and across its beam, each with its kind.
-_OF_BEAM: Mapping[str, Mapping[str, str]] = {
+# Drivers of errors along and across an instrument's beam, with their kinds.
+_DRIVERS_BY_SEAM: Mapping[str, Mapping[str, str]] = {
     "beam": {
         "r": "range",
         "azimuth": "azimuth",
@@ -53,31 +68,34 @@ _OF_BEAM: Mapping[str, Mapping[str, str]] = {
 
 
 def stations(robot: Robot) -> list[Point]:
-    """Where instruments may stand around the robot, and the frame's origin [m]."""
+    """Return stations to try: the origin of the measuring frame, and points around the robot
+    [m].
+    """
     middle, reach = robot.base.T[:3, 3], robot.reach
     places = [np.zeros(3)]
-    for far in DISTANCES:
-        for turn in 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS:
+    for far in STATION_DISTANCES_OF_REACH:
+        for turn in 2 * np.pi * np.arange(STATION_DIRECTIONS) / STATION_DIRECTIONS:
             places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
     return [_rounded(at) for at in places]
 
 
 def _rounded(at: Array) -> Point:
+    """Return a point rounded to three digits after the decimal point."""
     x, y, z = (round(float(v), 3) for v in at)
     return x, y, z
 
 
-def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[Rough]:
-    """Laws of the beam and of the head that turns it, of an instrument whose station is a setting like others."""
+def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[ScreenedLaw]:
+    """Yield the best law of each driver and form of an instrument's beam and head."""
     places = stations(robot)
     turns = all(head_column(at) in linear.conditions for at in places)
-    for seam, drivers in _OF_BEAM.items():
+    for seam, drivers in _DRIVERS_BY_SEAM.items():
         for text, kind in drivers.items() if turns else ((t, k) for t, k in drivers.items() if HEAD_NAME not in t):
             beam = Beam(
                 linear, robot.base.T[:3, 3], robot.reach, seam, Driver(text, kind, "head" if kind == "linear" else kind)
             )
             there = beam.at_all(places)
-            for form in FORMS[kind]:
+            for form in FORMS_BY_KIND[kind]:
                 rough = [beam.tried(problem, form, there)]
                 if (text, form) == ("r", WAVE):
                     rough += beam.short_waves(problem)
@@ -86,9 +104,11 @@ def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterat
 
 @dataclass(frozen=True, eq=False)
 class Beam:
-    """Along it, or across it, an instrument errs by a driver.
+    """Errors of an instrument along or across its beam by one driver.
 
-    middle, reach : the robot's foot and how far it reaches [m]; seam : see `SEAMS`
+    linear : the linearised robot at the poses
+    middle, reach : position of the robot's base in the measuring frame, and its reach [m]
+    seam : insertion point, "beam" or "across"; driver : of the errors
     """
 
     linear: Linearisation
@@ -97,12 +117,12 @@ class Beam:
     seam: str
     driver: Driver
 
-    def at(self, station: Point, towards: Point = DEFAULT_TARGET_DIRECTION) -> tuple[Seam, Array]:
-        """The place where an instrument at a station acts, and the driver's values there, shape (n,).
+    def at(self, station: Point, towards: Point = DEFAULT_TARGET_DIRECTION) -> tuple[InsertionPoint, Array]:
+        """Return the insertion point of an instrument at a station, and the driver's values, (n,).
 
-        towards : which way the target looks, in the flange's frame
-
-        The same as `Linearisation.columns` of a law, which composes the formula of each station for itself.
+        station : in the measuring frame [m]; towards : direction of the target in the flange frame
+        The columns equal those of `Linearisation.columns`, which compiles a formula for each
+        station.
         """
         beam, frame = self.linear.seen[:, :3] - station, self.linear.seen[:, -12:-3].reshape(-1, 3, 3)
         r = np.sqrt((beam**2).sum(axis=1) + 1e-12)
@@ -116,46 +136,61 @@ class Beam:
             way = aside / np.sqrt((aside**2).sum(axis=1) + 1e-12)[:, None]
         (x,) = parse(self.driver.text).values(known, NUMERIC_FUNCTIONS)
         law = Law(None, self.seam, "a", station=station, towards=towards)
-        return Seam(law, self._by_point @ way[:, :, None]), np.asarray(x)
+        return InsertionPoint(law, self._by_point @ way[:, :, None]), np.asarray(x)
 
     @property
     def _by_point(self) -> Array:
-        """Derivative by the measured point, of all readings at a pose, shape (n, 3, 3)."""
+        """Return the derivatives of each pose's numbers by the measured point, shape (n, 3, 3)."""
         S, readings = self.linear.S, 1 + self.linear.further
         return np.asarray(
             S[:, :, -POINT_VARIABLES * readings :].reshape(*S.shape[:2], readings, POINT_VARIABLES).sum(axis=2)
         )
 
-    def nearby(self, law: Law, step: float) -> list[tuple[Seam, Array]]:
-        """A station moved by a step to each side, up and down, farther and nearer; a target turned by one."""
+    def nearby(self, law: Law, step: float) -> list[tuple[InsertionPoint, Array]]:
+        """Return a law's place with its station moved by a step in six directions, or target
+        turned.
+
+        The values of the driver are returned with each.
+        """
         out = np.asarray(law.station) - self.middle
         far = max(float(np.linalg.norm(out)), self.reach)
-        # At the foot, or straight above it, the way out is any.
+        # At the base the outward direction is arbitrary.
         way = out / np.linalg.norm(out) if out.any() else np.eye(3)[0]
-        # Less of a way out of the foot that is level is none.
+        # For a nearly vertical outward direction the side direction is arbitrary, too.
         aside = np.cross(np.eye(3)[2] if np.hypot(way[0], way[1]) > 0.1 else np.eye(3)[0], way)
         aside /= np.linalg.norm(aside)
-        moves = (TURN * far * aside, TURN * far * np.cross(way, aside), FARTHER * far * way)
+        moves = (
+            STATION_ANGLE_PER_STEP * far * aside,
+            STATION_ANGLE_PER_STEP * far * np.cross(way, aside),
+            STATION_DISTANCE_PER_STEP * far * way,
+        )
         places = [_rounded(law.station + sign * step * move) for move in moves for sign in (-1, 1)]
         near = [self.at(place, law.towards) for place in places]
         if "incidence" in self.driver.text:
-            turned = [law.towards + sign * LOOK * step * axis for axis in np.eye(3) for sign in (-1, 1)]
+            turned = [
+                law.towards + sign * TARGET_ANGLE_PER_STEP * step * axis for axis in np.eye(3) for sign in (-1, 1)
+            ]
             near += [self.at(law.station, _rounded(way / np.linalg.norm(way))) for way in turned]
         return near
 
-    def at_all(self, places: Sequence[Point]) -> list[tuple[Seam, Array]]:
-        """The places at all stations, and of a target that looks any way, where that counts."""
-        ways = [_rounded(np.array(way) / np.linalg.norm(way)) for way in _HALF]
+    def at_all(self, places: Sequence[Point]) -> list[tuple[InsertionPoint, Array]]:
+        """Return the insertion points at all stations, for all target directions if they matter."""
+        ways = [_rounded(np.array(way) / np.linalg.norm(way)) for way in _TARGET_DIRECTIONS]
         every = itertools.product(places, ways if "incidence" in self.driver.text else [DEFAULT_TARGET_DIRECTION])
         return [self.at(*at) for at in every]
 
-    def laws(self, form: Form, there: Sequence[tuple[Seam, Array]]) -> Tried:
-        """Those of one form at some places together."""
+    def laws(self, form: Form, there: Sequence[tuple[InsertionPoint, Array]]) -> TriedLaws:
+        """Return the laws of one form at some places together."""
         beams, x = zip(*there, strict=True)
-        return Tried(beams, self.driver, form, x, nearby=None if HEAD_NAME in self.driver.text else self.nearby)
+        return TriedLaws(beams, self.driver, form, x, nearby=None if HEAD_NAME in self.driver.text else self.nearby)
 
-    def tried(self, problem: Problem, form: Form, there: Sequence[tuple[Seam, Array]], settings: int = 0) -> Rough:
-        """The same, judged. settings : how many were looked at, by default these"""
+    def tried(
+        self, problem: Problem, form: Form, there: Sequence[tuple[InsertionPoint, Array]], settings: int = 0
+    ) -> ScreenedLaw:
+        """Return the best of these laws by screened evidence.
+
+        settings : number of settings from which those judged were selected, by default their number
+        """
         laws = self.laws(form, there)
         functions = [scaled(form.values(v, s)) for v, s in zip(laws.x, laws.settings, strict=True)]
         units = [place.columns for place in laws.seams]
@@ -165,52 +200,59 @@ class Beam:
         k = first_of_best([g.max() for g in each], logs=True)
         best = first_of_best(each[k], logs=True)
         mean = float(log_mean(gains) - np.log(max(settings, len(gains))))
-        return Rough(laws, k, laws.settings[k][best], float(each[k][best]), mean)
+        return ScreenedLaw(laws, k, laws.settings[k][best], float(each[k][best]), mean)
 
-    def short_waves(self, problem: Problem) -> list[Rough]:
-        """The best wave over the range that is short beside the spread of the poses, from many more stations."""
+    def short_waves(self, problem: Problem) -> list[ScreenedLaw]:
+        """Return the best short wave over the range, from many more stations."""
         places, settings = self._places(problem)
         if not settings:
             return []
         found = self.tried(problem, WAVE, self.at_all(places), settings)
         return [replace(found, tried=replace(found.tried, again=self._again))]
 
-    def _again(self, problem: Problem, poses: Array) -> Tried:
-        """Laws of short waves from places that some poses alone say; problem : of these."""
+    def _again(self, problem: Problem, poses: Array) -> TriedLaws:
+        """Return the laws of short waves from stations found on some poses; problem : of these."""
         return self.laws(WAVE, self.at_all(self._places(problem, poses)[0]))
 
     def _places(self, problem: Problem, poses: Array | slice = WHOLE_AXIS) -> tuple[list[Point], int]:
-        """Of the greatest products of short waves with what is left at some poses; and how many were made."""
-        point, pull = self.linear.seen[poses, :3], np.einsum("nij,ni->nj", self._by_point[poses], problem.pulled)
+        """Return the stations whose short waves have the greatest products with the residual.
+
+        The second value is the number of stations times waves that were searched.
+        """
+        point, pull = (
+            self.linear.seen[poses, :3],
+            np.einsum("nij,ni->nj", self._by_point[poses], problem.residual_weights),
+        )
         spread = float(np.sqrt(((point - point.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        some = np.linspace(0, len(point) - 1, min(len(point), LOOKED_AT)).round().astype(int)
+        some = np.linspace(0, len(point) - 1, min(len(point), MAX_SEARCH_POSES)).round().astype(int)
         point, pull = point[some], pull[some]
         size, place, settings = np.zeros(0), np.zeros((0, 3)), 0
-        for low, high in itertools.pairwise(BANDS):
-            # A phase runs by so much over the spread of the poses from one direction to the next
-            # [rad].
-            if (step := 2.0 / (high * spread)) > 2 * np.pi / DIRECTIONS:
+        for low, high in itertools.pairwise(WAVE_BANDS_RAD_PER_M):
+            # Between neighbouring directions the phase changes by up to 2 rad over the spread of
+            # poses.
+            if (step := 2.0 / (high * spread)) > 2 * np.pi / STATION_DIRECTIONS:
                 continue
-            places, waves = self.middle + self.reach * _directions(step), np.arange(low, high, APART)
-            if len(places) * len(waves) * len(point) > MOST_PRODUCTS:
+            places, waves = self.middle + self.reach * _directions(step), np.arange(low, high, WAVE_SPACING_RAD_PER_M)
+            if len(places) * len(waves) * len(point) > MAX_BAND_PRODUCTS:
                 break
             settings += len(places) * len(waves)
-            for part in np.array_split(places, 1 + len(places) * len(point) // AT_A_TIME):
+            for part in np.array_split(places, 1 + len(places) * len(point) // MAX_PRODUCTS_AT_A_TIME):
                 size = np.append(size, _greatest(point - part[:, None], pull, waves))
                 place = np.append(place, part, axis=0)
-                best = ranked(size)[:JUDGED]
+                best = ranked(size)[:MAX_JUDGED_STATIONS]
                 size, place = size[best], place[best]
         return [_rounded(at) for at in place], settings
 
 
 def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
-    """The greatest product of what is left with any of some waves over each beam's length, shape (places,).
+    """Return the greatest product of the residual with waves over the range, shape (places,).
 
-    beams : shape (places, n, 3) [m]; pull : see `Problem.pulled`; waves : APART, shape (k,) [1/m]
+    beams : shape (places, n, 3) [m]; pull : see `Problem.residual_weights`; waves : spaced by
+        WAVE_SPACING_RAD_PER_M, shape (k,) [rad/m]
     """
     r = np.sqrt((beams**2).sum(axis=2)) + 1e-6
     product = (beams * pull).sum(axis=2) / r * np.exp(1j * waves[0] * r)
-    turn, greatest = np.exp(1j * APART * r), np.zeros(len(r))
+    turn, greatest = np.exp(1j * WAVE_SPACING_RAD_PER_M * r), np.zeros(len(r))
     for _ in waves:
         greatest = np.maximum(greatest, np.abs(product.sum(axis=1)))
         product *= turn
@@ -218,9 +260,11 @@ def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
 
 
 def _directions(step: float) -> Array:
-    """Points about the middle at all distances, a step apart [rad], shape (places, 3) in reaches."""
-    ups = np.linspace(LOW, HIGH, 1 + int(np.ceil((HIGH - LOW) / step)))
-    every = np.meshgrid(FAR, ups, np.arange(0, 2 * np.pi, step), indexing="ij")
+    """Return points around the origin at all distances, a step apart [rad], (places, 3) [reach]."""
+    ups = np.linspace(
+        MIN_ELEVATION_RAD, MAX_ELEVATION_RAD, 1 + int(np.ceil((MAX_ELEVATION_RAD - MIN_ELEVATION_RAD) / step))
+    )
+    every = np.meshgrid(WAVE_STATION_DISTANCES_OF_REACH, ups, np.arange(0, 2 * np.pi, step), indexing="ij")
     far, up, turn = (a.ravel() for a in every)
     points = np.column_stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
     return np.asarray(far[:, None] * points)

@@ -1,9 +1,11 @@
-"""Laws against listed causes, smooth forms and noise: which is claimed, and whether in place of what was found.
+"""Laws compared with listed causes, smooth effects and noise: which is claimed, and what it
+replaces.
 
-A law is claimed if its score (see `search`) is 12 or more and 3 above that of the best listed effect, of the best form
-on no list, and of noise that is not the model's; rivals have their settings refined as the law's are. Where its columns
-are those of a listed effect, it is that effect under another name. Laws that score nearly as much are named with it. It
-takes the place of causes only where it predicts poses held out better, too.
+A law is claimed if its score (see `search`) is 12 nats or more and exceeds by 3 that of the best
+listed effect, of the best smooth effect, and of other forms of noise; the settings of rivals are
+refined as the law's are. A law whose columns are those of a listed effect is that effect under
+another name. Laws that score nearly as high are reported with it. A law replaces causes only if it
+also predicts held-out poses better.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,7 +21,15 @@ from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHO_GRID, Evidence
-from casadical.diagnosis.laws.problem import ABOVE, ALIKE, CLAIMED, Problem, Round, Scored, scaled
+from casadical.diagnosis.laws.problem import (
+    INDISTINGUISHABLE_NATS,
+    MIN_CLAIM_MARGIN_NATS,
+    MIN_CLAIM_SCORE_NATS,
+    Problem,
+    Round,
+    ScoredLaw,
+    scaled,
+)
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import (
@@ -38,21 +48,25 @@ from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import Law
 from casadical.measurements.measurements import Noise
 
-# Laws are searched on so many poses at most, spread over the campaign: its time grows with the poses.
-MOST_POSES = 600
-# A law is a listed effect by another name if their columns correlate by more.
-CORRELATION = 0.95
+# Laws are searched on at most this many poses, spread over the campaign, since the time grows with
+# their number.
+MAX_SEARCHED_POSES = 600
+# A law is a listed effect under another name if their columns correlate by more than this.
+MIN_ALIAS_CORRELATION = 0.95
 
 
-def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> bool:
-    """Whether the best law beside nothing is claimed in place of all causes of a diagnosis together."""
+def replaces_causes(found: Diagnosis, first: Round, poses: int = MAX_SEARCHED_POSES) -> bool:
+    """Return whether the best law replaces all causes of a diagnosis together.
+
+    first : comparison of laws without a cause in the model
+    """
     if not first.claimed:
         return False
     case, listed = thinned(found.case, poses), _set_mass(found)
     if np.isfinite(listed):
-        # Both are over no cause, each under a noise of its own.
+        # Both are relative to no cause, each under its own form of noise.
         over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0
-        if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + ABOVE:
+        if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + MIN_CLAIM_MARGIN_NATS:
             return False
     if not found.columns.size:
         return True
@@ -61,41 +75,43 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = MOST_POSES) -> 
     return bool(by_law.mean() < by_causes.mean())
 
 
-def laws_before_causes(found: Diagnosis, poses: int = MOST_POSES) -> Round:
-    """Laws compared with all else before any cause is in the model, on so many poses at most.
+def laws_before_causes(found: Diagnosis, poses: int = MAX_SEARCHED_POSES) -> Round:
+    """Return the comparison of laws with their rivals without a cause in the model.
 
-    Of the noise's forms that may be there, by the first under which one is claimed, else by the last.
+    Of the possible forms of noise, it is under the first with a claimed law, else under the last.
+    poses : largest number of poses searched
     """
     for whole, case, ranking in _before_causes(found, poses):
-        first, _ = beside_its_noise(whole, round_of(case, NO_COLUMNS, ranking), poses)
+        first, _ = with_best_noise(whole, round_of(case, NO_COLUMNS, ranking), poses)
         if first.claimed:
             break
     return first
 
 
 def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
-    """The same where a law is claimed, and the case as its noise moves it, else None.
+    """Return the comparison with a claimed law and the case under its noise; None without one.
 
-    Laws that rivals outdo for certain are not looked at closely.
+    Laws that certainly lose against rivals are not judged exactly.
     """
-    for whole, case, ranking in _before_causes(found, MOST_POSES):
-        # With their settings refined rivals have still more.
-        least = max(CLAIMED, max(ranking.log_factor.values()) + ABOVE)
-        laws = search_laws(case, NO_COLUMNS, least=least - ALIKE)
+    for whole, case, ranking in _before_causes(found, MAX_SEARCHED_POSES):
+        # Refining their settings only raises the scores of rivals.
+        least = max(MIN_CLAIM_SCORE_NATS, max(ranking.log_factor.values()) + MIN_CLAIM_MARGIN_NATS)
+        laws = search_laws(case, NO_COLUMNS, least=least - INDISTINGUISHABLE_NATS)
         if laws and laws[0].score >= least:
-            first, moved = beside_its_noise(whole, _judged(laws, case, NO_COLUMNS, ranking), MOST_POSES)
+            first, moved = with_best_noise(whole, _judged(laws, case, NO_COLUMNS, ranking), MAX_SEARCHED_POSES)
             if first.claimed:
                 return first, moved
     return None
 
 
-def beside_its_noise(
+def with_best_noise(
     case: Case, first: Round, poses: int, chosen: Array = NO_COLUMNS, causes: frozenset[str] = frozenset()
 ) -> tuple[Round, Case]:
-    """A comparison and the case of all poses that it is of; where it claims a law, by the noise that is best beside it.
+    """Return a comparison, and its case with all poses, under the best noise given a claimed law.
 
-    All are compared again where the noise beside the law follows itself by another share, until it does not.
-    chosen, causes : columns and labels of what is in the model already
+    While the noise given the law has another AR coefficient, all are compared again under it.
+    case : with all poses; first : comparison of its laws; poses : largest number of poses searched
+    chosen, causes : columns and labels of the effects in the model
     """
     for _ in range(MAX_FORM_SEARCHES if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
@@ -109,36 +125,36 @@ def beside_its_noise(
 
 
 def with_law(case: Case, law: Law) -> Case:
-    """The case with a law among its candidates."""
+    """Return the case with a law among its candidates."""
     named = Candidate(law.label, law.name, law.joint, (), listed=False)
     return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
 
 
 def _before_causes(found: Diagnosis, poses: int) -> Iterator[tuple[Case, Case, Ranking]]:
-    """The case, the same of some of its poses, and their ranking before any cause is in the model.
+    """Yield the case, the case of some poses, and its ranking without a cause in the model.
 
-    Where there is no cause and noise follows itself, first as if it did not: a law may be what follows. Then as it
-    does: a law may be hidden in it.
+    Where there is no cause and the noise is autocorrelated, the first is under white noise, since a
+    law may be what is autocorrelated, and the second under AR(1) noise, which may hide a law.
     """
     case, ranking = thinned(found.case, poses), found.rankings[0]
     yield found.case, case, ranking if case is found.case else rank(case, NO_COLUMNS)
-    follows = None if found.effects() else as_noise_follows(found.case, ranking)
+    follows = None if found.effects() else with_ar_noise(found.case, ranking)
     if follows:
         case = thinned(follows, poses)
         yield follows, case, rank(case, NO_COLUMNS)
 
 
-def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
-    """The case under the noise that follows itself best; None where none does, or the case has such a noise already.
+def with_ar_noise(case: Case, ranking: Ranking) -> Case | None:
+    """Return the case under the best AR(1) noise; None if white noise is better or it has AR noise.
 
-    The noise is fitted beside no cause and beside each of the most probable candidates of a ranking; the pair with most
-    evidence counts.
+    The noise is fitted without a cause and given each of the most probable candidates of a ranking;
+    the pair with the most evidence counts.
     """
     if case.form.stays or not case.observations.plain:
         return None
     variants = {c.label: c.variants for c in case.candidates}
     groups = [(0.0, NO_COLUMNS)]
-    # Candidates beside which the form of noise that follows itself is looked for.
+    # AR noise is fitted given each of the three most probable candidates.
     for label in [label for label in ranking.order if label in variants][:3]:
         groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
     judged = [(log, best_ar_form(case, group)) for log, group in groups]
@@ -147,7 +163,10 @@ def as_noise_follows(case: Case, ranking: Ranking) -> Case | None:
 
 
 def thinned(case: Case, poses: int) -> Case:
-    """The case with at most so many of its poses, spread over the campaign: of noise that follows itself less stays."""
+    """Return the case with at most `poses` inliers, spread over the campaign.
+
+    The AR coefficient of its noise is that of the larger time steps.
+    """
     at = np.flatnonzero(case.kept)[case.order]
     some = np.zeros_like(case.kept)
     some[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
@@ -159,12 +178,12 @@ def thinned(case: Case, poses: int) -> Case:
 
 
 def _log_none(case: Case) -> float:
-    """Log likelihood without a cause, by the case's form of noise."""
+    """Return the log likelihood without a cause, under the case's form of noise."""
     return float(np.logaddexp.reduce(case.judged.log_base(NO_COLUMNS), axis=None)) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:
-    """Log evidence of all listed causes of a diagnosis together, with the log of their prior; of one alone -inf."""
+    """Return log evidence plus log prior of all listed causes together; -inf for a single one."""
     left = {c.label for c in found.causes}
     total, count = 0.0, 0
     for ranking in found.rankings:
@@ -177,11 +196,15 @@ def _set_mass(found: Diagnosis) -> float:
 
 
 def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str] = frozenset()) -> Round:
-    """Laws compared with what else a ranking has. chosen : columns in the model; without : labels of laws in it"""
+    """Return the comparison of laws with the candidates of a ranking.
+
+    chosen : columns in the model; without : labels of laws in it
+    """
     return _judged(search_laws(case, chosen, without), case, chosen, ranking)
 
 
-def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking) -> Round:
+def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranking) -> Round:
+    """Return the comparison of scored laws with the rivals of a ranking."""
     score = itemgetter(1)
     by_label = {c.label: c for c in case.candidates}
     labels = list(ranking.log_factor)
@@ -199,7 +222,9 @@ def _judged(laws: Sequence[Scored], case: Case, chosen: Array, ranking: Ranking)
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
-    """A rival's log evidence, mean over its settings, and what refining these adds."""
+    """Return label and log evidence of a rival, the mean over settings plus the gain by
+    refining.
+    """
     label = candidate.label
     score, variant = ranking.log_factor[label], candidate.variants[ranking.variant[label]]
     if len(variant) != 1 or variant[0].parts:
@@ -212,12 +237,12 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
     return label, score + float(after - before)
 
 
-def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) -> tuple[str, ...]:
-    """Labels of the listed effects that can do what a law does: its fit correlates with what they make of it.
+def aliases(case: Case, chosen: Array, law: ScoredLaw, variant: Mapping[str, int]) -> tuple[str, ...]:
+    """Return labels of the listed effects that are equivalent to a law: they can reproduce its fit.
 
-    chosen : columns of what is in the model beside it; variant : settings of each candidate, by label
+    chosen : columns in the model; variant : index of the settings of each candidate, by label
     """
-    problem = Problem.beside(case, chosen)
+    problem = Problem.of_case(case, chosen)
     rho = float(RHO_GRID[int(np.argmin(np.abs(RHO_GRID - law.noise.repeatability / law.noise.sigma)))])
     listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
     groups = [case.group(c.variants[variant[c.label]]) for c in listed]
@@ -233,15 +258,16 @@ def aliases(case: Case, chosen: Array, law: Scored, variant: Mapping[str, int]) 
         other = E[:, at : at + len(group)]
         at += len(group)
         same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
-        if np.linalg.norm(same) > CORRELATION * np.linalg.norm(fit):
+        if np.linalg.norm(same) > MIN_ALIAS_CORRELATION * np.linalg.norm(fit):
             found.append(candidate.label)
     return tuple(found)
 
 
-def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, seed: int) -> Array:
-    """Position error of each kept pose, shape (n,) [m], by a fit to the poses of the other folds.
+def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise, seed: int) -> Array:
+    """Return the position error of each inlier, (n,) [m], by a fit to the other folds.
 
-    columns : of the effects in the model, whose settings stay; laws : whose settings are chosen again in each fold
+    columns : of effects in the model, whose settings are fixed
+    laws : laws in the model, whose settings are chosen again in each fold
     """
     base = case.evidence.with_base(columns)
     folds = random_folds(len(base.r), seed, alike=base.alike)
@@ -257,8 +283,8 @@ def held_out(case: Case, columns: Array, laws: Sequence[Scored], noise: Noise, s
     return errors
 
 
-def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array]:
-    """Columns at all poses of the laws with the settings that are best for some of them, shape (n, 3, w) each."""
+def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Array]:
+    """Return columns at all poses of laws with settings refined on some, (n, 3, w) each."""
     columns: list[Array] = []
     for law in laws:
         known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
@@ -268,7 +294,8 @@ def _columns(base: Evidence, laws: Sequence[Scored], train: Array) -> list[Array
     return columns
 
 
-def _best(problem: Problem, law: Scored, train: Array) -> Array:
+def _best(problem: Problem, law: ScoredLaw, train: Array) -> Array:
+    """Return the columns at all poses of a law with its best settings on some of them."""
     if not law.tried.form.settings and len(law.tried.seams) == 1:
         return law.columns
     tried, logs = law.tried.by(problem, train), []

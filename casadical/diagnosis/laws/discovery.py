@@ -1,4 +1,4 @@
-"""Discover the law of what is left: laws beside listed causes and smooth forms; what each leaves on poses held out."""
+"""Discover laws of residual errors, given listed causes, and compare models on held-out poses."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,18 +10,18 @@ from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.laws.answer import Discovery, Kept
+from casadical.diagnosis.laws.answer import Discovery, KeptModel
 from casadical.diagnosis.laws.contest import (
-    MOST_POSES,
-    beside_its_noise,
+    MAX_SEARCHED_POSES,
     held_out,
     laws_before_causes,
     replaces_causes,
     round_of,
     thinned,
+    with_best_noise,
     with_law,
 )
-from casadical.diagnosis.laws.problem import Round, Scored
+from casadical.diagnosis.laws.problem import Round, ScoredLaw
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import better_ar_form
 from casadical.diagnosis.posterior import rank
@@ -34,7 +34,9 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-MOST_LAWS, MOST_ROUNDS = 2, 4
+# Number of laws that are claimed at most, and of rounds in which laws or causes are added.
+MAX_LAWS = 2
+MAX_LAW_ROUNDS = 4
 
 
 def discover(
@@ -45,7 +47,7 @@ def discover(
     seed: int = 0,
     show: Show = silent,
 ) -> Discovery:
-    """Diagnose a campaign and search for the law of what no listed effect explains.
+    """Return the laws of what no listed effect explains in a campaign, with its diagnosis.
 
     robot, m, effects, seed, show : as of `diagnose`
     Raises InputError: the measurements cannot carry a diagnosis.
@@ -56,13 +58,15 @@ def discover(
     'base'
     """
     found = diagnose(robot, m, effects, seed=seed, show=show)
-    return laws_beside(found, show)
+    return laws_of_diagnosis(found, show)
 
 
-def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) -> Discovery:
-    """The laws of a diagnosed campaign: first instead of all its causes, which stay if they win, then beside these.
+def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SEARCHED_POSES) -> Discovery:
+    """Return the laws of a diagnosed campaign.
 
-    poses : on which laws are searched at most, spread over the campaign
+    A law is first compared with all causes together, which stay if they win; then laws are searched
+    given the causes or the law.
+    poses : largest number of poses on which laws are searched, spread over the campaign
     """
     show("laws beside nothing")
     case = thinned(found.case, poses)
@@ -76,7 +80,7 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
         columns = case.group((first.best.law,))
     elif not causes:
         return _concluded(found, rounds, case, [], (), NO_COLUMNS)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_LAW_ROUNDS):
         show("laws beside what was found")
         other = better_ar_form(case, columns) if case.observations.plain else None
         if other:
@@ -97,9 +101,9 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
             case, more = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
             continue
-        further, moved = beside_its_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
+        further, moved = with_best_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
         rounds.append(further)
-        if not further.claimed or len(laws) == MOST_LAWS:
+        if not further.claimed or len(laws) == MAX_LAWS:
             break
         laws.append(further.best)
         case = with_law(moved, further.best.law)
@@ -108,8 +112,9 @@ def laws_beside(found: Diagnosis, show: Show = silent, poses: int = MOST_POSES) 
 
 
 def _concluded(
-    found: Diagnosis, rounds: list[Round], case: Case, laws: list[Scored], causes: tuple[Effect, ...], columns: Array
+    found: Diagnosis, rounds: list[Round], case: Case, laws: list[ScoredLaw], causes: tuple[Effect, ...], columns: Array
 ) -> Discovery:
+    """Return the discovery, with held-out errors of all models."""
     smooth = describe_unlisted(replace(found, verdict="unknown"))
     smooth = smooth if smooth and smooth.effects else None
     noise = laws[-1].noise if laws else found.noise
@@ -117,7 +122,7 @@ def _concluded(
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
     named = found.columns
     before = held_out(case, NO_COLUMNS, (), found.rankings[0].noise[""], found.seed)
-    errors: dict[Kept, Array] = {"base": before}
+    errors: dict[KeptModel, Array] = {"base": before}
     if found.effects():
         errors["causes"] = held_out(case, named, (), found.noise, found.seed)
     if smooth:

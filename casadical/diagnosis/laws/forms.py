@@ -1,8 +1,8 @@
-"""What a law may be made of: drivers, which an error may follow, and forms, functions of a driver with settings
-in which they are not linear.
+"""The building blocks of laws: drivers, on which an error may depend, and forms, functions of a
+driver.
 
-A form is text in x (the driver) and its settings k, w, f. Values of settings are numbers of four digits, so that the
-formula that is written out is the one that was judged.
+A form is text in x (the driver) and its settings k, w, f, in which it is not linear. Values of
+settings have four digits, so that the formula that is written is the one that was judged.
 """
 
 import re
@@ -19,15 +19,20 @@ from casadical.effects.formula_effect import COLUMN_NAME, Law, columns_of
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
 
-LETTERS = "abcdefghijklmnopqs"
-LAGS = (300, 600, 1200, 2400)
-# One that is larger is the rounding error of a load over none.
-LARGEST = 1e6
+VARIABLE_LETTERS = "abcdefghijklmnopqs"
+# Time constants of a warmth that lags behind the measured temperature.
+WARMTH_LAGS_S = (300, 600, 1200, 2400)
+# A driver with a larger value is the rounding error of a load divided by zero.
+MAX_DRIVER_VALUE = 1e6
 
 
 @dataclass(frozen=True)
 class Driver:
-    """text : over the names of formulas; kind : which forms it may have; family : which drivers it is one of."""
+    """A quantity on which an error may depend.
+
+    text : its formula; kind : key of `FORMS_BY_KIND`, the forms that it may have
+    family : group of similar drivers
+    """
 
     text: str
     kind: str
@@ -35,12 +40,12 @@ class Driver:
 
     @property
     def columns_only(self) -> bool:
-        """Whether it follows from logged columns alone, not from the pose."""
+        """Return whether it depends on logged columns only, not on the pose."""
         return all(COLUMN_NAME.fullmatch(name) for name in parse(self.text).names)
 
 
 def drivers_of(arm: Arm) -> list[Driver]:
-    """Every driver of a robot, whether its columns were logged or not."""
+    """Return every driver of a robot, whether its columns were logged or not."""
     drivers = [Driver(f"q{i}", "angle", "angle") for i in arm.numbers]
     for i in arm.numbers[:-1]:
         drivers += [Driver(f"q{i} {sign} q{i + 1}", "angle", "angles") for sign in "+-"]
@@ -52,20 +57,20 @@ def drivers_of(arm: Arm) -> list[Driver]:
     drivers += [Driver(f"g{c}", "signed", "gravity") for c in "xyz"]
     drivers += [Driver("sqrt(px**2 + py**2)", "positive", "place"), Driver("pz", "positive", "place")]
     drivers += [Driver("t", "time", "time"), Driver("warmth", "positive", "warmth")]
-    drivers += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in LAGS]
+    drivers += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in WARMTH_LAGS_S]
     drivers.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
         drivers += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
-        # Half of a play [mrad or mm].
+        # Half of a backlash [mrad or mm].
         drivers += [Driver(f"play{i}_{play}mrad", "play", "play") for play in (100, 300, 1000)]
         # Time constants of the heat of a motor under load [s].
         drivers += [Driver(f"heat{i}_{lag}s", "linear", "heat") for lag in (300, 1200)]
-        # How far back motions are remembered [mrad or mm].
+        # Lengths of the motion memory [mrad or mm].
         memories = [f"memory{i}_{way}mrad" for way in (100, 300, 1000, 3000)]
         drivers += [Driver(f"{own}{m}", "linear", "memory") for m in memories for own in ("", f"tau{i}*")]
         drivers += [Driver(f"approach{i}*{other}", "linear", "approach") for other in (f"tau{i}", f"abs(tau{i})", "t")]
         parts = (f"q{i}", f"tau{i}", f"sin(q{i})", f"cos(q{i})")
-        drivers += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", WARM)]
+        drivers += [Driver(f"{own}*{other}", "linear", "product") for own in parts for other in ("t", DEFAULT_WARMTH)]
         drivers.append(Driver(f"tau{i}*payload", "linear", "product"))
     pairs = [(i, j) for i in arm.numbers for j in arm.numbers if i < j]
     drivers += [Driver(f"tau{i}*tau{j}", "linear", "product") for i, j in pairs]
@@ -73,49 +78,57 @@ def drivers_of(arm: Arm) -> list[Driver]:
     return drivers
 
 
-WARM = "warmth_600s"
+DEFAULT_WARMTH = "warmth_600s"
 
 
 def with_columns(
     m: Measurements, drivers: Sequence[Driver], loads: Loads | None = None
 ) -> tuple[Measurements, list[Driver]]:
-    """The measurements with the drivers' columns, and those drivers whose columns were logged or follow."""
+    """Return measurements with the drivers' columns, and the drivers with logged or derived
+    ones.
+    """
     needed = {d: columns_of(parse(d.text).names) for d in drivers}
     m, missing = derive(m, [c for columns in needed.values() for c in columns], loads)
     return m, [d for d in drivers if not set(needed[d]) & set(missing)]
 
 
 def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Driver], Array]:
-    """Drivers that vary over the poses, and their values, shape (n, drivers); the columns must be there."""
+    """Return the drivers that vary over the poses, and their values, shape (n, drivers).
+
+    Their columns must be among the conditions of `linear`.
+    """
     names = names_in([parse(d.text) for d in drivers])
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC_FUNCTIONS)[0]) for d in drivers]
-    # A driver that varies less is none [rad, m, K, kg, or a share].
-    kept = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < LARGEST]
+    # Drivers that vary by 0.02 or less [rad, m, K, kg, or a share] are constant.
+    kept = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < MAX_DRIVER_VALUE]
     varying = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
     return varying, np.stack([values[k] for k in kept], axis=1)
 
 
 def own_drivers() -> list[Driver]:
-    """Drivers of every joint at once, each by its own: names without the joint's number."""
+    """Return drivers of laws of all joints at once, with names without the joint's number."""
     drivers = [Driver("q", "angle", "angle"), Driver("tau", "signed", "load"), Driver("move", "signed", "move")]
     drivers += [Driver(text, "linear", "approach") for text in ("approach", "approach*tau", "approach*t")]
-    return [*drivers, *(Driver(f"{own}*{other}", "linear", "product") for own in ("q", "tau") for other in ("t", WARM))]
+    return [
+        *drivers,
+        *(Driver(f"{own}*{other}", "linear", "product") for own in ("q", "tau") for other in ("t", DEFAULT_WARMTH)),
+    ]
 
 
 def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver) -> Array:
-    """Values of a driver of every joint, shape (n, joints); known : by name, as of `variables`."""
+    """Return the values of a driver for every joint, (n, joints); known : as of `variables`."""
     formula = parse(driver.text)
     joints = [{n: known[n] if n in known else known[f"{n}{j}"] for n in formula.names} for j in linear.robot.numbers]
     return np.stack([np.asarray(formula.values(at, NUMERIC_FUNCTIONS)[0]) for at in joints], axis=1)
 
 
 def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
-    """Values of names of formulas at the poses, shape (n,) each, from what they do as a shift of the foot."""
+    """Return the values of names at the poses, (n,) each, from columns of shifts of the base."""
     unit = linear.columns([Law(None, "base shift", "[a, 0, 0]")])[:, :, 0]
     values: dict[str, Array] = {}
-    for first in range(0, len(names), len(LETTERS)):
-        some = dict(zip(LETTERS, names[first:], strict=False))
+    for first in range(0, len(names), len(VARIABLE_LETTERS)):
+        some = dict(zip(VARIABLE_LETTERS, names[first:], strict=False))
         terms = " + ".join(f"{letter}*{name}" for letter, name in some.items())
         law = Law(None, "base shift", f"[{terms}, 0, 0]", tuple((letter, 1e-5) for letter in some))
         columns = linear.columns([law])
@@ -124,19 +137,22 @@ def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
     return values
 
 
-# Cycles per turn of an angle: of slow waves, and of fine ones, which need so many poses.
-SLOW, FINE = 16.0, 1100.0
-POSES_FOR_FINE = 50
-# How far a wave's phase runs with a driver [rad a unit of it].
-PHASES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
+# Greatest frequencies of slow and of fine waves [cycles per revolution]; fine waves need a number
+# of poses.
+MAX_SLOW_CYCLES = 16.0
+MAX_FINE_CYCLES = 1100.0
+MIN_POSES_FOR_FINE_WAVES = 50
+# Changes of a wave's phase per unit of a second driver [rad].
+PHASE_RATES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
 
 
 @dataclass(frozen=True)
 class Form:
-    """A form.
+    """A function of a driver, linear in factors and nonlinear in settings.
 
-    parts : texts, each with a factor of its own; settings : their names
-    grid : settings, shape (K, settings), from the driver's values, shape (n,)
+    name : of the form; parts : formulas in x and the settings, each with its own factor
+    settings : names of the settings
+    grid : returns settings, shape (K, settings), from the driver's values, shape (n,)
     also : values of other names in the parts, shape (n,) each
     """
 
@@ -147,9 +163,10 @@ class Form:
     also: Mapping[str, Array] = field(default_factory=dict)
 
     def values(self, x: Array, settings: Array) -> Array:
-        """Of each part at all poses and settings, shape (parts, n, K), with x of n poses; settings : (K, settings).
+        """Return each part at all poses and settings, shape (parts, n, K).
 
-        With x of every joint, shape (n, joints), it is (parts, n, joints, K).
+        x : shape (n,), or (n, joints) for a result of shape (parts, n, joints, K)
+        settings : shape (K, settings)
         """
         names = {"x": x[..., None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
         names |= {n: value[:, None] for n, value in self.also.items()}
@@ -157,7 +174,7 @@ class Form:
         return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in parts])
 
     def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:
-        """Its parts written out for a driver and settings."""
+        """Return the formulas of its parts with a driver and settings inserted."""
         given = dict(zip(self.settings, settings, strict=True))
         texts = []
         for part in self.parts:
@@ -173,22 +190,25 @@ class Form:
 
 
 def number(value: float) -> str:
-    """A setting as it is written."""
+    """Return a setting as text with four digits."""
     return f"{float(value):.4g}"
 
 
 def rounded(settings: Array) -> Array:
-    """Settings as they are written, four digits."""
+    """Return settings rounded to four digits, as they are written."""
     flat = np.ravel(settings).tolist()
     written = " ".join(["%.4g"] * len(flat)) % tuple(flat)
     return np.array(written.split(), dtype=float).reshape(np.shape(settings))
 
 
 def _none(_x: Array) -> Array:
+    """Return the only grid point of a form without settings."""
     return np.zeros((1, 0))
 
 
 def _quantiles(count: int) -> Callable[[Array], Array]:
+    """Return a grid of k, quantiles of the driver."""
+
     def grid(x: Array) -> Array:
         k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
         return rounded(np.unique(k)[:, None])
@@ -197,12 +217,12 @@ def _quantiles(count: int) -> Callable[[Array], Array]:
 
 
 def _beyond(x: Array) -> Array:
-    """Bounds on the size of a driver."""
+    """Return the grid of k, quantiles of the absolute value of a driver."""
     return rounded(np.unique(np.quantile(np.abs(x), [0.1, 0.25, 0.4, 0.55, 0.7, 0.85]))[:, None])
 
 
 def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
-    """Positions and widths, these as shares of the driver's range."""
+    """Return the grid of k and w; shares : widths as shares of the driver's range."""
 
     def grid(x: Array) -> Array:
         k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
@@ -213,12 +233,14 @@ def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]
 
 
 def _bands(x: Array) -> Array:
-    """Middles and half widths of a dead band that need not lie about zero."""
+    """Return the grid of centres and half widths of a dead band that need not include zero."""
     k = np.quantile(x, [0.3, 0.4, 0.5, 0.6, 0.7])
     return rounded(np.array([(a, b) for a in k for b in np.array([0.08, 0.16, 0.24, 0.32]) * np.ptp(x)]))
 
 
 def _between(count: int) -> Callable[[Array], Array]:
+    """Return a grid of ordered pairs of quantiles of the driver."""
+
     def grid(x: Array) -> Array:
         edges = np.quantile(x, np.linspace(0.05, 0.95, count))
         return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
@@ -227,20 +249,23 @@ def _between(count: int) -> Callable[[Array], Array]:
 
 
 def _decays(x: Array) -> Array:
+    """Return the grid of w, shares of the driver's range."""
     return rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])
 
 
 def _turns(_x: Array) -> Array:
-    return rounded(np.arange(0.5, SLOW + 0.01, 0.25)[:, None])
+    """Return the grid of f of slow waves [cycles per revolution]."""
+    return rounded(np.arange(0.5, MAX_SLOW_CYCLES + 0.01, 0.25)[:, None])
 
 
 def _fine(x: Array) -> Array:
-    # A fine wave's phase runs off by so much at most [rad] between two frequencies of the grid.
-    return rounded(np.arange(SLOW + 0.5, FINE, 2 / max(np.ptp(x), 0.1))[:, None])
+    # Between neighbouring frequencies the phase changes by at most 2 rad over the range.
+    """Return the grid of f of fine waves [cycles per revolution]."""
+    return rounded(np.arange(MAX_SLOW_CYCLES + 0.5, MAX_FINE_CYCLES, 2 / max(np.ptp(x), 0.1))[:, None])
 
 
 def _cycles(x: Array) -> Array:
-    """Half a cycle to six over the driver's range."""
+    """Return the grid of f for half a cycle to six over the driver's range."""
     return rounded((2 * np.pi / np.ptp(x) * np.arange(0.5, 6.01, 0.25))[:, None])
 
 
@@ -249,9 +274,9 @@ SQUARE = Form("square", ("x**2",), (), _none)
 CUBE = Form("cube", ("x**3",), (), _none)
 SIZE = Form("size", ("abs(x)",), (), _none)
 SIGNED_SQUARE = Form("signed square", ("x*abs(x)",), (), _none)
-ABOVE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
-BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
-BEYOND = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
+HINGE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
+HINGE_BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
+HINGE_OF_SIZE = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
 DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
 BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
 SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), with_widths(7, (0.03, 0.08, 0.16, 0.32)))
@@ -265,33 +290,48 @@ WAVE = Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns)
 FINE_WAVE = Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine)
 CYCLE = Form("cycle", ("sin(f*x)", "cos(f*x)"), ("f",), _cycles)
 
-# Forms by the kind of driver.
-FORMS = {
-    "angle": (LINEAR, SQUARE, ABOVE, BELOW, BAND, SATURATION, STEPPED, BUMP, WAVE),
-    "signed": (LINEAR, SQUARE, CUBE, SIZE, SIGNED_SQUARE, ABOVE, BELOW, BEYOND, DEAD_BAND, SATURATION, STEPPED, BUMP),
-    "positive": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP),
-    "time": (LINEAR, SQUARE, ABOVE, BELOW, SATURATION, STEPPED, BUMP, LEVELS, BLOCK, FADE, CYCLE),
+# Forms that a driver may have, by its kind.
+FORMS_BY_KIND = {
+    "angle": (LINEAR, SQUARE, HINGE, HINGE_BELOW, BAND, SATURATION, STEPPED, BUMP, WAVE),
+    "signed": (
+        LINEAR,
+        SQUARE,
+        CUBE,
+        SIZE,
+        SIGNED_SQUARE,
+        HINGE,
+        HINGE_BELOW,
+        HINGE_OF_SIZE,
+        DEAD_BAND,
+        SATURATION,
+        STEPPED,
+        BUMP,
+    ),
+    "positive": (LINEAR, SQUARE, HINGE, HINGE_BELOW, SATURATION, STEPPED, BUMP),
+    "time": (LINEAR, SQUARE, HINGE, HINGE_BELOW, SATURATION, STEPPED, BUMP, LEVELS, BLOCK, FADE, CYCLE),
     "play": (LINEAR, RELAY),
     "weighted": (WAVE,),
     "linear": (LINEAR,),
     "range": (LINEAR, SQUARE, WAVE),
     "azimuth": (LINEAR, WAVE),
-    "incidence": (LINEAR, SQUARE, ABOVE, BELOW),
+    "incidence": (LINEAR, SQUARE, HINGE, HINGE_BELOW),
 }
-# Of time: they follow whatever varied while it was measured, and come last.
-LAST_RESORT = (BUMP, BLOCK, CYCLE)
+# Forms of time that can follow anything that varied during the measurement; they pay an additional
+# price.
+LAST_RESORT_TIME_FORMS = (BUMP, BLOCK, CYCLE)
 
 
 def wave_by(name: str, values: Array) -> Form:
-    """A wave whose size follows something else, such as a load. values : of the name, shape (n,)"""
+    """Return a wave whose amplitude is proportional to another driver; values : of it, (n,)."""
     return Form(f"wave by {name}", (f"{name}*sin(f*x)", f"{name}*cos(f*x)"), ("f",), _turns, {name: values})
 
 
 def wave_plus(name: str, values: Array) -> Form:
-    """A wave of a whole number of cycles whose phase runs with something else. values : of the name, shape (n,)"""
+    """Return a wave of integer frequency whose phase is linear in another driver; values : (n,)."""
     parts = f"sin(f*x + p*{name})", f"cos(f*x + p*{name})"
     return Form(f"wave plus {name}", parts, ("f", "p"), _phases, {name: values})
 
 
 def _phases(_x: Array) -> Array:
-    return rounded(np.array([(f, p) for f in range(1, int(SLOW) + 1) for p in PHASES]))
+    """Return the grid of f and p of waves with a running phase."""
+    return rounded(np.array([(f, p) for f in range(1, int(MAX_SLOW_CYCLES) + 1) for p in PHASE_RATES]))

@@ -1,10 +1,10 @@
-"""A law that is tried at a seam (a place where an error may be added), its evidence beside what is known, its score.
+"""The evidence of laws: each is tried at an insertion point, given the causes in the model.
 
-Log evidence of thousands of laws at one place, quickly: what all of them share is computed once.
-
-A law's columns are those of its place, pose by pose, times functions of the driver. Made white and orthogonal to the
-base model, their products need two things for each place: products of its own columns at each pose, and its columns in
-the axes of the base model, shape (P, n). The rest is a product of matrices for all functions together.
+The log evidence of thousands of laws at one insertion point is computed together. A law's columns
+are those of its place, pose by pose, times functions of its driver. Whitened and orthogonal to the
+base model, their products need two quantities for each place: Gram matrices of its columns at each
+pose, and coordinates of its columns in the axes of the base model, shape (P, n). The rest is a
+matrix product for all functions together.
 """
 
 from __future__ import annotations
@@ -32,17 +32,19 @@ from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
 
-# Log evidence of what is not judged.
-NEVER = -1e9
+# Log evidence [nats] of laws that are not judged.
+NOT_JUDGED_LOG_EVIDENCE = -1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """A problem at one rho.
+    """A problem at one noise ratio rho, prepared to judge many laws.
 
-    W : makes each pose's columns white, shape (n, 3, 3); Q : base model's axes, shape (n, 3, P)
-    y : residual, white and orthogonal to the base model, shape (n, 3)
-    square, rows : of the whole residual and of the scatter of repeated poses, and how many numbers these are
+    W : whitening matrix of each pose, shape (n, 3, 3)
+    Q : orthonormal basis of the base model, shape (n, 3, P)
+    y : residual, whitened and orthogonal to the base model, shape (n, 3)
+    square : sum of squares of the residual and of the scatter of repeated poses
+    rows : degrees of freedom of both
     """
 
     W: Array
@@ -53,7 +55,7 @@ class Screen:
 
     @classmethod
     def at_rho(cls, e: Evidence, rho: int) -> Screen:
-        """The problem at a rho of the grid, by its number."""
+        """Return the problem at a rho of the grid, by its index."""
         r = float(RHO_GRID[rho])
         projection = e.projected(r)
         y = projection.y
@@ -63,11 +65,14 @@ class Screen:
         return cls(projection.whitening.W, Q, left, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
 
     def products(self, columns: Array, functions: Array, later: Array | None = None) -> tuple[Array, Array]:
-        """Products of every law's columns, shape (K, w, w), and with the residual, shape (K, w); w = parts times d.
+        """Return each law's Gram matrix, (K, w, w), and products with the residual, (K, w).
 
-        columns : of the place, shape (n, 3, d); functions : parts of the forms at the poses, shape (parts, n, K), or of
-            each column, shape (parts, n, d, K)
-        later : what a pose's columns do to the numbers of the next one, shape (n - 1, 3, d), where noise follows itself
+        The number of columns of a law is w = parts * d.
+        columns : of the place, shape (n, 3, d)
+        functions : values of the parts of the forms, shape (parts, n, K), or (parts, n, d, K) if
+            they differ between columns
+        later : contribution of a pose's columns to the next pose under autocorrelated noise, shape
+            (n - 1, 3, d); None for white noise
         """
         B = self.W @ columns
         d, parts = B.shape[2], len(functions)
@@ -101,26 +106,29 @@ class Screen:
         return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
 
     def products_of(self, columns: Array) -> tuple[Array, Array]:
-        """The same of laws whose columns are given, shape (n, 3, w, K)."""
+        """Return the products of laws with given columns, (n, 3, w, K), as `products` does."""
         B = np.einsum("nab,nbwk->nawk", self.W, columns, optimize=True)
         M = np.tensordot(self.Q, B, axes=((0, 1), (0, 1)))
         G = np.einsum("naik,najk->kij", B, B, optimize=True) - np.einsum("pik,pjk->kij", M, M, optimize=True)
         return G, np.einsum("naik,na->ki", B, self.y, optimize=True)
 
     def reach(self, G: Array, b: Array) -> Array:
-        """What log evidence over none no law exceeds, whatever its size and the noise, shape (K,); see `gains`."""
+        """Return an upper bound of each law's log evidence over none, at any size and noise,
+        (K,).
+        """
         free = (SIGMA_GRID_M[0] / KAPPA_GRID[-1]) ** 2 * np.eye(G.shape[1])
         taken = (b * np.linalg.solve(G + free, b[:, :, None])[:, :, 0]).sum(axis=1)
         return np.asarray(-0.5 * self.rows * np.log1p(-np.minimum(taken / self.square, 1 - 1e-12)))
 
     def gains(self, G: Array, b: Array, least: float = 0.0) -> Array:
-        """Log evidence of each law over none, mean over sizes, noise as it comes out; shape (K,).
+        """Return the log evidence of each law over none, shape (K,) [nats].
 
-        G, b : products of columns in units of their sizes (see `products`)
-        least : laws that cannot reach this are not judged, and have `NEVER`
+        It is the mean over the sizes of the grid, each at the maximum-likelihood noise.
+        G, b : products of columns in units of their typical sizes (see `products`)
+        least : laws that cannot reach this are not judged, and have `NOT_JUDGED_LOG_EVIDENCE`
         """
         if least > 0:
-            gains, can = np.full(len(b), NEVER), self.reach(G, b) >= least
+            gains, can = np.full(len(b), NOT_JUDGED_LOG_EVIDENCE), self.reach(G, b) >= least
             gains[can] = self.gains(G[can], b[can])
             return gains
         rows = self.rows
@@ -148,117 +156,141 @@ class Screen:
 
 
 def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
-    """log(sum(exp(logs + weights))) over the first axis."""
+    """Return log(sum(exp(logs + log_weights))) over the first axis."""
     logs = logs + log_weights
     top = logs.max(axis=0)
     return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
 
 
-# Realistic size of a law, one sigma: where a form varies by one.
-ANGLE, LENGTH, SHARE = 30e-6, 30e-6, 0.03
-LETTERS = "abcdefghijklmnopqsuvwxyz"
+# Typical size (one sigma) of a law whose form varies by one: an angle, a length, and a share of a
+# mass.
+LAW_ANGLE_RAD = 30e-6
+LAW_LENGTH_M = 30e-6
+LAW_SHARE = 0.03
+# Names of the factors of a law; r and t are names of drivers.
+FACTOR_LETTERS = "abcdefghijklmnopqsuvwxyz"
 
 
 @dataclass(frozen=True, eq=False)
-class Seam:
-    """A place; law : with a constant formula there, columns : of its factors, shape (n, 3, d) [m per unit]."""
+class InsertionPoint:
+    """A place of the model at which a law may act.
+
+    law : a law with a constant formula there
+    columns : derivatives of the measured points by its factors, shape (n, 3, d) [m per unit]
+    """
 
     law: Law
     columns: Array
 
     @property
     def size(self) -> float:
-        """One sigma of its factors."""
-        return {"rad": ANGLE, "m": LENGTH}.get(SEAMS[self.law.seam][1], SHARE)
+        """Return the typical size (one sigma) of its factors [rad, m or share]."""
+        return {"rad": LAW_ANGLE_RAD, "m": LAW_LENGTH_M}.get(SEAMS[self.law.seam][1], LAW_SHARE)
 
     def takes(self, driver: Driver) -> bool:
-        """Whether a driver may act there: the payload's energy follows logged columns alone."""
+        """Return whether a driver may act there; for the payload it must depend on logged columns
+        only.
+        """
         return self.law.seam != "payload" or driver.columns_only
 
     def with_formula(self, parts: Sequence[str], scales: Sequence[float]) -> Law:
-        """The law of these parts, each with factors of its own. scales : how much each part varies."""
+        """Return the law that is the sum of some parts, each with its own factors.
+
+        parts : formulas; scales : how much each part varies over the poses
+        """
         d = SEAMS[self.law.seam][0]
         terms, factors = [], []
         for k, (part, scale) in enumerate(zip(parts, scales, strict=True)):
-            names = LETTERS[k * d : (k + 1) * d]
+            names = FACTOR_LETTERS[k * d : (k + 1) * d]
             terms.append((names if d == 1 else f"[{', '.join(names)}]") + f"*{part}")
             factors += [(name, float(f"{self.size / scale:.3g}")) for name in names]
         return replace(self.law, formula=" + ".join(terms), factors=tuple(factors))
 
 
 def seams_at(robot: Robot) -> list[Law]:
-    """Laws with a constant formula at every place that all drivers may act at."""
+    """Return laws with a constant formula at every place where all drivers may act."""
     vector = (("a", 1e-5), ("b", 1e-5), ("c", 1e-5))
     seams = [Law(j, "joint", "a") for j in robot.numbers]
     seams += [Law(j, seam, "[a, b, c]", vector) for seam in ("tilt", "shift") for j in robot.numbers]
-    # The last link's shift is the tool's, and the foot's is the measuring frame's.
+    # The last link's shift is that of the tool.
     seams = [law for law in seams if (law.seam, law.joint) != ("shift", robot.n)]
     seams += [Law(None, seam, "[a, b, c]", vector) for seam in ("base tilt", "base shift", "tool shift")]
     return [*seams, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
 
 
-def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[Seam]:
-    """The places with what they do to the measured point."""
+def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[InsertionPoint]:
+    """Return the insertion points of laws, with their columns."""
     columns = linear.columns(laws)
     edges = np.cumsum([0, *(len(law.sizes()) for law in laws)])
-    return [Seam(law, columns[:, :, a:b]) for law, a, b in zip(laws, edges[:-1], edges[1:], strict=True)]
+    return [InsertionPoint(law, columns[:, :, a:b]) for law, a, b in zip(laws, edges[:-1], edges[1:], strict=True)]
 
 
-LEAST_SCALE = 1e-3
-# Numbers of the rhos at which laws are screened: what is most probable without a law says little of that with it.
-SCREENED = (2, 4)
-# Nats by which a law at another rho does not exceed what it reaches at the most probable one.
-HOPELESS = 20.0
-# Nats of a claim: of the score, and above rivals; of laws that are not distinguished.
-CLAIMED, ABOVE, ALIKE = 12.0, 3.0, 5.0
-MOST_ALIKE = 6
+# Smallest scale of a function [its unit]; a constant function is in the base model already.
+MIN_FUNCTION_SCALE = 1e-3
+# Indices of the rhos at which laws are screened: the most probable one without a law says little of
+# that with it.
+SCREENED_RHO_INDICES = (2, 4)
+# Largest gain of a law at another rho over its bound at the most probable one.
+MAX_GAIN_AT_OTHER_RHO_NATS = 20.0
+# A law is claimed if its score is at least this, and exceeds the best rival's by the margin.
+MIN_CLAIM_SCORE_NATS = 12.0
+MIN_CLAIM_MARGIN_NATS = 3.0
+# Laws with scores within this of the best one are reported as indistinguishable, up to the number.
+INDISTINGUISHABLE_NATS = 5.0
+MAX_INDISTINGUISHABLE_LAWS = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
-    """One form of one driver at one place, or at several, with all its settings.
+class TriedLaws:
+    """The laws of one form and one driver at one place, or at several, with all settings of the
+    form.
 
-    seams : the place; more than one of the beam, whose stations are settings
-    x : the driver's values, shape (n,), at each place; form : see `Form`
-    nearby : the place of a law moved by a step, each way that there is, and the driver's values there; None of places
-        that are not settings, or cannot be moved
-    again : the same with its places found by some poses alone, of a problem; None where they do not follow from data
-    given : how many of the places were there before any was moved, zero for all
+    seams : the places; more than one for the beam of an instrument, whose stations are settings
+    driver : of the laws; form : see `Form`
+    x : values of the driver, shape (n,), at each place
+    nearby : returns the neighbours of a law's place, a step away in each direction, and the values
+        of the driver there; None for places that are not settings, or cannot be moved
+    again : returns the same laws with places found from some poses of a problem only; None where
+        places do not depend on data
+    given : number of the places before any was moved, zero for all
     """
 
-    seams: tuple[Seam, ...]
+    seams: tuple[InsertionPoint, ...]
     driver: Driver
     form: Form
     x: tuple[Array, ...]
-    nearby: Callable[[Law, float], Sequence[tuple[Seam, Array]]] | None = field(default=None, kw_only=True)
-    again: Callable[[Problem, Array], Tried] | None = field(default=None, kw_only=True)
+    nearby: Callable[[Law, float], Sequence[tuple[InsertionPoint, Array]]] | None = field(default=None, kw_only=True)
+    again: Callable[[Problem, Array], TriedLaws] | None = field(default=None, kw_only=True)
     given: int = field(default=0, kw_only=True)
 
     @cached_property
     def settings(self) -> tuple[Array, ...]:
-        """At each place, shape (K, settings)."""
+        """Return the grid of settings at each place, shape (K, settings) each."""
         return tuple(self.form.grid(x) for x in self.x)
 
-    def beside(self, seam: int, step: float) -> list[Tried]:
-        """The same with one more place each, a step beside that of a number."""
+    def with_moved_place(self, seam: int, step: float) -> list[TriedLaws]:
+        """Return copies with one additional place each, a step away from the place of an index."""
         moved, given = self.nearby(self.seams[seam].law, step) if self.nearby else (), self.given or len(self.seams)
         return [replace(self, seams=(*self.seams, place), x=(*self.x, x), given=given) for place, x in moved]
 
-    def by(self, problem: Problem, poses: Array) -> Tried:
-        """The same without what all poses said of its places: as they were given, or found by some poses alone."""
+    def by(self, problem: Problem, poses: Array) -> TriedLaws:
+        """Return the laws at their original places, or at places found from some poses only."""
         if self.again:
             return self.again(problem, poses)
         given = self.given or len(self.seams)
         return replace(self, seams=self.seams[:given], x=self.x[:given], given=0)
 
     def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
-        """The law of these settings, and its columns in units of their sizes, shape (n, 3, w)."""
+        """Return the law of some settings, and its columns in units of their sizes, (n, 3, w).
+
+        seam : index of the place
+        """
         place = self.seams[seam]
         values = self.form.values(self.x[seam], settings[None])
         scales = [float(s) for s in scale_of(values)[:, 0]]
         law = place.with_formula(self.form.texts(self.driver.text, settings.tolist()), scales)
         sizes = np.array([size for size, _ in law.sizes().values()])
-        if values.ndim > 3:  # of every joint: all factors of the first, then of the next
+        if values.ndim > 3:  # a law of every joint: all factors of the first joint, then those of the next
             each = np.stack([place.columns * v[:, None, :, 0] for v in values], axis=3)
             columns = each.reshape(*each.shape[:2], -1)
         else:
@@ -267,10 +299,14 @@ class Tried:
 
 
 @dataclass(frozen=True, eq=False)
-class Rough:
-    """A law by its screened evidence: what was tried, which place and settings are best, mean over all of them."""
+class ScreenedLaw:
+    """The best law of a form and driver by screened log evidence over none [nats].
 
-    tried: Tried
+    tried : the laws; seam, settings : index of its place, and its settings
+    best : log evidence of this law; mean : log of the mean evidence over all places and settings
+    """
+
+    tried: TriedLaws
     seam: int
     settings: Array
     best: float
@@ -278,16 +314,20 @@ class Rough:
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
+class ScoredLaw:
     """A law with its most probable settings.
 
-    law : as an effect; tried : what it was selected from; seam, settings : which place and settings of it
-    score : see the module; evidence : log evidence of these settings over none
-    columns : in units of its sizes, shape (n, 3, w); noise : that it leaves; errors : of the settings, by name
+    law : as an effect; tried : the laws from which it was selected
+    seam, settings : index of its place, and its settings
+    score : log evidence less the price of the search [nats], see `laws.search`
+    evidence : log evidence of these settings over none [nats]
+    columns : in units of its typical sizes, shape (n, 3, w)
+    noise : most probable noise given the law
+    errors : standard error of each setting, shape (settings,)
     """
 
     law: Law
-    tried: Tried
+    tried: TriedLaws
     seam: int
     settings: Array
     score: float
@@ -298,35 +338,39 @@ class Scored:
 
     @property
     def family(self) -> tuple[str, str]:
-        """Place and kind of driver."""
+        """Return its place and the family of its driver."""
         return self.law.place, self.tried.driver.family
 
 
 def scale_of(values: Array) -> Array:
-    """How much functions vary over poses and joints, shape (parts, K); a constant one, of the base model, a little.
+    """Return the scales of functions over poses and joints, shape (parts, K), above a minimum.
+
+    The scale is the standard deviation, or a tenth of the range if that is more.
 
     values : as of `Form.values`
     """
     flat = values.reshape(len(values), -1, values.shape[-1])
-    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), LEAST_SCALE))
+    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), MIN_FUNCTION_SCALE))
 
 
 def scaled(values: Array) -> Array:
-    """Functions in units of how much they vary; values : as of `Form.values`."""
+    """Return functions divided by their scales; values : as of `Form.values`."""
     scales = scale_of(values)
     return np.asarray(values / scales.reshape(len(values), *[1] * (values.ndim - 2), -1))
 
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One comparison of laws with everything else.
+    """One comparison of laws with listed effects, smooth effects and forms of noise.
 
-    laws : the most probable, the best first; listed, smooth : label and score of the best rivals, refined
-    noise : the same of the best form of noise; alias : labels of listed effects whose columns are the best law's
-    form : of the noise, by which all were judged
+    laws : the most probable laws, the best first
+    listed, smooth, noise : label and score [nats] of the best listed effect, smooth effect and form
+        of noise
+    alias : labels of listed effects that are equivalent to the best law
+    form : form of the noise under which all were judged
     """
 
-    laws: tuple[Scored, ...]
+    laws: tuple[ScoredLaw, ...]
     listed: tuple[str, float]
     smooth: tuple[str, float]
     noise: tuple[str, float]
@@ -334,32 +378,40 @@ class Round:
     form: NoiseForm = WHITE_FORM
 
     @property
-    def best(self) -> Scored:
-        """The most probable law."""
+    def best(self) -> ScoredLaw:
+        """Return the most probable law."""
         return self.laws[0]
 
     @property
-    def alike(self) -> tuple[Scored, ...]:
-        """Laws that these data do not tell from the best one."""
-        return tuple(s for s in self.laws[1:] if s.score > self.best.score - ALIKE)[:MOST_ALIKE]
+    def alike(self) -> tuple[ScoredLaw, ...]:
+        """Return the laws that these data do not distinguish from the best one."""
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - INDISTINGUISHABLE_NATS)[
+            :MAX_INDISTINGUISHABLE_LAWS
+        ]
 
     @property
     def claimed(self) -> bool:
-        """Whether the best law is claimed."""
-        return self.best.score >= CLAIMED and self.best.score >= self.rival[1] + ABOVE and not self.alias
+        """Return whether the best law is claimed."""
+        return (
+            self.best.score >= MIN_CLAIM_SCORE_NATS
+            and self.best.score >= self.rival[1] + MIN_CLAIM_MARGIN_NATS
+            and not self.alias
+        )
 
     @property
     def rival(self) -> tuple[str, float]:
-        """Label and score of the best of all rivals."""
+        """Return label and score of the best rival."""
         return best_of((self.listed, self.smooth, self.noise), itemgetter(1), logs=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What laws are judged on: poses that are no outliers, with what is in the model in the base.
+    """The inlier poses on which laws are judged, with the causes in the model as part of the base.
 
-    evidence : without candidates; least : log evidence over none that a law needs to be of interest
-    order, noise : of noise that follows itself, of whose numbers the evidence is: the poses in the order of measuring
+    evidence : linear model without candidates
+    least : log evidence over none [nats] that a law needs to be of interest
+    order, noise : under autocorrelated noise, indices of the poses in time order, and the noise by
+        which the evidence is whitened; None for white noise
     """
 
     evidence: Evidence
@@ -368,25 +420,29 @@ class Problem:
     noise: SerialNoise | None = None
 
     @classmethod
-    def beside(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
-        """Of a case; chosen : columns of what is in the model already."""
-        # At the tables' likely noise alone: thousands of laws are judged.
+    def of_case(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
+        """Return the problem of a case; chosen : indices of the columns in the model."""
+        # Only at the most probable noise of the tables, since thousands of laws are judged.
         alone = case.judged.with_causes_alone(chosen)
         if case.form is WHITE_FORM:
             return cls(alone, least)
         return cls(alone, least, case.order, case.form.serial(len(case.order)))
 
     def white(self, columns: Array) -> Array:
-        """Columns of laws as they are among the numbers of the evidence, shape (n, 3, ...)."""
+        """Return columns of laws, whitened for autocorrelation as the evidence is, (n, 3, ...)."""
         return columns if self.noise is None else self.noise.whiten(columns[self.order])
 
     @cached_property
     def log_base(self) -> Array:
-        """Log likelihood without a law, shape (rhos, sigmas)."""
+        """Return the log likelihood without a law, shape (rhos, sigmas)."""
         return self.evidence.log_base()
 
     def grids(self, columns: Sequence[Array]) -> Array:
-        """Log likelihood with each law, shape (laws, rhos, sigmas, kappas), sizes weighted."""
+        """Return log likelihood plus log weight of the size for each law.
+
+        columns : of each law, shape (n, 3, w). The result has the shape (laws, rhos, sigmas,
+            kappas).
+        """
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
         every = ArrayColumns(self.white(np.concatenate(columns, axis=2)))
         judged = self.evidence.marginals.with_other_columns(every, CAUSE_PRIOR_SIGMA)
@@ -395,11 +451,11 @@ class Problem:
         return logs
 
     def evidences(self, columns: Sequence[Array]) -> Array:
-        """Exact log evidence over none of each law, shape (laws,)."""
+        """Return the exact log evidence over none of each law, shape (laws,)."""
         return self.over_none(self.grids(columns))
 
     def over_none(self, grids: Array) -> Array:
-        """Log evidence over none, shape (laws,); grids : as of `grids`."""
+        """Return log evidences over none, shape (laws,); grids : as of `grids`."""
         return np.asarray(
             np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1)
             - float(np.logaddexp.reduce(self.log_base, axis=None))
@@ -407,32 +463,41 @@ class Problem:
 
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
-        """Screens at the rhos that matter, each with its log share of the evidence without a law."""
+        """Return screens at the selected rhos, with their log shares of the evidence without a
+        law.
+        """
         near = list(self.evidence.near)
         by_rho = dict(zip(near, np.logaddexp.reduce(self.log_base[near], axis=1), strict=True))
         total = float(np.logaddexp.reduce(self.log_base[near], axis=None))
-        known = [k for k in SCREENED if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
+        known = [k for k in SCREENED_RHO_INDICES if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
         screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
         return sorted(screens, key=lambda s: -s[0])
 
     @property
-    def pulled(self) -> Array:
-        """How what is left pulls at small columns: their product with it, white, has this factor, (n, numbers)."""
+    def residual_weights(self) -> Array:
+        """Return w, (n, numbers): sum(w * column) is a column's whitened product with the
+        residual.
+        """
         screen = self.screens[0][1]
         pull = np.einsum("nab,na->nb", screen.W, screen.y)
         if self.noise is None or self.order is None:
             return np.asarray(pull)
         return self.noise.whiten_transposed(pull)[np.argsort(self.order)]
 
-    def gains(self, seam: Seam, functions: Array) -> Array:
-        """Log evidence of laws at a place, shape (K,); functions : in units of their scales, as of `Form.values`."""
+    def gains(self, seam: InsertionPoint, functions: Array) -> Array:
+        """Return the screened log evidence over none of laws at a place, shape (K,).
+
+        functions : in units of their scales, as of `Form.values`
+        """
         columns, functions, later = self.in_order(seam.columns * seam.size, functions)
         return self._gains(
             functions.shape[-1], lambda screen, some: screen.products(columns, functions[..., some], later)
         )
 
     def in_order(self, columns: Array, functions: Array) -> tuple[Array, Array, Array | None]:
-        """A place's columns and functions as `Screen.products` takes them."""
+        """Return columns and functions of a place, and `later`, as arguments of
+        `Screen.products`.
+        """
         if self.noise is None:
             return columns, functions, None
         own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))
@@ -440,20 +505,26 @@ class Problem:
         return own * columns, functions[:, self.order], (-stays * own)[1:] * columns[:-1]
 
     def gains_of(self, columns: Array) -> Array:
-        """Log evidence of laws whose columns are given, shape (K,); columns : in units of their sizes, (n, 3, w, K)."""
+        """Return the screened log evidence over none of laws with given columns, shape (K,).
+
+        columns : in units of their typical sizes, shape (n, 3, w, K)
+        """
         columns = self.white(columns)
         return self._gains(columns.shape[-1], lambda screen, some: screen.products_of(columns[..., some]))
 
     def _gains(self, count: int, products: Callable[[Screen, Array | slice], tuple[Array, Array]]) -> Array:
-        """Of so many laws, at the most probable rho, and where these are not hopeless at the others, too."""
+        """Return log evidences of `count` laws over the screened rhos, the most probable first.
+
+        Laws that cannot reach `least` there are not judged at the others.
+        """
         some: Array | slice = slice(None)
-        gains = np.full((len(self.screens), count), NEVER)
+        gains = np.full((len(self.screens), count), NOT_JUDGED_LOG_EVIDENCE)
         for k, (share, screen) in enumerate(self.screens):
             G, b = products(screen, some)
             least = self.least - share
             gains[k, some] = share + screen.gains(G, b, least)
-            if not k and least > HOPELESS:
-                some = np.flatnonzero(screen.reach(G, b) >= least - HOPELESS)
+            if not k and least > MAX_GAIN_AT_OTHER_RHO_NATS:
+                some = np.flatnonzero(screen.reach(G, b) >= least - MAX_GAIN_AT_OTHER_RHO_NATS)
                 if not len(some):
                     break
         return log_mean(gains)

@@ -1,8 +1,9 @@
-"""Laws at all places by all drivers in all forms, the most probable first, each paying for its size and its search.
+"""Search for laws at all places by all drivers in all forms, ranked by evidence and price.
 
-The score of a law is its log evidence over none, mean over its settings, less the logarithms of how many forms and how
-many places with drivers were tried. Evidence on all settings is that of `screening`; on the best it is exact.
-Settings of those that are kept are refined by steps of shrinking size.
+The score of a law is its log evidence over none, the mean over its settings, less the logarithms of
+the numbers of forms, and of places with drivers, that were tried. The evidence of all settings is
+screened (see `problem.Screen`); that of the best ones is exact. The settings of the best laws are
+refined by steps of shrinking size.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -16,12 +17,12 @@ from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.beams import by_the_beam, stations
 from casadical.diagnosis.laws.forms import (
+    DEFAULT_WARMTH,
     FINE_WAVE,
-    FORMS,
-    LARGEST,
-    LAST_RESORT,
-    POSES_FOR_FINE,
-    WARM,
+    FORMS_BY_KIND,
+    LAST_RESORT_TIME_FORMS,
+    MAX_DRIVER_VALUE,
+    MIN_POSES_FOR_FINE_WAVES,
     Driver,
     Form,
     drivers_of,
@@ -34,7 +35,16 @@ from casadical.diagnosis.laws.forms import (
     wave_plus,
     with_columns,
 )
-from casadical.diagnosis.laws.problem import NEVER, Problem, Rough, Scored, Seam, Tried, scaled, seams_at
+from casadical.diagnosis.laws.problem import (
+    NOT_JUDGED_LOG_EVIDENCE,
+    InsertionPoint,
+    Problem,
+    ScoredLaw,
+    ScreenedLaw,
+    TriedLaws,
+    scaled,
+    seams_at,
+)
 from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
@@ -42,18 +52,24 @@ from casadical.effects.formula import parse
 from casadical.effects.formula_effect import Law, head_column
 from casadical.measurements.derived_columns import derive
 
-# Laws whose evidence is computed exactly, those whose settings are refined, and those whose place is moved in any case.
-EXACT, REFINED, PLACED = 24, 6, 4
-# Nats that refined settings gain at most over those that are tried first, beyond what a law pays; with its place.
-UNREFINED, UNPLACED = 10.0, 40.0
+# Numbers of laws whose evidence is computed exactly, whose settings are refined, and whose place is
+# moved in any case.
+MAX_EXACT_LAWS = 24
+MAX_REFINED_LAWS = 6
+MIN_MOVED_LAWS = 4
+# Largest gains by refined settings over those of the grid, beyond the price of a law, without and
+# with a moved place.
+MAX_REFINEMENT_GAIN_NATS = 10.0
+MAX_PLACEMENT_GAIN_NATS = 40.0
 
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Functions of all drivers in forms of so many parts, side by side.
+    """Functions of drivers in forms of one number of parts, side by side.
 
     drivers : each with a form, its values, and the form's settings
-    functions : in units of their scales, as of `Form.values`; edges : where each driver and form begins, and the end
+    functions : in units of their scales, as of `Form.values`
+    edges : where each driver and form begins, and the end
     """
 
     drivers: tuple[tuple[Driver, Form, Array, Array], ...]
@@ -62,6 +78,7 @@ class _Block:
 
 
 def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form, ...]]) -> Iterator[_Block]:
+    """Yield blocks of the functions of drivers in forms of one part, and of two."""
     for parts in (1, 2):
         which = [(d, f, x, f.grid(x)) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
         if not which:
@@ -72,75 +89,87 @@ def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form
 
 
 def _means(gains: Array, edges: Array) -> Array:
-    """Log of the mean over each driver's and form's settings."""
+    """Return the log of the mean evidence over the settings of each driver and form."""
     top = np.maximum.reduceat(gains, edges[:-1])
     counts = np.diff(edges)
     total = np.add.reduceat(np.exp(gains - np.repeat(top, counts)), edges[:-1])
     return np.asarray(top + np.log(total / counts))
 
 
-def _of_block(seam: Seam, block: _Block, gains: Array, keep: int) -> list[Rough]:
+def _screened_in_block(seam: InsertionPoint, block: _Block, gains: Array, keep: int) -> list[ScreenedLaw]:
+    """Return the best laws of a block at a place by mean evidence, `keep` at most."""
     means = _means(gains, block.edges)
     rough = []
     for k in ranked(means, logs=True)[:keep]:
         driver, form, x, settings = block.drivers[k]
         own = gains[block.edges[k] : block.edges[k + 1]]
         best = first_of_best(own, logs=True)
-        tried = Tried((seam,), driver, form, (x,))
-        rough.append(Rough(tried, 0, settings[best], float(own[best]), float(means[k])))
+        tried = TriedLaws((seam,), driver, form, (x,))
+        rough.append(ScreenedLaw(tried, 0, settings[best], float(own[best]), float(means[k])))
     return rough
 
 
-def _everywhere(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
-    for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS):
+def _everywhere(
+    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
+) -> Iterator[ScreenedLaw]:
+    """Yield the best laws of all drivers and forms at all places."""
+    for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS_BY_KIND):
         for seam in seams:
             some = block
             if seam.law.seam == "payload":
                 kept = [d for d in drivers if seam.takes(d[0])]
-                own = [b for b in _blocks(kept, FORMS) if len(b.functions) == len(block.functions)]
+                own = [b for b in _blocks(kept, FORMS_BY_KIND) if len(b.functions) == len(block.functions)]
                 if not own:
                     continue
                 some = own[0]
-            yield from _of_block(seam, some, problem.gains(seam, some.functions), EXACT)
+            yield from _screened_in_block(seam, some, problem.gains(seam, some.functions), MAX_EXACT_LAWS)
 
 
-def _fine(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
-    """Fine waves of each joint over its own angle."""
-    if len(problem.evidence.r) < POSES_FOR_FINE:
+def _fine(
+    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
+) -> Iterator[ScreenedLaw]:
+    """Yield fine waves of each joint over its own angle."""
+    if len(problem.evidence.r) < MIN_POSES_FOR_FINE_WAVES:
         return
     own = {d.text: (d, x) for d, x in drivers if d.family == "angle"}
     for seam in seams:
         if seam.law.seam == "joint" and f"q{seam.law.joint}" in own:
             (block,) = _blocks([own[f"q{seam.law.joint}"]], {"angle": (FINE_WAVE,)})
-            yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
+            yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
-def _joined_waves(problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[Seam]) -> Iterator[Rough]:
-    """Waves of each joint over its own angle whose size follows load, moment or warmth, or whose phase the load does,
-    and over sums of its own and a neighbour's angle with unequal weights.
+def _joined_waves(
+    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
+) -> Iterator[ScreenedLaw]:
+    """Yield waves of each joint over two drivers.
+
+    The amplitude is proportional to load, moment or warmth, or the phase is linear in the load; or
+    the wave is over a weighted sum of the joint's own angle and a neighbour's.
     """
     by_text = {d.text: (d, x) for d, x in drivers}
     weighted = [d for d in drivers if d[0].kind == "weighted"]
     for seam in seams:
         j = seam.law.joint
         if seam.law.seam == "joint":
-            for block in _blocks([d for d in weighted if f"q{j}" in parse(d[0].text).names], FORMS):
-                yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
+            for block in _blocks([d for d in weighted if f"q{j}" in parse(d[0].text).names], FORMS_BY_KIND):
+                yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), MAX_EXACT_LAWS)
         if seam.law.seam not in ("joint", "tilt") or f"q{j}" not in by_text:
             continue
         driver, x = by_text[f"q{j}"]
-        forms = [wave_by(n, by_text[n][1]) for n in (f"tau{j}", f"m{j}x", f"m{j}y", WARM) if n in by_text]
+        forms = [wave_by(n, by_text[n][1]) for n in (f"tau{j}", f"m{j}x", f"m{j}y", DEFAULT_WARMTH) if n in by_text]
         forms += [wave_plus(n, by_text[n][1]) for n in (f"tau{j}",) if n in by_text]
         for form in forms:
             own = replace(driver, family="wave by load" if f"tau{j}" in form.name else form.name)
             (block,) = _blocks([(own, x)], {"angle": (form,)})
-            yield from _of_block(seam, block, problem.gains(seam, block.functions), 1)
+            yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
-def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str], seam: Seam) -> Iterator[Rough]:
-    """Laws of all joints at once, each by its own driver with a factor of its own.
+def _every_joint(
+    problem: Problem, linear: Linearisation, known: Collection[str], seam: InsertionPoint
+) -> Iterator[ScreenedLaw]:
+    """Yield laws of all joints at once, each with its own driver and factor.
 
-    known : names of columns that are there
+    known : names of the columns that are available
     """
     drivers = own_drivers()
     of_joint = {n: [f"{n}{j}" for j in linear.robot.numbers] for n in ("q", "tau", "approach", "move")}
@@ -148,13 +177,17 @@ def _every_joint(problem: Problem, linear: Linearisation, known: Collection[str]
     drivers = [d for d in drivers if all(n.startswith(("q", "tau")) or n in known for n in needed[d])]
     values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
     every = [(d, own_values(linear, values, d)) for d in drivers]
-    moving = [(d, x) for d, x in every if x.any() and np.abs(x).max() < LARGEST]  # no load turns an upright axis
-    for block in _blocks(moving, FORMS):
-        yield from _of_block(seam, block, problem.gains(seam, block.functions), EXACT)
+    moving = [
+        (d, x) for d, x in every if x.any() and np.abs(x).max() < MAX_DRIVER_VALUE
+    ]  # no load turns an upright axis
+    for block in _blocks(moving, FORMS_BY_KIND):
+        yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), MAX_EXACT_LAWS)
 
 
-def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
-    """The robot at the kept poses with the columns of the drivers, and those drivers whose columns were logged."""
+def _linearised(case: Case) -> tuple[Linearisation, list[Driver]]:
+    """Return the linearised robot at the inliers with drivers' columns, and the available
+    drivers.
+    """
     assert isinstance(case.whole.E, EffectColumns)
     m, known = with_columns(case.m, drivers_of(case.given), case.given.loads)
     m, _ = derive(m, map(head_column, stations(case.given)))
@@ -162,22 +195,26 @@ def _linear(case: Case) -> tuple[Linearisation, list[Driver]]:
     return linear.at(np.flatnonzero(case.kept)), known
 
 
-def _last(tried: Tried) -> float:
-    """The price of a law that is the last resort."""
-    # What a law pays that can follow anything that varied with time, where the driver itself may be
-    # there.
-    return 5.0 if tried.driver.kind == "time" and tried.form in LAST_RESORT else 0.0
-
-
-def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0) -> list[Scored]:
-    """The most probable laws, the best first; their settings are refined.
-
-    chosen : columns of what is in the model already; without : labels of laws that are in it
-    least : score that a law needs to be of interest; others may be left out, all of them, too
+def _last_resort_price(tried: TriedLaws) -> float:
+    """Return the additional price [nats] of a law that can follow anything that varied with
+    time.
     """
-    # A score is refined evidence less its price: settings that are not the best yet may be as far below.
-    problem = Problem.beside(case, chosen, least - UNREFINED)
-    linear, known = _linear(case)
+    # Such a law pays 5 nats, since the driver itself may be among the candidates.
+    return 5.0 if tried.driver.kind == "time" and tried.form in LAST_RESORT_TIME_FORMS else 0.0
+
+
+def search_laws(
+    case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0
+) -> list[ScoredLaw]:
+    """Return the most probable laws, the best first, those of the best with refined settings.
+
+    chosen : columns in the model; without : labels of laws in it
+    least : score [nats] that a law needs to be of interest; others may be omitted, even all
+    """
+    # A score is refined evidence less its price; settings before refinement may be lower by the
+    # greatest gain.
+    problem = Problem.of_case(case, chosen, least - MAX_REFINEMENT_GAIN_NATS)
+    linear, known = _linearised(case)
     kept, values = values_of(linear, known)
     drivers = list(zip(kept, values.T, strict=True))
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
@@ -187,12 +224,15 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     rough += joined
     rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
     if of_instrument:
-        rough += by_the_beam(Problem.beside(case, chosen, least - UNPLACED), linear, case.given)
+        rough += by_the_beam(Problem.of_case(case, chosen, least - MAX_PLACEMENT_GAIN_NATS), linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
-    rough = [r for r in rough if r.mean > NEVER / 2]
-    prices = [np.log(instances) + np.log(1 + len(FORMS[r.tried.driver.kind])) + _last(r.tried) for r in rough]
+    rough = [r for r in rough if r.mean > NOT_JUDGED_LOG_EVIDENCE / 2]
+    prices = [
+        np.log(instances) + np.log(1 + len(FORMS_BY_KIND[r.tried.driver.kind])) + _last_resort_price(r.tried)
+        for r in rough
+    ]
     order = ranked([r.mean - price for r, price in zip(rough, prices, strict=True)], logs=True)
-    order = [*order[:EXACT], *[k for k in order[EXACT:] if rough[k].tried.nearby][:PLACED]]
+    order = [*order[:MAX_EXACT_LAWS], *[k for k in order[MAX_EXACT_LAWS:] if rough[k].tried.nearby][:MIN_MOVED_LAWS]]
     some = [rough[k] for k in order]
     if not some:
         return []
@@ -201,31 +241,38 @@ def search_laws(case: Case, chosen: Array, without: frozenset[str] = frozenset()
     exact = problem.over_none(grids)
     scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=True)]
     best = ranked(scored, logs=True)
-    closely = {*best[:REFINED], *[k for k in best if some[k].tried.nearby][:PLACED]}
+    closely = {*best[:MAX_REFINED_LAWS], *[k for k in best if some[k].tried.nearby][:MIN_MOVED_LAWS]}
     laws = []
     for k in best:
         if made[k][0].label not in without:
             r, (law, columns) = some[k], made[k]
             errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
-            s = Scored(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
+            s = ScoredLaw(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
             laws.append(refined(problem, s) if k in closely else s)
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
-# Steps of a refinement, first as shares of the driver's range (of a width: factors; of an instrument's station: angles
-# about the robot), halved when none helps.
-FIRST_STEP, HALVINGS, ROUNDS, GAIN = 0.03, 3, 10, 0.1
+# Refinement of settings: the first step as a share of the driver's range (see `_moved` for widths,
+# frequencies and
+# stations), halved up to a number of times when no step gains enough evidence, in a limited number
+# of rounds.
+FIRST_STEP_OF_RANGE = 0.03
+MAX_HALVINGS = 3
+MAX_REFINEMENT_ROUNDS = 10
+MIN_REFINEMENT_GAIN_NATS = 0.1
 
 
-def refined(problem: Problem, found: Scored) -> Scored:
-    """The law with its settings refined, which raises the score as much as the evidence; a place that is moved pays."""
+def refined(problem: Problem, found: ScoredLaw) -> ScoredLaw:
+    """Return the law with refined settings, whose score rises as the evidence does.
+
+    A moved place pays a price.
+    """
     if not len(found.settings) and not found.tried.nearby:
         return found
     (tried, seam, settings), better = refined_settings(problem, found.tried, found.seam, found.settings)
     law, columns = tried.column(seam, settings)
     more = better - found.evidence
-    # Nats that a law pays for a place that is moved: three coordinates and a direction, which gain
-    # as much in noise alone.
+    # A moved place pays 4 nats, the gain of its coordinates and direction in noise alone.
     return replace(
         found,
         law=law,
@@ -240,8 +287,11 @@ def refined(problem: Problem, found: Scored) -> Scored:
     )
 
 
-def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Array:
-    """One setting moved: a width by a factor, a frequency by its share of the range, a position by a share of it."""
+def _moved(tried: TriedLaws, seam: int, settings: Array, k: int, step: float) -> Array:
+    """Return settings with one moved by a step.
+
+    A width is scaled, a frequency moves relative to the range, a position by a share of it.
+    """
     moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
     name = tried.form.settings[k]
     if name == "w" and tried.form.name not in ("on and off", "levels"):
@@ -255,39 +305,44 @@ def _moved(tried: Tried, seam: int, settings: Array, k: int, step: float) -> Arr
     return rounded(moved)
 
 
-# What a law's settings are: of what was tried the number of the place, and the form's.
-Chosen: TypeAlias = tuple[Tried, int, Array]
+# The laws that were tried, the index of the place, and the settings of the form.
+Chosen: TypeAlias = tuple[TriedLaws, int, Array]
 
 
 def refined_settings(
-    problem: Problem, tried: Tried, seam: int, settings: Array, poses: Array | slice = slice(None)
+    problem: Problem, tried: TriedLaws, seam: int, settings: Array, poses: Array | slice = slice(None)
 ) -> tuple[Chosen, float]:
-    """The best settings near these, and their log evidence. poses : of those tried, the problem's."""
+    """Return the best settings near some, and their log evidence over none [nats].
+
+    poses : indices of the problem's poses among those of `tried`
+    """
 
     def evidences(trial: Sequence[Chosen]) -> Array:
         return problem.evidences([of.column(place, s)[1][poses] for of, place, s in trial])
 
     best: Chosen = (tried, seam, settings)
     evidence = float(evidences([best])[0])
-    step, halved = FIRST_STEP, 0
-    # Rounds where a station is moved, too: it has three coordinates.
-    for _ in range(30 if tried.nearby else ROUNDS if len(settings) else 0):
+    step, halved = FIRST_STEP_OF_RANGE, 0
+    # 30 rounds where a station with three coordinates is moved, too.
+    for _ in range(30 if tried.nearby else MAX_REFINEMENT_ROUNDS if len(settings) else 0):
         of, place, s = best
         near: list[Chosen] = [(of, place, _moved(of, place, s, k, d)) for k in range(len(s)) for d in (-step, step)]
-        near += [(other, len(other.seams) - 1, s) for other in of.beside(place, step)]
+        near += [(other, len(other.seams) - 1, s) for other in of.with_moved_place(place, step)]
         logs = evidences(near)
         first = first_of_best(logs, logs=True)
-        if logs[first] > evidence + GAIN:
+        if logs[first] > evidence + MIN_REFINEMENT_GAIN_NATS:
             best, evidence = near[first], float(logs[first])
             continue
         step, halved = step / 2, halved + 1
-        if halved > HALVINGS:
+        if halved > MAX_HALVINGS:
             break
     return best, evidence
 
 
-def _sigmas(problem: Problem, tried: Tried, seam: int, settings: Array, evidence: float) -> Array:
-    """One sigma of each setting alone: where the log evidence has fallen by a half, from steps of growing size."""
+def _sigmas(problem: Problem, tried: TriedLaws, seam: int, settings: Array, evidence: float) -> Array:
+    """Return the standard error of each setting, where the log evidence falls by 0.5,
+    (settings,).
+    """
     sigmas = np.empty(len(settings))
     for k in range(len(settings)):
         steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
