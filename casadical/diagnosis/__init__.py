@@ -1,4 +1,4 @@
-"""Why the calibrated model still differs from the robot: where, which effect, and how far the gap shrinks with it."""
+"""Diagnosis of calibrated robots: why the model still differs from the robot, and which effect."""
 
 from casadical.core.lazy import attach
 

@@ -33,7 +33,7 @@ MAX_BEST_SET_UPDATES = 4
 # Causes of a set by label, with their settings.
 Chosen = Mapping[str, tuple[Effect, ...]]
 # Returns the ranking given each of some sets.
-Beside = Callable[[Sequence[Chosen]], Sequence[Ranking]]
+RankingsGiven = Callable[[Sequence[Chosen]], Sequence[Ranking]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,13 +58,13 @@ class _Set:
 class _Search:
     """State of the beam search over sets.
 
-    beside : returns rankings given sets; variants : settings of each candidate
+    rankings_given : returns rankings given sets; variants : settings of each candidate
     listed : labels that may be named; mass : log mass of each set seen, by its labels
     reached : for each set, the set from which it was reached and the label that was added
     expanded : sets whose ranking was computed
     """
 
-    beside: Beside
+    rankings_given: RankingsGiven
     variants: Mapping[str, tuple[tuple[Effect, ...], ...]]
     listed: frozenset[str]
     mass: dict[frozenset[str], float] = field(default_factory=dict)
@@ -84,14 +84,14 @@ class _Search:
         chosen = []
         for before, label in (self.reached[labels] for labels in sets):
             chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})
-        rankings = self.beside(chosen)
+        rankings = self.rankings_given(chosen)
         masses = [self.mass[labels] for labels in sets]
         return [self.take(_Set(*one)) for one in zip(chosen, masses, rankings, strict=True)]
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
         """Return the `count` sets of largest mass that are not expanded yet."""
-        left = [k for k in of if k not in self.expanded]
-        return [left[k] for k in ranked([self.mass[k] for k in left], logs=True)[:count]]
+        unexpanded = [k for k in of if k not in self.expanded]
+        return [unexpanded[k] for k in ranked([self.mass[k] for k in unexpanded], logs=True)[:count]]
 
     def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
         """Return the listed sets with one more cause than these, if it gains enough evidence."""
@@ -105,7 +105,7 @@ class _Search:
 
 def most_probable_set(
     first: Ranking,
-    beside: Beside,
+    rankings_given: RankingsGiven,
     variants: Mapping[str, tuple[tuple[Effect, ...], ...]],
     listed: frozenset[str],
     steps: int = 0,
@@ -116,10 +116,10 @@ def most_probable_set(
     probable; if all are in doubt, there is no set.
 
     first : ranking given the causes in the model, of which there are `steps`
-    beside : returns the rankings given sets of additional causes
+    rankings_given : returns the rankings given sets of additional causes
     variants : settings of each candidate; listed : labels of those that may be named
     """
-    search = _Search(beside, variants, listed)
+    search = _Search(rankings_given, variants, listed)
     root = search.take(_Set({}, 0.0, first))
     frontier, width = [root], MAX_FIRST_CAUSES
     for _ in range(SETTINGS.max_causes - steps):

@@ -41,8 +41,8 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
         for key, wide in parts.items():
             if key not in done:
                 factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
-        left = [key for key in parts if key not in done]
-        first = best_of(left, factor.__getitem__, logs=True) if left else None
+        untested = [key for key in parts if key not in done]
+        first = best_of(untested, factor.__getitem__, logs=True) if untested else None
         if first is None or probability_of_change(factor[first]) < MIN_CHANGE_PROBABILITY:
             return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)

@@ -32,7 +32,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """
     if not state.steps:
         return state, end
-    steps = [_beside_others(state, k) for k in range(len(state.steps))]
+    steps = [_given_others(state, k) for k in range(len(state.steps))]
     if listed := _without_rare(state, steps):
         return named(listed, "ambiguous", seed)
     there = [s for k, s in enumerate(steps) if s.labels[0] not in state.doubted and _shrinks(state, k, seed)]
@@ -46,19 +46,19 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
         certain = [strongest, *certain]
     if len(certain) == len(steps):
         return replace(state, steps=tuple(certain)), end
-    left = replace(state, steps=tuple(certain)).ranked()
-    again, names = next_cause(left, left.rankings[-1])
+    remaining = replace(state, steps=tuple(certain)).ranked()
+    again, names = next_cause(remaining, remaining.rankings[-1])
     if again == "claimed" and len(names) > 1:
-        more = left.with_cause(names)
+        more = remaining.with_cause(names)
         if (
-            more is not left
+            more is not remaining
             and _is_certain(more, more.steps[-1])
             and _shrinks(more.ranked(), len(more.steps) - 1, seed)
         ):
-            left = more.ranked()
-            again, _ = next_cause(left, left.rankings[-1])
+            remaining = more.ranked()
+            again, _ = next_cause(remaining, remaining.rankings[-1])
     # A cause that was removed is not certain, even if it is the most probable one again.
-    return left, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
+    return remaining, "ambiguous" if again == "claimed" or (not certain and again == "none") else again
 
 
 def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
@@ -67,14 +67,14 @@ def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
     Such effects are never claimed. If one cause remains, it is judged anew: an unlisted effect in
     the model took probability from a listed cause that the data cannot distinguish from it.
     """
-    kept = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
-    if len(kept) == len(steps):
+    listed_steps = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]
+    if len(listed_steps) == len(steps):
         return None
-    left = replace(state, steps=tuple(kept)).ranked()
-    return replace(left, steps=(_beside_others(left, 0, first=True),)) if len(kept) == 1 else left
+    remaining = replace(state, steps=tuple(listed_steps)).ranked()
+    return replace(remaining, steps=(_given_others(remaining, 0, first=True),)) if len(listed_steps) == 1 else remaining
 
 
-def _beside_others(state: State, k: int, *, first: bool = False) -> Step:
+def _given_others(state: State, k: int, *, first: bool = False) -> Step:
     """Return step k with ranking and indistinguishable labels given all other causes.
 
     first : whether a single cause is judged again, too
@@ -136,8 +136,8 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
 def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
     """Return the set with the labels of one additional cause, if one is detected."""
     last = state.rankings[-1]
-    said = {k for step in state.steps for k in step.labels}
-    unsaid = [k for k in state.listed(last) if k not in said]
+    named_labels = {k for step in state.steps for k in step.labels}
+    unsaid = [k for k in state.listed(last) if k not in named_labels]
     likely = [k for k in unsaid if last.probability[k] >= SETTINGS.min_ambiguous][: SETTINGS.max_ambiguous]
     further = {k: last.probability[k] for k in likely}
     if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < MIN_DOUBTFUL_PROBABILITY:
@@ -159,8 +159,10 @@ def cause_set(state: State) -> CauseSet | None:
     last, own = state.rankings[-1], tuple(s.labels[0] for s in state.steps)
     # Odds of each set against the named one; another label of a cause in the set is no additional
     # cause.
-    said = {k for step in state.steps for k in step.labels}
-    odds = {(*own, k): p / max(last.none, MIN_PROBABILITY) for k, p in last.probability.items() if k not in said}
+    named_labels = {k for step in state.steps for k in step.labels}
+    odds = {
+        (*own, k): p / max(last.none, MIN_PROBABILITY) for k, p in last.probability.items() if k not in named_labels
+    }
     more = sum(odds.values())
     against, names = {}, {}
     for step, label in zip(state.steps, own, strict=True):

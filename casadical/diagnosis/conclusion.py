@@ -50,10 +50,10 @@ def conclude(
         state, end = richer, "unknown"
         noise, account, floor = noise_of(state, end)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
-    left, distance = remainders(case.whole, columns, noise, case.kept)
+    error, distance = remainders(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     joint = joint_of_outliers(case, columns, noise)
-    before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, left, distance, seed)
+    before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
     gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
     causes += outliers
     causes = [causes[k] for k in ranked([c.shrink for c in causes])]
@@ -76,7 +76,7 @@ def conclude(
         course=shrinks,
         replicates=repeated,
         rankings=state.rankings,
-        outliers=_outliers(case, left, distance),
+        outliers=_outliers(case, error, distance),
         joint_of_outliers=joint,
         missing=case.missing,
         case=case,
@@ -100,8 +100,8 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
         return None
     form = case.group(state.by_label[label].variants[ranking.variant[label]])
     columns = np.union1d(state.columns(), form)
-    left = partitioned_errors(case.evidence, columns, ranking.noise[label], seed).mean()
-    return further if left < floor else None
+    error = partitioned_errors(case.evidence, columns, ranking.noise[label], seed).mean()
+    return further if error < floor else None
 
 
 def _stages(state: State, noise: Noise) -> list[Stage]:
@@ -161,14 +161,14 @@ def parameter_values(
     return parameters
 
 
-def _outliers(case: Case, left: Array, distance: Array) -> tuple[Outlier, ...]:
-    """Return the outlier poses, the farthest first; left, distance : of `remainders`."""
-    out = sorted(np.flatnonzero(~case.kept), key=lambda i: -left[i])
-    return tuple(Outlier(int(case.m.row[i]), float(left[i]), float(np.sqrt(distance[i]))) for i in out)
+def _outliers(case: Case, error: Array, distance: Array) -> tuple[Outlier, ...]:
+    """Return the outlier poses, the farthest first; error, distance : of `remainders`."""
+    out = sorted(np.flatnonzero(~case.kept), key=lambda i: -error[i])
+    return tuple(Outlier(int(case.m.row[i]), float(error[i]), float(np.sqrt(distance[i]))) for i in out)
 
 
 def _outliers_as_cause(
-    case: Case, before: Array, left: Array, distance: Array, seed: int
+    case: Case, before: Array, error: Array, distance: Array, seed: int
 ) -> tuple[Array, tuple[Cause, ...]]:
     """Return the errors of all poses, outliers included, and the outliers as a cause.
 
@@ -179,7 +179,7 @@ def _outliers_as_cause(
     count = int(out.sum())
     if count == 0 or (count == 1 and distance[out][0] < 2 * SETTINGS.outlier_distance):
         return before, ()
-    whole = np.concatenate([before, left[out]])
+    whole = np.concatenate([before, error[out]])
     shrink = float(1 - before.mean() / whole.mean())
     interval = shrink_interval(whole, np.concatenate([before, np.full(count, before.mean())]), seed)
     return whole, (Cause("outliers", None, outlier_probability(distance[out]), shrink, interval, ()),)

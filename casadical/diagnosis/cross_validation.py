@@ -49,12 +49,12 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
     return known
 
 
-def lengths(e: Evidence, left: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
+def lengths(e: Evidence, residual: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
     """Return the reported error, the norm of the length residuals, shape (poses,) [m].
 
-    left : residuals at these poses, shape (poses, numbers)
+    residual : residuals at these poses, shape (poses, numbers)
     """
-    return np.asarray(np.linalg.norm(left if e.size is None else left * e.size[poses], axis=1))
+    return np.asarray(np.linalg.norm(residual if e.size is None else residual * e.size[poses], axis=1))
 
 
 def noise_square(e: Evidence, noise: Noise) -> Array:

@@ -282,8 +282,8 @@ def _refuse_coarser(found: Diagnosis) -> Diagnosis:
     most = float(WIDE_SIGMA_GRID_M[-1])
     if found.noise.sigma < most:
         return found
-    left = 1e3 * robust_std(found.case.whole.r)
+    sd_mm = 1e3 * robust_std(found.case.whole.r)
     raise InputError(
-        f"{found.case.m.source}: {left:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not "
+        f"{found.case.m.source}: {sd_mm:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not "
         "diagnosed; correct the robot file or the units"
     )

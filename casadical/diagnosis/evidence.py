@@ -88,7 +88,7 @@ class Evidence(LinearModel):
     `observations`).
 
     Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
-    known : prior information on the noise
+    noise_prior : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]
     size : factors from the residuals' units to the reported error, shape (n, 3); one by default,
         zero for angles
@@ -106,7 +106,7 @@ class Evidence(LinearModel):
     reference: float = 20e-6
     near: tuple[int, ...] = tuple(range(len(RHO_GRID)))
     Jq: Array = field(kw_only=True)
-    known: NoisePrior = field(kw_only=True, default_factory=lambda: NoisePrior())
+    noise_prior: NoisePrior = field(kw_only=True, default_factory=lambda: NoisePrior())
     sigmas: Array = field(kw_only=True, default_factory=lambda: SIGMA_GRID_M)
     size: Array | None = field(kw_only=True, default=None)
     alike: Array | None = field(kw_only=True, default=None)
@@ -280,12 +280,14 @@ def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     A declared sigma or data sheet concerns the instrument alone; repeated poses scatter by the
     instrument and by the joints through Jq, shape (n, 3, joints).
     """
-    scatter, freedom = e.known.repeats, e.known.freedom
+    scatter, freedom = e.noise_prior.repeats, e.noise_prior.freedom
     noise = joint_noise(Jq)
     mean = np.array([noise.mean_variance({REPEATABILITY: float(rho)}, max(e.count, 1)) for rho in RHO_GRID])
     total = mean[:, None] * e.sigmas**2
     log = -0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total)
-    if e.known.stated:
-        off = np.log(e.sigmas / e.known.stated) / (LOG_SD_OF_DECLARED if e.known.declared else LOG_SD_OF_DATA_SHEET)
+    if e.noise_prior.stated:
+        off = np.log(e.sigmas / e.noise_prior.stated) / (
+            LOG_SD_OF_DECLARED if e.noise_prior.declared else LOG_SD_OF_DATA_SHEET
+        )
         log = log - 0.5 * (DECLARED_SIGMA_FREEDOM + 1) * np.log1p(off**2 / DECLARED_SIGMA_FREEDOM)
     return np.asarray(log)

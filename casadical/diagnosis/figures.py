@@ -75,9 +75,9 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
         yield shrinks(d)
     yield from parameter_figures(d.identification)
     measured = d.case.evidence.measured
-    left = d.left if measured is None else d.left[measured]
+    residual = d.left if measured is None else d.left[measured]
     poses = {"poses of the campaign": (d.case.m[d.case.kept],)}
-    yield from fit_figures(d.identification, poses, left / float(np.sqrt((left**2).mean())))
+    yield from fit_figures(d.identification, poses, residual / float(np.sqrt((residual**2).mean())))
 
 
 def where_figures(where: Localisation) -> Iterator[Figure]:

@@ -140,7 +140,7 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
         sets = tuple(m.positions_alone() for m in sets)
     show("refit of all poses")
     whole = found.refit()
-    problem, left = whole.problem, np.empty(len(folds))
+    problem, remaining = whole.problem, np.empty(len(folds))
     show("refits without a fifth each")
     steps = steps_without(problem, whole.solution.v, [folds[case.rows][at] for at in edges_of(problem.sets)])
     for fold, step in enumerate(steps):
@@ -148,9 +148,9 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
         fitted = replace(whole, robot=whole.start.with_values(problem.values(v)), solution=replace(whole.solution, v=v))
         error = left_by(fitted, sets, test[case.rows])
         square = np.bincount(case.rows[test[case.rows]], error**2, minlength=len(folds))
-        left[test] = np.sqrt(square[test])
+        remaining[test] = np.sqrt(square[test])
     linear = held_out_errors(case.evidence, found.columns, found.noise, folds)
-    return Check(float(left.mean()), float(linear.mean()))
+    return Check(float(remaining.mean()), float(linear.mean()))
 
 
 @dataclass(frozen=True)
@@ -194,10 +194,10 @@ def network_gap(
     for fold in range(FOLDS):
         show(f"network {fold + 1} of {FOLDS}")
         test = folds == fold
-        left = 1e3 * fitted_without(e, columns, noise, test)
-        net = Compensator.fit(q[~test], left[~test], trainer=trainer, folds=FOLDS, seed=seed)
-        before[test] = np.linalg.norm(left[test], axis=1)
-        used[test] = np.linalg.norm(left[test] - net.correction_mm(q[test]), axis=1)
+        remaining = 1e3 * fitted_without(e, columns, noise, test)
+        net = Compensator.fit(q[~test], remaining[~test], trainer=trainer, folds=FOLDS, seed=seed)
+        before[test] = np.linalg.norm(remaining[test], axis=1)
+        used[test] = np.linalg.norm(remaining[test] - net.correction_mm(q[test]), axis=1)
         ratios.append(net.choice.after.mean_mm / net.choice.before.mean_mm)
         refused += not net.helps
     base = 1e-3 * float(before.mean())

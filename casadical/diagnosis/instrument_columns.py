@@ -26,8 +26,8 @@ def with_far_ends(
 
     far_x_m .. : anchor in the measuring frame, given or as estimated by the base fit (see
     `Identification.unknown_points`); wire1 .. : 1 where the first such instrument was read, else 0.
-    Each distinct anchor of a table counts as one instrument, up to MAX_DISTANCE_INSTRUMENTS in all. Additional rows at
-    a stop have columns of their own (see `linearisation.condition_of_reading`).
+    Each distinct anchor of a table counts as one instrument, up to MAX_DISTANCE_INSTRUMENTS in all.
+    Additional rows at a stop have columns of their own (see `linearisation.condition_of_reading`).
     """
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0

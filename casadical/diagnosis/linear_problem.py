@@ -202,12 +202,17 @@ class Case:
         Where the rms residual of the base model exceeds the usual grid, the base priors hold at
         this noise and the sizes of effects grow in the same proportion.
         """
-        left, most = float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)), float(self.whole.sigmas[-1])
+        residual_sd, most = (
+            float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)),
+            float(self.whole.sigmas[-1]),
+        )
         whole = replace(self.whole, sigmas=WIDE_SIGMA_GRID_M)
-        if left > most:
+        if residual_sd > most:
             assert isinstance(whole.E, EffectColumns)
             whole = replace(
-                whole, reference=left, E=replace(whole.E, growth=left / most, first=None, cached=ColumnCache())
+                whole,
+                reference=residual_sd,
+                E=replace(whole.E, growth=residual_sd / most, first=None, cached=ColumnCache()),
             )
         return replace(self, whole=whole)
 
@@ -317,13 +322,13 @@ class Case:
         return more
 
 
-def _changed_rows(case: Case, beside: Case) -> Array:
+def _changed_rows(case: Case, other: Case) -> Array:
     """Return the inlier poses of a case whose predecessor is another one in the other case.
 
     Poses that are no inliers of the other case count, too: these rows of the prewhitened models
     differ. Indices are in the order of measuring.
     """
-    known = set(map(tuple, beside._successions.tolist()))
+    known = set(map(tuple, other._successions.tolist()))
     return np.array(
         [k for k, pair in enumerate(case._successions.tolist()) if tuple(pair) not in known], dtype=np.int64
     )
@@ -373,10 +378,12 @@ def _problem(
     robot, r, numbers = identification.given, seen.r, np.maximum(seen.measured.sum(axis=1), 1)
     delta0 = robot.parameters.values - values
     delta0[[n.startswith(("base_", "tool_r")) for n in robot.parameters.names]] = 0.0
-    left = robust_std(r)
+    residual_sd = robust_std(r)
     # Only gross outliers are removed: an effect that splits the residuals into two clusters must
     # not lose one of them.
-    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS_RESIDUAL_SPREADS * left)
+    kept = seen.measured.any(axis=1) & (
+        np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS_RESIDUAL_SPREADS * residual_sd
+    )
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
     lengths = [length for length, _ in seen.ratios.sigmas]
@@ -395,14 +402,14 @@ def _problem(
         E,
         cause_prior=E.held,
         Jq=seen.Jq,
-        known=NoisePrior(declared, sheet, again.sigma, min(again.freedom, 60)),
+        noise_prior=NoisePrior(declared, sheet, again.sigma, min(again.freedom, 60)),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,
         unsure=unsure_tables(seen),
     )
     if not seen.plain:
-        whole = replace(whole, reference=max(left, float(SIGMA_GRID_M[0])))
+        whole = replace(whole, reference=max(residual_sd, float(SIGMA_GRID_M[0])))
     return kept, *BaseParameters.restricted(whole)
 
 

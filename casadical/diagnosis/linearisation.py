@@ -239,7 +239,7 @@ class EffectColumns:
 
     @property
     def _all(self) -> Factors:
-        """Return all columns at all poses of the linearisation as seam derivatives, from the cache."""
+        """Return all columns at all poses of the linearisation as cached seam derivatives."""
         if self.cached.factors is None:
             if self.first is None:
                 self.cached.factors = self._factors_at(self.linear)
@@ -253,7 +253,7 @@ class EffectColumns:
 
     @property
     def _cacheable(self) -> bool:
-        """Return whether the seam derivatives at all poses are small enough to be cached (100 MB)."""
+        """Return whether the seam derivatives at all poses are small enough to cache (100 MB)."""
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:

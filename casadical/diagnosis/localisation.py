@@ -65,22 +65,22 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
     remains : probability that the named causes leave more than noise
     """
     rng = np.random.default_rng(seed)
-    energy, left = _of_causes(case, noise, columns, rng)
+    energy, remaining = _of_causes(case, noise, columns, rng)
     for part in _part_jacobians(case):
         energy.setdefault(part, np.zeros(POSTERIOR_DRAWS))
     # Less probable errors lie outside of a 95 % interval.
     if remains > 0.025:
-        smooth = _of_smooth_errors(case, noise, left, rng)
+        smooth = _of_smooth_errors(case, noise, remaining, rng)
         there = rng.permutation(POSTERIOR_DRAWS) < round(remains * POSTERIOR_DRAWS)
         for part, drawn in smooth.items():
             energy[part] = energy[part] + there * drawn
     return energy
 
 
-def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.Generator) -> dict[str, Array]:
+def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.random.Generator) -> dict[str, Array]:
     """Return draws of the mean square of each part's smooth errors, shape (draws,) [m^2].
 
-    left : linear model of the residual that the named causes leave
+    remaining : linear model of the residual that the named causes leave
     """
     # More than 120 poses make these shares no more accurate, at a cost of the third power of their
     # number.
@@ -91,7 +91,7 @@ def _of_smooth_errors(case: Case, noise: Noise, left: Evidence, rng: np.random.G
         if joint.kind == "revolute":
             own = sines(case.m.q[kept, j - 1], FAST_HARMONICS)
             E.append((f"joint {j}", UNIT_ERROR * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
-    some = left.at(np.searchsorted(np.flatnonzero(case.kept), kept))
+    some = remaining.at(np.searchsorted(np.flatnonzero(case.kept), kept))
     projection = some.projected(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -124,7 +124,7 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
     # The root is triangular: nothing is drawn for the base, whose number of directions depends on
     # round-off.
     mean, spread = fit.x[first:], fit.root.T[first:, first:] @ rng.standard_normal((len(columns), POSTERIOR_DRAWS))
-    left = np.asarray(e.r - (e.take(columns) @ mean))
+    remaining = np.asarray(e.r - (e.take(columns) @ mean))
     poses = _sample(np.arange(len(e.r)), MAX_CAUSE_POSES, rng)
     assert isinstance(e.E, EffectColumns)
     E, some = e.E.only(columns).at(poses), e.at(poses)
@@ -136,7 +136,7 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
     # errors.
     projection = some.projected(0.0)
     squares = _mean_squares([projection.columns(drawn) for drawn in signal.values()], some, rng)
-    return dict(zip(signal, squares, strict=True)), replace(e, r=left)
+    return dict(zip(signal, squares, strict=True)), replace(e, r=remaining)
 
 
 def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:

@@ -147,48 +147,50 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     columns : of the causes in the model, shape (k,); noise : estimate of that fit
     repeated : standard deviation over repeated poses
     """
-    e, known = case.evidence, case.evidence.known
-    taken, left, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
-    if any(s.over == PREVIOUS_POSE for s in left.structures):
+    e, noise_prior = case.evidence, case.evidence.noise_prior
+    taken, remainder, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
+    if any(s.over == PREVIOUS_POSE for s in remainder.structures):
         # Autocorrelated noise is still noise, if the residual shows no dependence under it.
         form, (ar_form, own, _) = AR_NOISE, best_ar_form(case, columns)
-        left = remainder_of(case, columns, own, ar_form)
+        remainder = remainder_of(case, columns, own, ar_form)
     freedom = max(e.count - e.absorbed_by_base, 1.0)
     far, rules, anchor = False, Rule.FIT, taken
     if repeated.enough:
         rules, anchor = Rule.REPEATS, repeated.sigma
         far = _exceeds(taken, anchor, freedom, repeated.freedom)
-    elif known.stated:
-        far, rules, anchor = _by_statement(case, columns, noise, left)
+    elif noise_prior.stated:
+        far, rules, anchor = _by_statement(case, columns, noise, remainder)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
-    stated = [m.datasheet for m in case.observations.sets if m.datasheet]  # known.sheet is in units of the first table
-    sheet = min(stated) if known.sheet else 0.0
+    stated = [
+        m.datasheet for m in case.observations.sets if m.datasheet
+    ]  # noise_prior.sheet is in units of the first table
+    sheet = min(stated) if noise_prior.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
     return NoiseAccount(
-        taken, noise.sigma, noise.repeatability, known.declared, sheet, scatter, repeated.freedom, rules, excess,
-        form, left.structures, left.like_noise,
+        taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, scatter, repeated.freedom, rules, excess,
+        form, remainder.structures, remainder.like_noise,
     )  # fmt: skip
 
 
-def _by_statement(case: Case, columns: Array, noise: Noise, left: Remainder) -> tuple[bool, Rule, float]:
+def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder) -> tuple[bool, Rule, float]:
     """Return whether the noise exceeds its declaration, the source that rules, and its figure [m].
 
     The declaration is doubted only if the residual looks like noise in every other way: equal in
     all directions, with Gaussian tails, and independent of every driver. Otherwise the model is
     wrong. Less noise than a data sheet's limit is consistent with it.
     """
-    e, known = case.evidence, case.evidence.known
+    e, noise_prior = case.evidence, case.evidence.noise_prior
     # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.
-    joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if known.declared else Rule.SHEET
-    taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(known.stated, joints))
+    joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if noise_prior.declared else Rule.SHEET
+    taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(noise_prior.stated, joints))
     if _exceeds(taken, allowed, max(e.count - e.absorbed_by_base, 1.0), np.inf) and not (
-        left.like_noise and not left.structures
+        remainder.like_noise and not remainder.structures
     ):
         return True, rule, allowed
     logs = e.log_base(columns)
     share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
-    below = share[e.sigmas < known.declared / MIN_NOISE_EXCESS_FACTOR].sum()
-    wrong = max(share[e.sigmas > MIN_NOISE_EXCESS_FACTOR * known.stated].sum(), below)
+    below = share[e.sigmas < noise_prior.declared / MIN_NOISE_EXCESS_FACTOR].sum()
+    wrong = max(share[e.sigmas > MIN_NOISE_EXCESS_FACTOR * noise_prior.stated].sum(), below)
     # The declared sigma is overruled if it is wrong by the factor with a probability above 0.99.
     return (False, Rule.FIT, taken) if wrong > 0.99 else (False, rule, allowed)
 

@@ -155,10 +155,10 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
             (float(np.logaddexp.reduce(grid, axis=None)), form, grid) for form, grid in zip(forms, grids, strict=True)
         ]
 
-    known = judged(AR_COEFFICIENTS)
-    best = best_of(known, lambda k: k[0], logs=True)[1].stays
+    tried = judged(AR_COEFFICIENTS)
+    best = best_of(tried, lambda k: k[0], logs=True)[1].stays
     log, form, grid = best_of(
-        (*known, *judged([best - AR_COEFFICIENT_STEP, best + AR_COEFFICIENT_STEP])), lambda k: k[0], logs=True
+        (*tried, *judged([best - AR_COEFFICIENT_STEP, best + AR_COEFFICIENT_STEP])), lambda k: k[0], logs=True
     )
     return form, likely_noise(grid, e.sigmas), log - float(np.logaddexp.reduce(e.log_base(chosen), axis=None))
 

@@ -92,7 +92,7 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
 
 def _errors(d: Diagnosis) -> Table:
     """Return the table of held-out error statistics [mm], without and with the causes."""
-    summed = [(left.model, summarise(left.length)) for left in d.held_out.models]
+    summed = [(one.model, summarise(one.length)) for one in d.held_out.models]
     rows = [(name, str(a.n), *map(mm, (a.mean, a.max, a.std, a.rms, a.p95))) for name, a in summed]
     columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))

@@ -82,28 +82,28 @@ class State:
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
     def rank(
-        self, beside: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None, keep: str = ""
+        self, given: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None, keep: str = ""
     ) -> Ranking:
         """Return the posterior over one additional cause given those of some steps.
 
-        beside : steps whose causes are in the model; also : additional causes in the model, by
+        given : steps whose causes are in the model; also : additional causes in the model, by
             label
         keep : label of an effect of several joints that stays a candidate even if few joints show
             it
         """
         also = also or {}
-        skip = frozenset((*(s.labels[0] for s in beside), *also))
+        skip = frozenset((*(s.labels[0] for s in given), *also))
         covers = frozenset[str]().union(*(self.by_label[label].covers for label in skip))
         # A set names an effect at single joints or at several at once, not both.
         alone = {self.by_label[label].name for label in also}
         covered = frozenset(
             c.label for c in self.case.candidates if c.variants[0][0].name in covers or (c.together and c.name in alone)
         )
-        columns = [self.columns(beside), *(self.case.group(e) for e in also.values())]
+        columns = [self.columns(given), *(self.case.group(e) for e in also.values())]
         chosen = np.unique(np.concatenate(columns))
         joints = (
-            *(e.joint for s in beside for e in s.effects),
-            *(j for s in beside for e in s.effects for j in e.parts),
+            *(e.joint for s in given for e in s.effects),
+            *(j for s in given for e in s.effects for j in e.parts),
         )
         # Rankings are cached: a search needs the same one again when it revisits its causes.
         known: dict[object, Ranking] = self.case.judged.cache.setdefault("rankings", {})
@@ -136,11 +136,11 @@ class State:
         judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
         gains = []
         for own in every:
-            beside = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
-            grids = judged.log_grids([own], beside) + np.log(KAPPA_WEIGHTS)
+            given = np.setdiff1d(np.union1d(chosen, np.concatenate(every)), own)
+            grids = judged.log_grids([own], given) + np.log(KAPPA_WEIGHTS)
             gains.append(
                 float(np.logaddexp.reduce(grids, axis=None))
-                - float(np.logaddexp.reduce(judged.log_base(beside), axis=None))
+                - float(np.logaddexp.reduce(judged.log_base(given), axis=None))
             )
         return gains
 
@@ -172,14 +172,14 @@ class State:
         """Return the state with the ranking of one more round."""
         return replace(self, rankings=(*self.rankings, self.rank(self.steps)))
 
-    def refined(self, ranking: Ranking, labels: Sequence[str], beside: Sequence[Step]) -> tuple[Case, Step]:
+    def refined(self, ranking: Ranking, labels: Sequence[str], given: Sequence[Step]) -> tuple[Case, Step]:
         """Return case and step of a cause (the first label), its settings refined given others."""
         label = labels[0]
         variant = self.by_label[label].variants[ranking.variant[label]]
         if self.by_label[label].together:
-            gains = self._gains(variant, self.columns(beside))
+            gains = self._gains(variant, self.columns(given))
             variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > MIN_JOINT_LOG_EVIDENCE)
-        case, effects = refined(self.case, label, variant, self.columns(beside), ranking.noise[label])
+        case, effects = refined(self.case, label, variant, self.columns(given), ranking.noise[label])
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
@@ -235,20 +235,20 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     # be searched.
     lines, lone = set[tuple[int, float]](), False
 
-    def where_noise_follows(beside: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
+    def where_noise_follows(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
         """Return the search under the best autocorrelated noise given the causes of a state.
 
         Returns None if the noise is not autocorrelated or no cause is found under it.
         least : log evidence that noise and causes need together over white noise without causes
         first : whether the causes will be searched once more, so that sets of them can wait
         """
-        follows = better_ar_form(beside.case, beside.columns())
+        follows = better_ar_form(given.case, given.columns())
         if not follows:
             return None
         form, noise, gain = follows
         show(f"causes where the noise follows itself, by {form.stays:g}")
-        lines.update(lines_of(beside.case, beside.columns(), noise, form))
-        beside.case.judged.forget()
+        lines.update(lines_of(given.case, given.columns(), noise, form))
+        given.case.judged.forget()
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)
         there = other.steps and other.rankings[0].none <= MAX_P_NOTHING_UNDER_FORM and gain + other.log_gain > least
         return (other, other_end) if there else None

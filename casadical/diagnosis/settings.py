@@ -19,16 +19,17 @@ class Settings:
     outlier_distance, inlier_distance : squared Mahalanobis distance of three coordinates beyond
         which a pose is an outlier, and below which it is none
     min_set : named causes are no explanation if exactly these are less probable than all sets that
-        differ by one together, and the remainder is no mere flaw of an equation. Of 139 campaigns of
-        docs/studies/open_world.py (seeds "develop 2") 9 of 11 such sets were wrong or incomplete;
-        without the second condition 11 of 15; of those above 0.5 5 of 49.
+        differ by one together, and the remainder is no mere flaw of an equation. Of 139 campaigns
+        of docs/studies/open_world.py (seeds "develop 2") 9 of 11 such sets were wrong or
+        incomplete; without the second condition 11 of 15; of those above 0.5 5 of 49.
     min_further : a further cause is accepted from this probability on, among those that are there
     max_causes : most causes of a diagnosis
-    ambiguous_share, max_ambiguous, min_ambiguous : causes that the data cannot distinguish have this
-        probability together, are at most so many, and none is less probable than the last
+    ambiguous_share, max_ambiguous, min_ambiguous : causes that the data cannot distinguish have
+        this probability together, are at most so many, and none is less probable than the last
     partitions : of the poses into fifths, over which held-out errors are averaged
-    min_explained, max_unexplained : explaining less than this share of what could be explained is no
-        explanation, where something else is seen or more than the second share of the gap is left
+    min_explained, max_unexplained : explaining less than this share of what could be explained is
+        no explanation, where something else is seen or more than the second share of the gap is
+        left
     max_flaw : a flaw of a listed effect's equation leaves less than this share of its evidence: no
         such remainder was found in 44 right claims of mismatched truth; loose anchors and hoses
         leave 0.08 and 0.11 (seeds 77)

@@ -173,15 +173,15 @@ def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Ar
 
 
 def learnt_sizes(
-    e: Evidence, group: Array, parts: Mapping[int, Array], beside: Array, noise: Noise
+    e: Evidence, group: Array, parts: Mapping[int, Array], given: Array, noise: Noise
 ) -> tuple[dict[int, float], Noise]:
     """Return the learnt factor on the size of each part, and the remaining noise.
 
     e : linear model; group : columns of the effect, shape (k,); parts : indices into the group, by
         part
-    beside : columns of other causes in the model; noise : initial estimate
+    given : columns of other causes in the model; noise : initial estimate
     """
-    columns = np.union1d(beside, group)
+    columns = np.union1d(given, group)
     fit = new_fit(e, columns, noise)
     sums = fit.sums
     first, own = len(fit.prior) - fit.combined.width, np.searchsorted(columns, group)
@@ -194,10 +194,10 @@ def learnt_sizes(
         root = root_of_inverse(normal)
         x = root.T @ (root @ (sums.g / scale + mean / prior**2))
         determined = 1 - (root**2).sum(axis=0) / prior**2
-        left = square - 2 * sums.g @ x + x @ sums.H @ x
+        residual_square = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
         # With more parameters than rows the noise would shrink to nothing.
-        scale = max(float(left / (rows - determined.sum())), MIN_SIZE_FACTOR**2)
+        scale = max(float(residual_square / (rows - determined.sum())), MIN_SIZE_FACTOR**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
             if count > MIN_DETERMINED_PARAMETERS:

@@ -63,8 +63,8 @@ class Statement:
 
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
     """Return all statements in the order in which a reader wants them (statements.j2)."""
-    told = paragraphs(_TEMPLATES / "statements.j2", d, more=more or Details(), **_SAYS)
-    return [Statement(kind.rstrip("!"), text, kind.endswith("!")) for kind, text in told]
+    topics = paragraphs(_TEMPLATES / "statements.j2", d, more=more or Details(), **_SAYS)
+    return [Statement(kind.rstrip("!"), text, kind.endswith("!")) for kind, text in topics]
 
 
 def headline(d: Diagnosis, more: Details | None = None) -> str:
@@ -147,7 +147,7 @@ def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
     ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
     dropped = {k: ranking.probability[k] for k in ranking.order[:1] if k in listed and k not in judged}
     for label, p in {**judged, **dropped}.items():
-        if (side := _beside(p, SETTINGS.min_claim)) and (label in judged or side == "below"):
+        if (side := _side_of_threshold(p, SETTINGS.min_claim)) and (label in judged or side == "below"):
             yield label, side, p
 
 
@@ -162,11 +162,11 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
         (bool(d.effects()), "something further", "no further one", d.rankings[-1].none, SETTINGS.max_p_nothing_further),
     )
     for asked, what, name, none, least in detected:
-        if asked and (side := _beside(1 - none, 1 - least)):
+        if asked and (side := _side_of_threshold(1 - none, 1 - least)):
             yield what, name, side, none, least
 
 
-def _beside(probability: float, threshold: float) -> str:
+def _side_of_threshold(probability: float, threshold: float) -> str:
     """Return "above" or "below" for a probability close to a threshold, else an empty string."""
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
     return (

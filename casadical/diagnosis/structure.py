@@ -115,13 +115,13 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     out = ~case.kept
     if out.sum() < 2 or case.vectors is None:
         return None
-    left, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
-    lengths = np.linalg.norm(left, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
-    cosine = np.abs(np.einsum("ki,kij->kj", left, motions)) / np.maximum(lengths, 1e-300)
+    residuals, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
+    lengths = np.linalg.norm(residuals, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
+    cosine = np.abs(np.einsum("ki,kij->kj", residuals, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
     best = first_of_best(total)
     # A sum of k logarithms has a gamma distribution of shape k.
-    chance = len(total) * float(gammaincc(len(left), total[best]))
+    chance = len(total) * float(gammaincc(len(residuals), total[best]))
     return best + 1 if chance < MAX_CHANCE else None
 
 

@@ -102,10 +102,10 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
         yield Words(f"and {len(rows) - MAX_BRIEF_CAUSES} more")
 
 
-def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
+def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
     """Return at most three statements, doubts first, and always the one on the noise."""
     of_each: dict[str, Statement] = {}
-    for s in told:
+    for s in every:
         known = of_each.get(s.about)
         # Of the topics CANNOT, AFTER and SET only doubts are shown.
         if (
@@ -117,7 +117,7 @@ def things_to_know(d: Diagnosis, told: Sequence[Statement]) -> list[Statement]:
     if d.verdict == "none":
         of_each.pop("WHERE", None)
     first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:3]
-    return [*first, *[s for s in told if s.about == "NOISE" and s not in first][:1]]
+    return [*first, *[s for s in every if s.about == "NOISE" and s not in first][:1]]
 
 
 def _short(text: str) -> str:

@@ -37,7 +37,9 @@ def small(poses: int = 14) -> Evidence:
     c = case("kr210-P02")
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
     J, prior = c.base.J[c.kept][:poses], np.minimum(c.base.prior, 1e-4)
-    e = replace(c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, known=NoisePrior(), absorbed=0.0)
+    e = replace(
+        c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, noise_prior=NoisePrior(), absorbed=0.0
+    )
     return replace(e, E=np.zeros((poses, 3, 1)), cause_prior=None)
 
 

@@ -339,7 +339,7 @@ def test_rivals_of_a_cause_are_the_others_that_remain_probable() -> None:
 
 def test_repeated_poses_weigh_sigmas_as_their_scatter_does() -> None:
     """Sums of squares over a variance are chi-squared; the noise of joints adds to that of the instrument."""
-    e = replace(small_problem(), known=NoisePrior(repeats=4e-5, freedom=12))
+    e = replace(small_problem(), noise_prior=NoisePrior(repeats=4e-5, freedom=12))
     for k in (0, 3):
         variance = SIGMA_GRID_M**2 * (1 + RHO_GRID[k] ** 2 * (e.Jq**2).sum(axis=2).mean())
         direct = chi2(12).logpdf(12 * 4e-5**2 / variance) - np.log(variance)

@@ -59,7 +59,7 @@ class Screen:
         r = float(RHO_GRID[rho])
         projection = e.projected(r)
         y = projection.y
-        rows, (scatter, freedom) = e.r.size, (e.known.repeats, e.known.freedom)
+        rows, (scatter, freedom) = e.r.size, (e.noise_prior.repeats, e.noise_prior.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
         Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
         return cls(projection.whitening.W, Q, left, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
