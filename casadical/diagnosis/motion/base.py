@@ -16,31 +16,36 @@ from casadical.diagnosis.motion.signals import Arm, Motion, lagged, servo_error
 
 # Half-widths [rad] of the play operators that model the memory of friction, over measured angles.
 MEASURED_PLAY_WIDTHS_RAD = (3e-4, 3e-3, 2e-2)
-# The same over commands, for logs without torque: a yielding servo lags behind its command.
+# Half-widths [rad] of play operators over commands, for logs without torque.
 COMMANDED_PLAY_WIDTHS_RAD = (4e-3, 1.2e-2, 3e-2, 6e-2, 1e-1)
-DIP_SPEEDS_RAD_S = (0.05, 0.3)  # speeds [rad/s] over which friction drops (Stribeck effect)
+# Speeds [rad/s] over which friction falls from rest (Stribeck effect).
+DIP_SPEEDS_RAD_S = (0.05, 0.3)
 RELAXATION_TIMES_S = (0.3, 2.0)  # time constants [s] of friction relaxing at rest
-# Prior standard deviations of the base's torque columns, as shares of the joint's peak torque.
-SIGMA_FRICTION = 0.3  # of each friction coefficient
-SIGMA_TORQUE_OFFSET = 0.1  # of a constant torque
-SIGMA_TORQUE_SCALE = 0.02  # of the scale error of a logged torque
-# Prior standard deviations of the rotor inertia, as shares of it.
-SIGMA_DECLARED_ROTOR = 0.05  # where the robot file declares it
-SIGMA_ESTIMATED_ROTOR = 1.0  # where it is a rough estimate
-# Prior standard deviations of the servo's parameters.
-SIGMA_SERVO_GAIN = 0.15  # share of the gain
-SIGMA_GEAR_STIFFNESS = 0.5  # share of the stiffness of the gear
-SIGMA_DECLARED_DELAY_S = 1e-3  # error of a declared command delay [s]
-SIGMA_UNKNOWN_DELAY_S = 0.03  # undeclared command delay [s]
-SIGMA_FILTER_S2 = 2e-4  # square of a command filter's time constant [s^2], with a logged torque
-SIGMA_CONSTANT_ERROR_RAD = 1e-3  # constant part of the position error [rad]
-SIGMA_DIRECTION_ERROR_RAD = 2e-4  # parts of the position error that follow direction or load [rad]
-SIGMA_UNKNOWN_FILTER_S2 = 2e-3  # as SIGMA_FILTER_S2, without a logged torque
-# As SIGMA_TORQUE_SCALE, of a torque computed from the position error with a declared gain.
+# Prior standard deviation of each friction coefficient, as a share of the peak torque.
+SIGMA_FRICTION = 0.3
+# Prior standard deviation of a constant torque, as a share of the peak torque.
+SIGMA_TORQUE_OFFSET = 0.1
+SIGMA_TORQUE_SCALE = 0.02  # prior standard deviation of the relative scale error of a logged torque
+SIGMA_DECLARED_ROTOR = 0.05  # relative prior standard deviation of a declared rotor inertia
+# Relative prior standard deviation of a roughly estimated rotor inertia.
+SIGMA_ESTIMATED_ROTOR = 1.0
+SIGMA_SERVO_GAIN = 0.15  # relative prior standard deviation of a servo's gain
+SIGMA_GEAR_STIFFNESS = 0.5  # relative prior standard deviation of a gear's stiffness
+# Prior standard deviation of the error of a declared command delay [s].
+SIGMA_DECLARED_DELAY_S = 1e-3
+SIGMA_UNKNOWN_DELAY_S = 0.03  # prior standard deviation of an undeclared command delay [s]
+SIGMA_FILTER_S2 = 2e-4  # prior standard deviation of a command filter's squared time constant [s^2]
+SIGMA_CONSTANT_ERROR_RAD = 1e-3  # prior standard deviation of a constant position error [rad]
+# Prior standard deviation of position errors that follow direction or load [rad].
+SIGMA_DIRECTION_ERROR_RAD = 2e-4
+SIGMA_UNKNOWN_FILTER_S2 = 2e-3  # as SIGMA_FILTER_S2 [s^2], for logs without torque
+# Relative prior standard deviation of the scale of a torque that was computed from the position
+# error with a declared gain.
 SIGMA_ROUGH_TORQUE_SCALE = 0.2
 # Typical mass of an undeclared payload, as a share of the arm's mass.
 UNDECLARED_PAYLOAD_SHARE = 0.05
-PAYLOAD_LEVER_M = 0.1  # typical distance of its centre of mass from the last link's frame [m]
+# Distance of an undeclared payload's centre of mass from the flange [m], typically.
+PAYLOAD_LEVER_M = 0.1
 LIMIT_SHARE = 0.97  # share of its maximum from which on a torque or speed counts as at its limit
 AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a limit decays
 

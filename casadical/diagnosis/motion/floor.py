@@ -16,12 +16,14 @@ from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
 from casadical.robot.dynamics import Dynamics
 
-MAX_HEIGHT_ABOVE_LOWEST_M = 0.06  # largest height that is tried, above the lowest one read [m]
-HEIGHT_STEP_M = 5e-4  # step of the heights that are tried [m]
-MIN_HEIGHT_NOISE_M = 1e-3  # smallest standard deviation of a height [m]
+# Largest height of a surface that is tried, above the lowest one read [m].
+MAX_HEIGHT_ABOVE_LOWEST_M = 0.06
+HEIGHT_STEP_M = 5e-4  # step between the heights of a surface that are tried [m]
+MIN_HEIGHT_NOISE_M = 1e-3  # smallest standard deviation of the noise of the tool's height [m]
 # Log evidence [nats] that a surface must gain to be assumed.
 MIN_FLOOR_EVIDENCE = 150.0
-INDEPENDENT_SAMPLE_SHARE = 0.05  # share of the samples that count as independent
+# Share of the samples that count as independent, as noise is correlated.
+INDEPENDENT_SAMPLE_SHARE = 0.05
 OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
 CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
 MAX_PUSH_STEPS = 6  # largest number of Newton steps to the contact force
@@ -40,7 +42,7 @@ class Floor:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the function q[n] [rad] -> (height of the tool's point [m], its gradient [n])."""
+        """Return the CasADi function q[n] [rad] -> (height of the tool's point [m], gradient [n])."""
         robot, q = self.dynamics.robot, ca.SX.sym("q", self.dynamics.robot.n)
         z = ca.dot(ca.DM(up_of(self.dynamics)), robot.position(q, robot.parameters.values))
         return ca.Function("height", [q], [z, ca.jacobian(z, q).T])

@@ -32,22 +32,31 @@ from casadical.measurements.measurements import Noise
 
 # Grid of noise levels relative to the estimated one, by which the rows are whitened.
 RELATIVE_NOISE_GRID = np.geomspace(0.4, 2.5, 25)
-# Prior standard deviations of the differences between the log's and the reference's day.
-DAILY_FRICTION_SHARE = 0.15  # of each joint's friction, as a share of it
-MAX_DAILY_SIGMA = 0.01  # largest one of another torque column's coefficient
-DAILY_SERVO_SHARE = 0.7  # of a position-error column, as a share of its own prior
+# Relative standard deviation of a joint's friction from one day to another.
+DAILY_FRICTION_SHARE = 0.15
+# Largest standard deviation of other torque coefficients from one day to another.
+MAX_DAILY_SIGMA = 0.01
+# Daily standard deviation of a position-error coefficient, as a share of its prior's.
+DAILY_SERVO_SHARE = 0.7
 MAX_AR_COEFFICIENT = 0.8  # largest AR(1) coefficient of the noise from one window to the next
 NOISE_ROUNDS = 3  # number of times that the noise is estimated again
-# Smallest noise of a row, as every base is wrong by some amount.
-BASE_TORQUE_ERROR = 0.005  # of torques, as a share of the peak torque
-BASE_SERVO_ERROR_SHARE = 0.03  # of position errors, as a share of what the servo's equation gives
-BASE_TIME_ERROR_S = 1e-3  # of angles, as a shift of the motion in time [s]
-STUDENT_TAIL_SIGMAS = 8.0  # residual, in noise sigmas, from which on weights decay as Student's
-MAX_NOISE_SIGMAS = 4.0  # residuals are cut at so many sigmas when the noise is estimated
+# Smallest noise of a torque row, as a share of the peak torque, as every base is wrong by some
+# amount.
+BASE_TORQUE_ERROR = 0.005
+# Smallest noise of a position-error row, as a share of what the servo's equation gives.
+BASE_SERVO_ERROR_SHARE = 0.03
+BASE_TIME_ERROR_S = 1e-3  # smallest noise of angles, as a shift of the motion in time [s]
+# Residual, in noise standard deviations, from which on row weights decay as those of Student's
+# distribution.
+STUDENT_TAIL_SIGMAS = 8.0
+# Residuals are cut at so many standard deviations when the noise is estimated.
+MAX_NOISE_SIGMAS = 4.0
 UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows
 NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
-BUMPS_PER_FUNCTION = 6  # Gaussian bumps of a smooth function that stands for an unlisted cause
-UNLISTED_SIGMAS = 3.0  # prior standard deviation of a bump, in units of the row's noise
+# Number of Gaussian bumps of a smooth function that stands for an unlisted cause.
+BUMPS_PER_FUNCTION = 6
+# Prior standard deviation of such a bump's coefficient, in units of the row's noise.
+UNLISTED_SIGMAS = 3.0
 # A variant of a candidate, and for each of its parameters the effect: row -> values of the windows.
 _CandidateColumns = tuple[Candidate, list[Mapping[int, Array]]]
 DRY_FRICTION_KINDS = ("slip", "dip", "at rest")  # beginnings of the kinds of dry friction columns
@@ -203,7 +212,7 @@ class MotionCase:
         return {c.label: c for c in self.candidates}
 
     def group(self, label: str, variant: int) -> Array:
-        """Return the columns of a candidate's variant."""
+        """Return the indices of the columns of one variant of the candidate with this label."""
         at = next(k for k, c in enumerate(self.candidates) if c.label == label)
         return self.groups[self.variants.index((at, variant))]
 
@@ -250,7 +259,7 @@ class MotionCase:
         return np.asarray(np.sqrt((residual[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
 
     def renewed(self, columns: Array = NO_COLUMNS) -> MotionCase:
-        """Return the case with its noise estimated again from the residual given some causes."""
+        """Return the case with its noise estimated again from the residual of base and some causes."""
         few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
         for _ in range(NOISE_ROUNDS):
             # The base's priors are eight times wider here, so that the residual is noise alone.

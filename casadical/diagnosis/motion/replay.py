@@ -28,10 +28,10 @@ from casadical.robot.robot_file import to_toml
 
 WITHHELD_FOLDS = 4  # folds of the runs if no log is withheld
 MIN_COMMAND_SPAN_RAD = 5e-3  # commands of a joint that moves span more than this [rad]
-MAX_LINE_POINTS = 700  # points of a line, about
-TIME_CELLS = 120  # cells of a map over time
-SPEED_BINS = 24  # bins of the speed in a friction figure
-PANEL_HEIGHT_PX = 200  # height of a panel [px]
+MAX_LINE_POINTS = 700  # number of points to which a line of a figure is thinned, about
+TIME_CELLS = 120  # number of cells of an error map along time
+SPEED_BINS = 24  # number of speed bins of a friction figure
+PANEL_HEIGHT_PX = 200  # height of a figure's panel [px]
 MIN_SAMPLES_PER_BIN = 15  # smallest number of samples of a speed bin that is drawn
 
 

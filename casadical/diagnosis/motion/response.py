@@ -33,21 +33,25 @@ from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
 PIECE_DURATION_S = 30.0  # runs are fitted in pieces of about this duration [s]
-# Prior standard deviations of the logarithms of a joint's parameters. The compliance is one over
-# the servo's gain [rad/(N m)]; friction, damping and inertia are divided by the gain [rad, s, s^2].
-SIGMA_LOG_COMPLIANCE = 0.5  # of a servo whose gain nobody declared or measured
-SIGMA_LOG_DECLARED_GAIN = 0.1  # of a declared gain
-SIGMA_LOG_MEASURED_GAIN = 0.02  # of a gain found from logged torques
-SIGMA_LOG_FRICTION = 1.5  # of dry friction
-SIGMA_LOG_TIMES = 1.5  # of damping, inertia and delay
+# Prior standard deviation of the logarithm of the compliance, which is one over the servo's gain
+# [rad/(N m)].
+SIGMA_LOG_COMPLIANCE = 0.5
+SIGMA_LOG_DECLARED_GAIN = 0.1  # prior standard deviation of the logarithm of a declared gain
+# Prior standard deviation of the logarithm of a gain found from logged torques.
+SIGMA_LOG_MEASURED_GAIN = 0.02
+SIGMA_LOG_FRICTION = 1.5  # prior standard deviation of the logarithm of dry friction / gain
+# Prior standard deviation of the logarithms of damping / gain, inertia / gain and delay.
+SIGMA_LOG_TIMES = 1.5
 # A joint whose gravity torque is below this share of the largest one cannot show its compliance.
 LIGHT_LOAD_SHARE = 0.1
-SIGMA_LOG_LIGHT_GAIN = 0.25  # prior of such a joint's gain, around that of the others
+# Prior standard deviation of a lightly loaded joint's log gain, around the others'.
+SIGMA_LOG_LIGHT_GAIN = 0.25
 TYPICAL_LAG_S = 0.05  # prior mean of damping / gain [s]
 TYPICAL_INERTIA_S2 = 0.002  # prior mean of inertia / gain [s^2]
 TYPICAL_DELAY_S = 0.02  # prior mean of the command's delay [s]
 SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
-INDEPENDENT_SAMPLE_SHARE = 0.05  # share of the samples that count as independent
+# Share of the samples that count as independent, as noise is correlated.
+INDEPENDENT_SAMPLE_SHARE = 0.05
 OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
 NOISE_ROUNDS = 4  # number of times that the noise is estimated again
 MAX_STEPS_PER_ROUND = 6  # largest number of Levenberg-Marquardt steps with one noise
@@ -59,10 +63,11 @@ DIFFERENCE_STEP = 1e-4  # step of finite differences, in the parameters' own uni
 STEP_DECIMALS = 6
 # A joint whose commands span less than this [rad] carries no information on its response.
 MIN_COMMAND_SPAN_RAD = 0.02
-SIGMA_LOG_UNMOVED = 0.05  # prior of such a joint's parameters, which stay near the prior means
+# Prior standard deviation of the log parameters of a joint that does not move.
+SIGMA_LOG_UNMOVED = 0.05
 # Correlation above which a logged torque counts as proportional to the position error.
 MIN_SERVO_CORRELATION = 0.95
-# Delays of the command [s] that are tried for this correlation.
+# Delays of the command [s] that are tried to make torque and position error proportional.
 TRIED_DELAYS_S = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
 SLIDING_SPEED_RAD_S = 0.01  # speed [rad/s] scale of the smoothed sign of dry friction
 MIN_TORQUE_ROWS = 20  # smallest number of rows of a run from which torque terms are fitted
@@ -71,7 +76,7 @@ MIN_ROTOR_SHARE = 0.05  # smallest share of a joint's inertia that is its rotor'
 # Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
 # damping and inertia (all three divided by the gain) and of the delay.
 PARAMETERS_PER_JOINT = 6
-_LOG_PARAMETERS = (0, 2, 3, 4, 5)  # indices of those that are logarithms
+_LOG_PARAMETERS = (0, 2, 3, 4, 5)  # indices of a joint's parameters that are logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +229,10 @@ def simulated(
     pushed, held, least = 0.0, np.empty(shape), -friction
 
     def slid(push: Array) -> Array:
-        """Turn `push`, in place, into the mean velocities of a step with dry friction."""
+        """Turn torques over the gain, `push`, in place into the mean joint velocities of a step.
+
+        Dry friction takes off up to its limit.
+        """
         np.minimum(push, friction, out=held)
         np.maximum(held, least, out=held)
         push -= held
@@ -295,7 +303,10 @@ class _Problem:
         )
 
     def residual(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals (steps, pieces, joints) [rad], and the angles' Jacobian (..., 6)."""
+        """Return the residuals (steps, pieces, joints) [rad], and the angles' derivatives (..., 6).
+
+        x : parameters, shape (joints, PARAMETERS_PER_JOINT)
+        """
         variants = np.repeat(x[:, :, None], 1 + PARAMETERS_PER_JOINT, axis=2)
         variants[:, np.arange(PARAMETERS_PER_JOINT), 1 + np.arange(PARAMETERS_PER_JOINT)] += DIFFERENCE_STEP
         angles = self.angles(variants)

@@ -30,10 +30,10 @@ from casadical.robot.robot import Robot
 
 # Variables over which the region of a joint's largest residual is reported.
 REGION_VARIABLES = ("angle", "speed", "load", "time")
-REGION_PARTS = 4  # number of quantile ranges of each variable
+REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
 MIN_REGION_RATIO = 1.5  # ratio of a range's rms residual to the overall one, to be reported
 MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of what fits
-MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
+MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in the table of what fits
 # Levels (torque or position, with a reference or without) at which causes are named: none so far.
 CLAIMED_LEVELS: frozenset[tuple[str, bool]] = frozenset()
 
@@ -322,7 +322,7 @@ def log_views_of(
         )
 
     def seen(one: JointLog, of: Arm, peak_torque: Array | None = None) -> LogView:
-        """Return the view of one log, without torques if they have no unit."""
+        """Return one log through the arm's model, with torques only if the log has them in N m or A."""
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
         return log_view(

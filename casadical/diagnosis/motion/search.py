@@ -18,21 +18,25 @@ from casadical.diagnosis.settings import SETTINGS
 MAX_NOTHING_PROBABILITY = 0.02
 # Size of a cause, relative to the residual where it acts, from which it counts as visible.
 VISIBLE_SHARE = 0.5
-# The same, in units of VISIBLE_SHARE, of a cause of the whole arm, which no fault of one joint
-# resembles.
+# Size, in units of VISIBLE_SHARE, from which a cause of the whole arm can be named, as no fault
+# of one joint resembles it.
 ARM_VISIBLE_SHARE = 0.5
-MAX_CAUSES = 3  # largest number of causes
+MAX_CAUSES = 3  # largest number of causes that are searched for
 BASE_PRIOR_SIGMAS = 2.0  # a usual base is within so many standard deviations of its priors
-# Smallest log evidence [nats] with which a cause enters the model.
-MIN_LISTED_EVIDENCE = 30.0  # of a listed cause
-MIN_LOCAL_EVIDENCE = 150.0  # of a contact: over short times every friction model has flaws
-MIN_UNLISTED_EVIDENCE = 100.0  # of a cause on no list
-# Factor of these where no torque was logged: gain and friction of the servo are less certain there.
+# Smallest log evidence [nats] with which a listed cause enters the model.
+MIN_LISTED_EVIDENCE = 30.0
+# Smallest log evidence [nats] with which a contact enters the model: over its short time every
+# friction model has flaws.
+MIN_LOCAL_EVIDENCE = 150.0
+# Smallest log evidence [nats] with which an unlisted cause enters the model.
+MIN_UNLISTED_EVIDENCE = 100.0
+# Factor of the smallest log evidence where no torque was logged: gain and friction of the servo
+# are less certain there.
 NO_TORQUE_FACTOR = 2.5
 MIN_NAMED_EVIDENCE = 150.0  # smallest log evidence [nats] of a cause that is named
-MIN_RIVAL_MARGIN = 40.0  # by which it must exceed the best unlisted candidate's [nats]
-# Log evidence [nats] that needs no such margin, as some unlisted candidates include every cause as
-# one of their shapes.
+MIN_RIVAL_MARGIN = 40.0  # margin [nats] by which a named cause must exceed the best unlisted one
+# Log evidence [nats] of a cause that is named without a margin over the best unlisted one, as
+# some unlisted ones include every cause as one of their shapes.
 CLEAR_EVIDENCE = 500.0
 LOCAL_CAUSES = ("contact", "zero_offset_step")  # causes that are short in time
 # A cause that acts on one joint must have evidence in both directions of motion: friction in one
@@ -40,11 +44,12 @@ LOCAL_CAUSES = ("contact", "zero_offset_step")  # causes that are short in time
 ONE_DIRECTION_CAUSES = (*LOCAL_CAUSES, "saturation")
 # Smallest gain of a cause on all runs that were not fitted, as a share of its log evidence.
 MIN_HELD_OUT_SHARE = 0.1
-MIN_RUN_SHARE = 0.005  # the same of the median run
-# The same of a local cause, of which parts of one run are left out: they resemble each other.
+MIN_RUN_SHARE = 0.005  # smallest gain on the median held-out run, as a share of the log evidence
+# As MIN_HELD_OUT_SHARE, of a local cause, of which parts of one run are left out: they resemble
+# each other.
 MIN_HELD_OUT_SHARE_LOCAL = 0.5
 MIN_HELD_OUT_GAIN = 30.0  # smallest gain on all runs that were not fitted [nats]
-MIN_RUN_GAIN = 3.0  # smallest gain on the median run [nats]
+MIN_RUN_GAIN = 3.0  # smallest gain of a cause on the median held-out run [nats]
 INTERLEAVED_WINDOWS = 10  # windows that are left out together, of a cause in part of one run
 REJUDGED_CANDIDATES = 12  # best candidates that are judged again with the noise estimated anew
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
@@ -116,7 +121,7 @@ class Outcome:
 
 
 def cause_columns(case: MotionCase, found: tuple[Found, ...]) -> Array:
-    """Return the columns of some causes, in rising order."""
+    """Return the indices of the columns of causes that were found, in rising order."""
     parts = [case.group(f.label, f.variant) for f in found]
     return np.sort(np.concatenate(parts)) if parts else NO_COLUMNS
 

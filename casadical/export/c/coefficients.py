@@ -52,8 +52,7 @@ TAN_PI_8 = 0.41421356  # ratio from which atan2 reduces by pi/4; any value near 
 # Quadratic polynomial for sqrt(m) on [1, 4), accurate to 0.7 per cent; Heron's steps refine it.
 SQRT_GUESS = (0.5375, 0.4905, -0.0305)
 
-# Constants of float (binary32).
-_FLOAT_COEFFICIENTS = Coefficients(
+_FLOAT_COEFFICIENTS = Coefficients(  # constants of the elementary functions in float (binary32)
     coth=(0.16666653752326965, -0.0027696965262293816),
     sin=(-0.166666641831398, 0.008332724682986736, -0.00019582855748012662),
     cos=(0.0416666641831398, -0.0013888279208913445, 2.4542896426282823e-05),
@@ -71,8 +70,7 @@ _FLOAT_COEFFICIENTS = Coefficients(
     smallest=float(np.finfo(np.float32).tiny),
     largest=float(np.finfo(np.float32).max),
 )
-# Constants of double (binary64).
-_DOUBLE_COEFFICIENTS = Coefficients(
+_DOUBLE_COEFFICIENTS = Coefficients(  # constants of the elementary functions in double (binary64)
     coth=(
         0.1666666666666666,
         -0.002777777777754703,

@@ -41,11 +41,11 @@ class GivenAngles(Effect):
 
 
 def joint_curves(robot: Robot) -> ca.Function | None:
-    """Return the robot's joint error curves, q[n] -> dq[n] [rad]; None if it has none.
+    """Return the function of the joints' error curves, q[n] -> dq[n] [rad]; None without curves.
 
-    The function is called and not inlined, so that the C makes tables of it. A joint whose
-    coefficients are zero has the constant 0. Raises InputError for a coefficient that is not
-    finite.
+    dq : true angle minus reading. The function is called and not inlined, so that the C makes
+        tables of it. A joint whose coefficients are zero has the constant 0. Raises InputError for
+        a coefficient that is not finite.
     """
     curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
     if not curves:

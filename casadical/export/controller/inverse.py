@@ -168,7 +168,7 @@ def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
     return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
 
 
-_FULL_TURN_RAD = 2 * np.pi
+_FULL_TURN_RAD = 2 * np.pi  # one turn of a joint [rad]
 
 Turns = Callable[[Array], tuple[int, ...]]  # how a language counts the turns of joints q (n,)
 

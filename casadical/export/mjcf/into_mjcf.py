@@ -170,9 +170,9 @@ def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[
 
 
 def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
-    """Check that every body is where it should be, which one nested in a <frame> is not.
+    """Check that every body is at its target pose, which one nested in a <frame> is not.
 
-    new : poses of the bodies (4, 4) [m] in the world. Raises InputError.
+    new : target poses of the joints' bodies (4, 4) [m] in the world. Raises InputError.
     """
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):

@@ -74,7 +74,7 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Return rad or m of each joint's reading."""
+        """Return the unit of each joint's reading, rad or m."""
         if self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
         assert self.sources is not None
@@ -245,7 +245,10 @@ def _with_joints(target: Target, q: Array | None) -> CorrectedTarget:
 
 
 def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> CorrectedTarget:
-    """Return a target with the joints in the configuration that the program states."""
+    """Return a target with the joints that reach it in the program's arm configuration and turns.
+
+    Its status says why if there are none, or several.
+    """
     if target.posture is None or target.turns is None:
         return CorrectedTarget(target, "NO_CONFIGURATION")
     if postures.why_not:
