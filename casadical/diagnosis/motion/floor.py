@@ -42,7 +42,7 @@ class Floor:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the CasADi function q[n] [rad] -> (height of the tool's point [m], gradient [n])."""
+        """Return the function q[n] [rad] -> (height of the tool's point [m], its gradient [n])."""
         robot, q = self.dynamics.robot, ca.SX.sym("q", self.dynamics.robot.n)
         z = ca.dot(ca.DM(up_of(self.dynamics)), robot.position(q, robot.parameters.values))
         return ca.Function("height", [q], [z, ca.jacobian(z, q).T])

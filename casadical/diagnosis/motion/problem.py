@@ -259,7 +259,10 @@ class MotionCase:
         return np.asarray(np.sqrt((residual[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
 
     def renewed(self, columns: Array = NO_COLUMNS) -> MotionCase:
-        """Return the case with its noise estimated again from the residual of base and some causes."""
+        """Return the case with its noise estimated again from the residual given some causes.
+
+        columns : indices of these causes' columns
+        """
         few, every, P = self.only(columns), np.arange(len(columns)), self.base.shape[2]
         for _ in range(NOISE_ROUNDS):
             # The base's priors are eight times wider here, so that the residual is noise alone.

@@ -291,7 +291,7 @@ class _Problem:
         )
 
         def balance() -> Iterator[Array]:
-            """Yield the angles of rest step by step; all steps at once would be large."""
+            """Yield the angles at which joints would come to rest, step by step to save memory."""
             for command, more, load in zip(first, last - first, _midpoints(self.load), strict=True):
                 rest = command[..., None] - yields * load[..., None]
                 rest -= offset

@@ -322,7 +322,7 @@ def log_views_of(
         )
 
     def seen(one: JointLog, of: Arm, peak_torque: Array | None = None) -> LogView:
-        """Return one log through the arm's model, with torques only if the log has them in N m or A."""
+        """Return one log through the arm's model, without torques that have no known unit."""
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
         return log_view(

@@ -29,9 +29,9 @@ COMMUTATIVE_OPERATIONS = {"add", "mul"}
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation: its name, its arguments' positions, and a number.
+    """One operation: its name, its arguments' node indices, and a number.
 
-    value : of a constant its value, of an input its position, of a guard its limit, of `periodic`
+    value : of a constant its value, of an input its index, of a guard its limit, of `periodic`
         the bound of its table's error
     table : spline coefficients of `periodic` (see `spline_table`)
     """
@@ -44,7 +44,7 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """Scalar real operations in order of evaluation; outputs : positions of the results' nodes."""
+    """Scalar real operations in order of evaluation; outputs : node indices of the results."""
 
     nodes: tuple[Node, ...]
     n_in: int
@@ -56,45 +56,45 @@ class _Builder:
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self._positions: dict[Node, int] = {}
+        self._indices: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        """Add an operation unless an equal one is there, and return its position."""
+        """Add an operation unless an equal one is there, and return its node index."""
         node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE_OPERATIONS else args, value, table)
-        if node not in self._positions:
-            self._positions[node] = len(self.nodes)
+        if node not in self._indices:
+            self._indices[node] = len(self.nodes)
             self.nodes.append(node)
-        return self._positions[node]
+        return self._indices[node]
 
     def constant(self, value: float) -> int:
-        """Return the position of a constant."""
+        """Return the node index of a constant."""
         return self.add("const", value=float(value))
 
     def root(self, x: int) -> int:
-        """Return the position of the guarded square root of x."""
+        """Return the node index of the guarded square root of x."""
         return self.add("sqrt", self.add("guard_min", x, value=0.0))
 
     def within(self, x: int, limit: float) -> int:
-        """Return the position of x, guarded to lie within -limit and limit."""
+        """Return the node index of x, guarded to lie within -limit and limit."""
         return self.add("guard_max", self.add("guard_min", x, value=-limit), value=limit)
 
     def sincos(self, angle: int, which: str) -> int:
-        """Return the position of the guarded sine or cosine (`which`) of an angle."""
+        """Return the node index of the guarded sine or cosine (`which`) of an angle."""
         return self.add(which, self.add("sincos", self.within(angle, ANGLE_LIMIT)))
 
     def periodic(self, angle: int, table: tuple[float, ...], bound: float) -> int:
-        """Return the position of a table's value at an angle, or of a constant table's number."""
+        """Return the node index of a table's value at an angle, or of a constant table's number."""
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
-        """Return the position of sqrt(1 - x^2), with which atan2 gives asin and acos."""
+        """Return the node index of sqrt(1 - x^2), with which atan2 gives asin and acos."""
         one = self.constant(1.0)
         return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
     def operation(self, name: str, *args: int) -> int | None:
-        """Return the position of a CasADi operation's result; None if the generated C lacks it."""
+        """Return the node index of a CasADi operation's result; None if the C lacks it."""
         if name == "assign":
             return args[0]
         if name in _COMPOSED_OPERATIONS:
@@ -105,7 +105,7 @@ class _Builder:
         return self.add(_EQUAL_OPERATIONS[name], *args) if known is None else known
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
-        """Return the position of a tansig if this is its last operation, else None.
+        """Return the node index of a tansig if this is its last operation, else None.
 
         The forms 2/(1+exp(-2a))-1 and 1-2/(exp(2a)+1) are recognised.
         """
@@ -123,7 +123,7 @@ class _Builder:
         return self.nodes[k].value if self.nodes[k].op == "const" else None
 
     def _two_over_one_plus_exp(self, k: int) -> int | None:
-        """Return the position of x if node k is 2/(1+exp(x)), else None."""
+        """Return the node index of x if node k is 2/(1+exp(x)), else None."""
         node = self.nodes[k]
         if node.op != "div" or self._const(node.args[0]) != 2.0 or self.nodes[node.args[1]].op != "add":
             return None
@@ -133,7 +133,7 @@ class _Builder:
         return None
 
     def _half(self, k: int, negate: bool) -> int:
-        """Return the position of half of node k, or minus half, dropping a visible factor 2."""
+        """Return the node index of half of node k, or minus half, dropping a visible factor 2."""
         node = self.nodes[k]
         if node.op == "neg":
             return self._half(node.args[0], not negate)
@@ -193,7 +193,10 @@ def tape_of(function: casadi.Function) -> Tape:
     inputs = iter([builder.add("input", value=float(k)) for k in range(sum(sizes))])
 
     def operation(name: str, *args: int) -> int:
-        """Return the position of an operation's result. Raises InputError: it is not supported."""
+        """Return the node index of an operation's result.
+
+        Raises InputError: the generated C does not have the operation.
+        """
         node = builder.operation(name, *args)
         if node is None:
             allowed = ", ".join(sorted({*_EQUAL_OPERATIONS.values(), *_COMPOSED_OPERATIONS}))

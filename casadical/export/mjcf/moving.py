@@ -56,7 +56,7 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     still = mjcf(robot)
     root = ET.fromstring(still.text)
     about = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
-    describe(root, about, still.written, (*still.left_out, *_lost(robot)))
+    describe(root, about, still.written, (*still.left_out, *_unrepresented_drive_properties(robot)))
     for compiler in root.iter("compiler"):
         compiler.set("balanceinertia", "true")
     bodies = {str(body.get("name")): body for body in root.iter("body")}
@@ -82,7 +82,9 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     for i in robot.numbers:
         place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
         actuators[place] = _actuator(robot, robot.drive, i)
-    return MjcfExport(xml_text(root), still.written, still.omitted, (*still.notes, *_lost(robot)))
+    return MjcfExport(
+        xml_text(root), still.written, still.omitted, (*still.notes, *_unrepresented_drive_properties(robot))
+    )
 
 
 def _set_floor(root: ET.Element, height: float | None) -> None:
@@ -133,7 +135,7 @@ def _each(drive: Drive, name: str, robot: Robot) -> Any:
     return np.zeros(robot.n) if value is None else value
 
 
-def _lost(robot: Robot) -> Iterator[str]:
+def _unrepresented_drive_properties(robot: Robot) -> Iterator[str]:
     """Yield sentences on drive properties that MuJoCo's joints and actuators cannot represent."""
     drive = robot.drive
     assert drive is not None
