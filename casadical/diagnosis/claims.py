@@ -133,7 +133,7 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
     return len(steps) > 1 and shrinks(errors((*steps[:k], *steps[k + 1 :]), last), errors(steps, last))
 
 
-def with_further(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
+def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
     """Return the set with the labels of one additional cause, if one is detected."""
     last = state.rankings[-1]
     named_labels = {k for step in state.steps for k in step.labels}

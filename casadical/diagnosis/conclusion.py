@@ -7,8 +7,14 @@ import pandas as pd
 
 from casadical.core.basics import Array
 from casadical.core.statistics import ranked
-from casadical.diagnosis.claims import cause_set, named, with_further
-from casadical.diagnosis.cross_validation import fit_of, partitioned_errors, partitions, remainders, shrink_interval
+from casadical.diagnosis.claims import cause_set, named, with_additional_cause
+from casadical.diagnosis.cross_validation import (
+    errors_and_distances,
+    fit_of,
+    partitioned_errors,
+    partitions,
+    shrink_interval,
+)
 from casadical.diagnosis.held_out_gap import Stage, course
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount, account_of
@@ -50,7 +56,7 @@ def conclude(
         state, end = richer, "unknown"
         noise, account, floor = noise_of(state, end)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
-    error, distance = remainders(case.whole, columns, noise, case.kept)
+    error, distance = errors_and_distances(case.whole, columns, noise, case.kept)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
@@ -60,7 +66,7 @@ def conclude(
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
     rest = max(0.0, (gap.after - gap.floor) / gap.before)
     verdict = _verdict(state, end, gap, rest, bool(causes), shrinks)
-    exactly = with_further(cause_set(state), state, seed)
+    exactly = with_additional_cause(cause_set(state), state, seed)
     if verdict == "explained":
         doubted = exactly and exactly.probability < SETTINGS.min_set and _remainder(state) > SETTINGS.max_flaw
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
@@ -162,7 +168,7 @@ def parameter_values(
 
 
 def _outliers(case: Case, error: Array, distance: Array) -> tuple[Outlier, ...]:
-    """Return the outlier poses, the farthest first; error, distance : of `remainders`."""
+    """Return the outlier poses, the farthest first; error, distance : of `errors_and_distances`."""
     out = sorted(np.flatnonzero(~case.kept), key=lambda i: -error[i])
     return tuple(Outlier(int(case.m.row[i]), float(error[i]), float(np.sqrt(distance[i]))) for i in out)
 

@@ -57,7 +57,7 @@ def lengths(e: Evidence, residual: Array, poses: Array | slice = WHOLE_AXIS) -> 
     return np.asarray(np.linalg.norm(residual if e.size is None else residual * e.size[poses], axis=1))
 
 
-def noise_square(e: Evidence, noise: Noise) -> Array:
+def noise_mean_square(e: Evidence, noise: Noise) -> Array:
     """Return the mean square of each pose's reported error by noise alone, shape (n,) [m^2]."""
     C = e.covariance(noise)
     if e.size is None:
@@ -98,7 +98,7 @@ def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> 
     return np.asarray(np.mean(runs, axis=0))
 
 
-def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
+def residual_of_fit_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
     """Return the residual at every pose of a fit to the poses outside of a mask, shape (n, 3) [m].
 
     test : mask of the poses that are not fitted, shape (n,)
@@ -107,7 +107,7 @@ def fitted_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Ar
     return fit.residual(fit.estimate_from(np.flatnonzero(~test)))
 
 
-def remainders(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
+def errors_and_distances(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
     """Return error [m] and squared Mahalanobis distance of every pose, shapes (n,).
 
     The fit is to the inliers. The distance of an inlier is from a fit without it, relative to the

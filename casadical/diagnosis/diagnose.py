@@ -14,7 +14,7 @@ from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
-from casadical.diagnosis.linear_problem import Case, better_ratios, make_case
+from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, scattering
 from casadical.diagnosis.observations import Ratios
@@ -175,7 +175,7 @@ class _Question:
         # The ratios of the sets' noise are estimated again with the causes in the model, at most
         # twice.
         for _ in range(2):
-            ratios = better_ratios(found.case, found.columns, found.noise)
+            ratios = updated_ratios(found.case, found.columns, found.noise)
             if ratios is None:
                 break
             self.show("the sets' noise differs from what the base model left: searched again")

@@ -159,10 +159,12 @@ class Evidence(LinearModel):
             spread = 1 / np.sqrt(2 * max(numbers * (1 - self.absorbed / max(self.count, 1)), 1.0))
             for aside in (-HERMITE_NODE, HERMITE_NODE):
                 log_times, log_weight = float(aside * spread), float(np.log(HERMITE_WEIGHT) + HERMITE_NODE**2 / 2)
-                more.append((log_weight - numbers * log_times, self._where_noisier(mask, float(np.exp(log_times)))))
+                more.append(
+                    (log_weight - numbers * log_times, self._with_noisier_table(mask, float(np.exp(log_times))))
+                )
         return tuple(more)
 
-    def _where_noisier(self, mask: Array, times: float) -> Evidence:
+    def _with_noisier_table(self, mask: Array, times: float) -> Evidence:
         """Return the model in which the masked numbers' noise is larger by a factor."""
         weight, every = np.where(mask, 1 / times, 1.0), np.arange(len(self.r))
         E = SerialColumns(self.E, every, SerialNoise(np.zeros(len(every)), weight))
@@ -223,7 +225,7 @@ class BaseParameters:
     units: Array
     still: Array
 
-    def everywhere(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
+    def with_all_combinations(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
         """Return the model with all combinations, for use at other poses, and their units.
 
         poses : the poses of e among those of J; units : shape (P, P)

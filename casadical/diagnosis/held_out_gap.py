@@ -13,15 +13,15 @@ from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.diagnosis.cross_validation import (
     FOLDS,
-    fitted_without,
     held_out_errors,
-    noise_square,
+    noise_mean_square,
     random_folds,
     resampled_means,
+    residual_of_fit_without,
 )
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.observations import edges_of
-from casadical.diagnosis.refit import left_by, refit_measurements
+from casadical.diagnosis.observations import row_slices
+from casadical.diagnosis.refit import refit_measurements, row_errors
 from casadical.diagnosis.result import Diagnosis
 from casadical.effects import Effect
 from casadical.identification.fit_statistics import steps_without
@@ -75,7 +75,7 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
     """
     e = case.evidence
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
-    floor = noise_square(e, noise)
+    floor = noise_mean_square(e, noise)
     rows = []
     for stage in stages:
         runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
@@ -102,7 +102,7 @@ def time_blocks(case: Case) -> Array:
     return blocks
 
 
-def of_time(effects: Sequence[Effect]) -> bool:
+def depends_on_time(effects: Sequence[Effect]) -> bool:
     """Return whether any effect depends on time or temperature.
 
     Leave-one-out errors of such effects are optimistic.
@@ -142,11 +142,11 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     whole = found.refit()
     problem, remaining = whole.problem, np.empty(len(folds))
     show("refits without a fifth each")
-    steps = steps_without(problem, whole.solution.v, [folds[case.rows][at] for at in edges_of(problem.sets)])
+    steps = steps_without(problem, whole.solution.v, [folds[case.rows][at] for at in row_slices(problem.sets)])
     for fold, step in enumerate(steps):
         test, v = folds == fold, whole.solution.v + step
         fitted = replace(whole, robot=whole.start.with_values(problem.values(v)), solution=replace(whole.solution, v=v))
-        error = left_by(fitted, sets, test[case.rows])
+        error = row_errors(fitted, sets, test[case.rows])
         square = np.bincount(case.rows[test[case.rows]], error**2, minlength=len(folds))
         remaining[test] = np.sqrt(square[test])
     linear = held_out_errors(case.evidence, found.columns, found.noise, folds)
@@ -194,7 +194,7 @@ def network_gap(
     for fold in range(FOLDS):
         show(f"network {fold + 1} of {FOLDS}")
         test = folds == fold
-        remaining = 1e3 * fitted_without(e, columns, noise, test)
+        remaining = 1e3 * residual_of_fit_without(e, columns, noise, test)
         net = Compensator.fit(q[~test], remaining[~test], trainer=trainer, folds=FOLDS, seed=seed)
         before[test] = np.linalg.norm(remaining[test], axis=1)
         used[test] = np.linalg.norm(remaining[test] - net.correction_mm(q[test]), axis=1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import condition_of_reading
-from casadical.diagnosis.observations import Stops, edges_of
+from casadical.diagnosis.observations import Stops, row_slices
 from casadical.effects.formula_effect import (
     ANCHOR_COLUMNS,
     INSTRUMENT_FLAG_COLUMNS,
@@ -31,7 +31,7 @@ def with_far_ends(
     """
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
-    for k, (part, at) in enumerate(zip(sets, edges_of(sets), strict=True)):
+    for k, (part, at) in enumerate(zip(sets, row_slices(sets), strict=True)):
         if part.kind != Distance.name or part.distance is None:
             continue
         names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
@@ -44,10 +44,10 @@ def with_far_ends(
     of_row = {f: (wire == k).astype(float) for k, f in enumerate(INSTRUMENT_FLAG_COLUMNS, 1)} | dict(
         zip(ANCHOR_COLUMNS, far.T, strict=True)
     )
-    return _by_turn(m, of_row, stops)
+    return _with_row_columns(m, of_row, stops)
 
 
-def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
+def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
     """Return the joint table with columns that are given by row.
 
     of_row : values by name, shape (rows,) each; additional rows at a stop get names of their own
@@ -61,20 +61,20 @@ def _by_turn(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Meas
     return replace(m, conditions=columns)
 
 
-def with_images(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
+def with_camera_columns(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
     """Return the joint table with columns for effects of cameras, if orientations exist."""
     if not any(part.orientation is not None for part in sets):
         return m
     names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]
     of_row = {name: np.zeros(len(stops.of)) for name in names}
-    for part, at in zip(sets, edges_of(sets), strict=True):
+    for part, at in zip(sets, row_slices(sets), strict=True):
         if part.orientation is not None and part.position is not None:
-            for name, values in images_of(part.position, part.orientation).items():
+            for name, values in camera_displacements(part.position, part.orientation).items():
                 of_row[name][at] = values
-    return _by_turn(m, of_row, stops)
+    return _with_row_columns(m, of_row, stops)
 
 
-def images_of(p: Array, R: Array) -> Mapping[str, Array]:
+def camera_displacements(p: Array, R: Array) -> Mapping[str, Array]:
     """Return displacements by depth and radial errors of cameras, shape (n,) each, by name.
 
     p, R : measured position and orientation of the tool in the measuring frame, shapes (n, 3) [m]

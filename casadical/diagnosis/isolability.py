@@ -27,7 +27,7 @@ from casadical.diagnosis.candidates import (
     gathered_by_columns,
 )
 from casadical.diagnosis.evidence import Evidence
-from casadical.diagnosis.linear_problem import Case, base_prior, column_numbers, widths
+from casadical.diagnosis.linear_problem import Case, base_prior_sigmas, column_indices, widths
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.effects import Effect
@@ -161,9 +161,15 @@ def isolability(
     values = robot.parameters.values
     E, J, Jq = signatures(robot, used, m, values)
     evidence = Evidence(
-        np.zeros((len(m), 3)), J, 0 * values, base_prior(robot), ArrayColumns(E * widths(used)), noise.sigma, Jq=Jq
+        np.zeros((len(m), 3)),
+        J,
+        0 * values,
+        base_prior_sigmas(robot),
+        ArrayColumns(E * widths(used)),
+        noise.sigma,
+        Jq=Jq,
     )
-    columns = column_numbers(used, 0)
+    columns = column_indices(used, 0)
     named = _whole(possible) if whole else {c.label: c.variants for c in possible}
     groups = {k: [np.concatenate([columns[e] for e in v]) for v in variants] for k, variants in named.items()}
     return _judged(evidence, groups, noise, missing)

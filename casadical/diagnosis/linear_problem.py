@@ -15,7 +15,7 @@ from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
-from casadical.diagnosis.instrument_columns import with_far_ends, with_images
+from casadical.diagnosis.instrument_columns import with_camera_columns, with_far_ends
 from casadical.diagnosis.linearisation import ColumnCache, EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
@@ -307,7 +307,7 @@ class Case:
         if not effects:
             return replace(self, candidates=candidates)
         m, _ = derive(self.m, [c for e in effects for c in e.conditions], self.given.loads)
-        columns = {**self.columns, **column_numbers(effects, self.whole.width)}
+        columns = {**self.columns, **column_indices(effects, self.whole.width)}
         assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
         # Learnt sizes are carried over.
@@ -349,7 +349,7 @@ def make_case(
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
     m = joined(sets, robot, stops)
-    m = with_images(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
+    m = with_camera_columns(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
     if robot.payload and "payload_kg" not in m.conditions:  # it is the declared one throughout, as in the model
         m = replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
     possible, missing = choose(candidates, m, robot.loads)
@@ -358,7 +358,7 @@ def make_case(
     values = robot.values_of(identification.robot)
     seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
     kept, whole, base = _problem(identification, seen, effects, values, free)
-    columns = column_numbers(effects, 0)
+    columns = column_indices(effects, 0)
     possible = tuple(possible)
     return Case(identification.robot, robot, values, m, possible, missing, whole, base, kept, columns, seen, free)
 
@@ -398,7 +398,7 @@ def _problem(
         r,
         np.concatenate([seen.linear.J, seen.U], axis=2) if seen.U.size else seen.linear.J,
         np.append(delta0, seen.mean),
-        np.append(base_prior(robot, free), np.ones(len(seen.mean))),
+        np.append(base_prior_sigmas(robot, free), np.ones(len(seen.mean))),
         E,
         cause_prior=E.held,
         Jq=seen.Jq,
@@ -435,7 +435,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
     return tuple(masks[k] for k in rising if least <= counts[k] < MAX_UNSURE_TABLE_NUMBERS)[:MAX_UNSURE_TABLES]
 
 
-def better_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
+def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     """Return the noise of each set that a fit with causes leaves; None if as assumed.
 
     columns : of the causes, shape (k,); noise : at which the fit is made
@@ -472,13 +472,13 @@ def widths(effects: Sequence[Effect]) -> Array:
     return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 
-def column_numbers(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
+def column_indices(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
     """Return the indices of every effect's columns, consecutive from the index first."""
     edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
     return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
 
 
-def base_prior(robot: Robot, free: Collection[str] = ()) -> Array:
+def base_prior_sigmas(robot: Robot, free: Collection[str] = ()) -> Array:
     """Return the prior standard deviation of every parameter of the base model, shape (P,) [SI].
 
     Effects that the robot has already are fixed, except free, the labels of those that are not.

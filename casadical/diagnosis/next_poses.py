@@ -49,7 +49,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
 
     variant : effects of the cause; poses : linearisation of the base model at the new poses
     """
-    old, combinations = case.base.everywhere(case.evidence, np.flatnonzero(case.kept))
+    old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.kept))
     E = poses.columns(variant)
     # Predictions do not depend on the campaign's unknown points.
     points = np.zeros((*poses.J.shape[:2], len(case.base.prior) - poses.J.shape[2]))
@@ -62,7 +62,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     return Prediction(new @ fit.x, new @ fit.root.T)
 
 
-def noise_at(noise: Noise, poses: Linearisation) -> Array:
+def noise_covariance_at(noise: Noise, poses: Linearisation) -> Array:
     """Return the covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
     return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
@@ -122,7 +122,7 @@ class Comparison:
 Pairs = Sequence[tuple[Predictive, Predictive]]
 
 
-def pick(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
+def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
     """Choose n poses greedily; return their indices and the separation after each.
 
     The separation is the smallest cumulative expected log Bayes factor over all truths.
@@ -215,12 +215,12 @@ def next_poses(
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
     drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
     poses = linearise(case.given, drawn.m, case.values)
-    noise_there = noise_at(noise, poses)
+    noise_there = noise_covariance_at(noise, poses)
     models = [(c.label, Predictive(predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]
-    picked, gained = pick(asked, also, min(n, len(drawn)))
+    picked, gained = choose_poses(asked, also, min(n, len(drawn)))
     return table_of(case, effects, drawn, picked, gained)
 
 

@@ -139,7 +139,7 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
     each row is a stop of its own.
     """
     points = [m.label if m.label is not None else np.full(len(m), "") for m in sets]
-    measured_to = _measured_to(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1])
+    measured_to = _target_indices(sets, np.unique(np.concatenate(points).astype(str), return_inverse=True)[1])
     n = len(measured_to)
     if len(sets) == 1 and sets[0].other is None and len(np.unique(measured_to)) == 1:
         return Stops(np.arange(n), np.zeros(n, dtype=np.int64), np.arange(n))
@@ -147,7 +147,7 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
     logged = {c: np.concatenate([m.conditions[c] for m in sets]) for c in shared}
     q = np.concatenate([m.q for m in sets])
     own = (values for c, values in logged.items() if _OF_STOP.fullmatch(c))
-    key = _numbered(np.column_stack([same_readings(q), *own]))
+    key = _distinct_indices(np.column_stack([same_readings(q), *own]))
     clock = next((logged[c] for c in ("time_s", "pose") if c in logged), None)
     if clock is not None:
         order = np.lexsort((key, clock))
@@ -155,15 +155,15 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
         runs[order] = np.cumsum(np.diff(key[order], prepend=key[order[0]]) != 0)
         key = runs
     alone = np.concatenate([np.full(len(m), m.other is not None) for m in sets])
-    again = _counted(np.column_stack([key, measured_to]))
+    again = _equal_rows_before(np.column_stack([key, measured_to]))
     again[alone] = 1 + n + np.flatnonzero(alone)
     _, first, stop = np.unique(np.column_stack([key, again]), axis=0, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first))
     of = rank[stop.ravel()]
-    return Stops(of, _counted(of[:, None]), np.sort(first))
+    return Stops(of, _equal_rows_before(of[:, None]), np.sort(first))
 
 
-def edges_of(sets: Sequence[Measurements]) -> list[slice]:
+def row_slices(sets: Sequence[Measurements]) -> list[slice]:
     """Return the rows of each set in the concatenated table of all sets."""
     ends = np.cumsum([0, *(len(m) for m in sets)]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]
@@ -184,7 +184,7 @@ def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tu
                 columns[name][at] = m.conditions[further][stops.of[at]]
     return tuple(
         replace(part, conditions={name: values[at] for name, values in columns.items()})
-        for part, at in zip(sets, edges_of(sets), strict=True)
+        for part, at in zip(sets, row_slices(sets), strict=True)
     )
 
 
@@ -229,7 +229,7 @@ class Layout:
 
 def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
     """Return the layout in which the numbers of a stop's rows follow one another."""
-    rows, numbers = edges_of(sets), [find_kind(m.kind).numbers for m in sets]
+    rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
     counts = np.repeat(numbers, [len(m) for m in sets])
     order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
     before = np.cumsum(counts[order]) - counts[order]  # numbers of all rows up to each
@@ -253,9 +253,9 @@ def observe(
     """
     robot, where = identification.given, identification.unknown_points
     sets = separated(sets, m, stops)
-    parts = [_of_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
+    parts = [_observe_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
     layout, ends = _layout(stops, sets), max(part.ends for part in parts)
-    S = _by_seams(parts, layout, ends)
+    S = _seam_jacobian(parts, layout, ends)
     seen, q = (np.concatenate([np.asarray(getattr(part, name)) for part in parts], axis=1) for name in ("seen", "q"))
     J, constants = layout.together([part.J for part in parts]), constants_of(robot, robot.torque_scale)
     far = (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None
@@ -263,7 +263,7 @@ def observe(
         robot, seams_of(robot), values, m.q, dict(m.conditions), J, S, seen[0, stops.rows], constants, far,
         stops.most - 1,
     )  # fmt: skip
-    U, mean = _by_points(identification, parts, layout)
+    U, mean = _point_jacobian(identification, parts, layout)
     return Observations(
         m=m,
         sets=sets,
@@ -275,13 +275,15 @@ def observe(
         mean=mean,
         measured=layout.together([part.measured for part in parts]) > 0,
         size=layout.together([part.size for part in parts]),
-        alike=_numbered(_at_turns(stops, np.concatenate([part.point for part in parts]))) if len(where) else None,
-        apart=_numbered(_at_turns(stops, _measured_to(sets, np.concatenate([part.point for part in parts])))),
-        Jq=_by_joints(S, ends, parts[0].S.shape[2] // parts[0].ends, robot.n),
+        alike=_distinct_indices(_by_stop(stops, np.concatenate([part.point for part in parts])))
+        if len(where)
+        else None,
+        apart=_distinct_indices(_by_stop(stops, _target_indices(sets, np.concatenate([part.point for part in parts])))),
+        Jq=_joint_jacobian(S, ends, parts[0].S.shape[2] // parts[0].ends, robot.n),
     )
 
 
-def _by_seams(parts: Sequence[_OfSet], layout: Layout, ends: int) -> Array:
+def _seam_jacobian(parts: Sequence[_SetObservations], layout: Layout, ends: int) -> Array:
     """Return the Jacobian by all seam variables, shape (poses, numbers, seams).
 
     An instrument's effect on its own reading leaves the other readings at the stop unchanged: each
@@ -301,7 +303,7 @@ def _by_seams(parts: Sequence[_OfSet], layout: Layout, ends: int) -> Array:
     return S
 
 
-def _by_joints(S: Array, ends: int, seams: int, joints: int) -> Array:
+def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
     """Return the Jacobian of joint repeatability, shape (poses, numbers, joints).
 
     The repeatability errors at the two ends of a distance between poses are independent.
@@ -310,7 +312,9 @@ def _by_joints(S: Array, ends: int, seams: int, joints: int) -> Array:
     return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
 
 
-def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: Layout) -> tuple[Array, Array]:
+def _point_jacobian(
+    identification: Identification, parts: Sequence[_SetObservations], layout: Layout
+) -> tuple[Array, Array]:
     """Return U and mean of the unknown points (see `Observations`)."""
     where = identification.unknown_points
     U = np.zeros((*layout.shape, 3 * len(where)))
@@ -318,32 +322,32 @@ def _by_points(identification: Identification, parts: Sequence[_OfSet], layout: 
         for i in np.flatnonzero(part.point >= 0):
             k = 3 * part.point[i]
             U[poses[i], places[i], k : k + 3] = part.U[i]
-    root, mean = _known_points(identification, where)
+    root, mean = _point_prior(identification, where)
     return U @ root, mean
 
 
-def _at_turns(stops: Stops, numbers: Array) -> Array:
+def _by_stop(stops: Stops, numbers: Array) -> Array:
     """Return one number of each row, arranged by stop, shape (stops, turns); -1 without a row."""
     out = np.full((len(stops.rows), stops.most), -1)
     out[stops.of, stops.turn] = numbers
     return out
 
 
-def _numbered(keys: Array) -> Array:
+def _distinct_indices(keys: Array) -> Array:
     """Return the index of each row among the distinct rows of keys, shape (n,)."""
     return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
 
 
-def _counted(keys: Array) -> Array:
+def _equal_rows_before(keys: Array) -> Array:
     """Return how many equal rows precede each row of keys, shape (n,)."""
-    number = _numbered(keys)
+    number = _distinct_indices(keys)
     order = np.argsort(number, kind="stable")
     places = np.empty(len(number), dtype=np.int64)
     places[order] = np.arange(len(number)) - np.searchsorted(number[order], number[order])
     return places
 
 
-class _OfSet(NamedTuple):
+class _SetObservations(NamedTuple):
     """Residuals and Jacobians of one set, row by row; q and seen have one entry for each end."""
 
     r: Array
@@ -358,7 +362,9 @@ class _OfSet(NamedTuple):
     ends: int
 
 
-def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios) -> _OfSet:
+def _observe_set(
+    robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios
+) -> _SetObservations:
     """Return residuals and Jacobians of set k at the base model, scaled to equal noise.
 
     where : estimate of each unknown point by name, shape (3,) [m]
@@ -379,10 +385,10 @@ def _of_set(robot: Robot, m: Measurements, k: int, values: Array, where: Mapping
     there, sizes = (np.broadcast_to(a, (n, kind.numbers)) for a in ((m.weight > 0)[:, None], size))
     points = np.array([number[name] for name in names] or [-1] * n)
     seen_at, q_at = ((a[:, :, 0], a[:, :, at.ends - 1]) for a in (seen, q))
-    return _OfSet(-r[:, :, 0] * rows, J, S, U, seen_at, q_at, there, sizes, points, at.ends)
+    return _SetObservations(-r[:, :, 0] * rows, J, S, U, seen_at, q_at, there, sizes, points, at.ends)
 
 
-def _known_points(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:
+def _point_prior(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:
     """Return a root of the prior covariance of the unknown points, and the prior mean in its units.
 
     The prior is centred at the estimates of the base fit; given distances between points narrow it.
@@ -405,7 +411,7 @@ def _known_points(identification: Identification, where: Mapping[str, Array]) ->
     return np.linalg.inv(L).T, np.linalg.solve(L, right)
 
 
-def _measured_to(sets: Sequence[Measurements], point: Array) -> Array:
+def _target_indices(sets: Sequence[Measurements], point: Array) -> Array:
     """Return the index of each row's target, shape (rows,).
 
     Targets differ by set, unknown point, given target and other pose.
@@ -418,4 +424,4 @@ def _measured_to(sets: Sequence[Measurements], point: Array) -> Array:
         own = [np.zeros((len(m), 0)), *(a for a in (m.target, m.other) if a is not None)]
         own_ends = np.round(np.concatenate(own, axis=1), 4)
         far_ends.append(np.pad(own_ends, [(0, 0), (0, width - own_ends.shape[1])]))
-    return _numbered(np.column_stack([number, point, np.concatenate(far_ends)]))
+    return _distinct_indices(np.column_stack([number, point, np.concatenate(far_ends)]))

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.observations import edges_of, separated
+from casadical.diagnosis.observations import row_slices, with_joint_conditions
 from casadical.effects import Effect
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.residuals import make_block
@@ -29,7 +29,7 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     use : mask over the inlier poses of those to identify from, all by default
     """
     sets = refit_measurements(case, effects, noise)
-    sets = sets if use is None else chosen_of(sets, use[case.rows])
+    sets = sets if use is None else selected_rows(sets, use[case.rows])
     free = ("kinematic", "compliance", *case.free, *dict.fromkeys(e.label for e in effects))
     return calibrated(prepare(case.robot.with_effect(*effects), sets, case.prior), free, priors=_priors(case, effects))
 
@@ -54,9 +54,9 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
     return priors
 
 
-def chosen_of(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
+def selected_rows(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
     """Return the sets' rows in a mask over all rows; sets without any are left out."""
-    parts = [(m, use[at]) for m, at in zip(sets, edges_of(sets), strict=True)]
+    parts = [(m, use[at]) for m, at in zip(sets, row_slices(sets), strict=True)]
     return tuple(m[own] for m, own in parts if own.any())
 
 
@@ -69,23 +69,25 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     m, _ = derive(case.m, [c for e in effects for c in e.conditions], case.robot.loads)
     seen = case.observations
     if not seen.plain:
-        return chosen_of(_with_sigmas(case, separated(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of])
+        return selected_rows(
+            _with_sigmas(case, with_joint_conditions(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of]
+        )
     C = case.whole.covariance(noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
     return (replace(m, sigma=typical_sigma(C)),)
 
 
-def left_by(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
+def row_errors(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
     """Return the error of each row in a mask over all sets under an identification, shape (k,) [m].
 
     Unknown points are at the identification's estimates, not refitted to these rows.
     """
     where = found.unknown_points
-    parts = [(k, m[test[at]]) for k, (m, at) in enumerate(zip(sets, edges_of(sets), strict=True)) if test[at].any()]
-    return np.concatenate([_left(found, k, m, where) for k, m in parts])
+    parts = [(k, m[test[at]]) for k, (m, at) in enumerate(zip(sets, row_slices(sets), strict=True)) if test[at].any()]
+    return np.concatenate([_length_errors(found, k, m, where) for k, m in parts])
 
 
-def _left(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
+def _length_errors(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
     """Return the norm of each row's length residuals, shape (n,) [m]; k : index of the set."""
     kind = find_kind(m.kind)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]

@@ -16,7 +16,7 @@ from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Result
-from casadical.diagnosis.cross_validation import fitted_without, partitioned_errors
+from casadical.diagnosis.cross_validation import partitioned_errors, residual_of_fit_without
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount
 from casadical.diagnosis.noise_floor import Replicates
@@ -371,7 +371,7 @@ class Diagnosis(Result):
         kept = self.case.kept
         if not self.columns.size:
             return self.case.evidence.r
-        return fitted_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
+        return residual_of_fit_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
 
     @cached_property
     def fitted(self) -> PoseErrors:

@@ -14,7 +14,7 @@ from casadical.core.statistics import ranked
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
-from casadical.diagnosis.cross_validation import remainders
+from casadical.diagnosis.cross_validation import errors_and_distances
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import better_ar_form, with_noise_forms
@@ -199,7 +199,7 @@ class State:
     def _screened(self, noise: Noise) -> State:
         """Return the state with outliers determined anew, with hysteresis in the limit."""
         case = self.case
-        _, distance = remainders(case.whole, self.columns(), noise, case.kept)
+        _, distance = errors_and_distances(case.whole, self.columns(), noise, case.kept)
         limit = np.where(case.kept, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
         screened = case.screened(distance < limit)
         if screened is not case:

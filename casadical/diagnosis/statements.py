@@ -13,7 +13,7 @@ from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by
 from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
 from casadical.diagnosis.changes import MIN_CHANGE_PROBABILITY
 from casadical.diagnosis.details import Details
-from casadical.diagnosis.held_out_gap import of_time
+from casadical.diagnosis.held_out_gap import depends_on_time
 from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_poses
@@ -221,7 +221,7 @@ _SAYS: dict[str, Any] = {
     "CLAIM": SETTINGS.min_claim,
     "SET_CLAIM": SETTINGS.min_set,
     "LITTLE": MIN_DECISION_GAIN,
-    "timed": lambda causes: any(of_time(c.effects) for c in causes),
+    "timed": lambda causes: any(depends_on_time(c.effects) for c in causes),
     "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),
     "undeclared": lambda d: any(m.sigma is None for m in d.case.observations.sets),
     **{

@@ -25,7 +25,7 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import axes_of_base
 from casadical.core.statistics import first_of_best
 from casadical.core.telling.plain import WRITTEN, Key, written
-from casadical.diagnosis.cross_validation import fitted_without
+from casadical.diagnosis.cross_validation import residual_of_fit_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
@@ -115,7 +115,7 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     out = ~case.kept
     if out.sum() < 2 or case.vectors is None:
         return None
-    residuals, motions = fitted_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
+    residuals, motions = residual_of_fit_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
     lengths = np.linalg.norm(residuals, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
     cosine = np.abs(np.einsum("ki,kij->kj", residuals, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)

@@ -11,7 +11,7 @@ import pytest
 from cases import diagnose
 from scipy.spatial.transform import Rotation
 
-from casadical.diagnosis.instrument_columns import images_of
+from casadical.diagnosis.instrument_columns import camera_displacements
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import read_campaign_robot
 
@@ -104,7 +104,7 @@ def test_a_good_camera_has_no_fault() -> None:
 def test_what_a_fault_adds_is_moved_as_the_pinhole_moves_it() -> None:
     m = campaign("none", False)
     for side in ("fixed", "carried"):
-        made = images_of(m.position, m.orientation)
+        made = camera_displacements(m.position, m.orientation)
         depth = np.column_stack([made[f"{side}_depth_{c}_m"] for c in "xyz"])
         for k in range(0, POSES, 20):
             T = np.eye(4)

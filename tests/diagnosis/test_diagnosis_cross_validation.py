@@ -9,13 +9,13 @@ from scipy.optimize import lsq_linear
 
 from casadical.core.linear_gaussian.model import MemoryLimits
 from casadical.diagnosis.cross_validation import (
+    errors_and_distances,
     fit_of,
     fold_errors,
     held_out_errors,
     likely_noise,
     new_fit,
     random_folds,
-    remainders,
     shrink_interval,
 )
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, Evidence
@@ -59,7 +59,7 @@ def test_estimates_and_remainders_are_those_of_a_refit() -> None:
     np.testing.assert_allclose(error, np.sqrt(np.diag(cov))[5:], rtol=1e-7)
     kept = np.arange(14) != 4
     x, _ = refit(e, columns, kept)
-    length, distance = remainders(e, columns, NOISE, kept)
+    length, distance = errors_and_distances(e, columns, NOISE, kept)
     for k in (4, 7):  # one that was left out anyway, and one that is now
         A = np.hstack([e.J[k], e.E.values[k][:, columns]])
         assert length[k] == pytest.approx(np.linalg.norm(e.r[k] - A @ x))

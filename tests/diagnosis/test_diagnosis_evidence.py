@@ -38,7 +38,7 @@ def test_what_moves_nothing_is_not_in_the_model_and_changes_no_evidence() -> Non
     own, groups = BaseParameters.restricted(e)[0], [np.array([0]), np.array([1, 2])]
     assert wide.J.shape[2] == own.J.shape[2]
     np.testing.assert_allclose(wide.log_grids(groups), own.log_grids(groups), rtol=1e-7, atol=1e-6)
-    every, units = base.everywhere(wide, np.arange(len(e.r)))
+    every, units = base.with_all_combinations(wide, np.arange(len(e.r)))
     assert every.J.shape[2] == units.shape[1] == len(mixed)
     np.testing.assert_allclose(every.J @ every.delta0, wide.J @ wide.delta0, atol=1e-12)
     more = wide.with_base(np.array([3]))

@@ -12,7 +12,7 @@ from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.evidence import SIGMA_GRID_M
-from casadical.diagnosis.held_out_gap import Stage, check_refit, course, network_gap, of_time, time_blocks
+from casadical.diagnosis.held_out_gap import Stage, check_refit, course, depends_on_time, network_gap, time_blocks
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import replicates
@@ -75,9 +75,9 @@ def test_blocks_are_contiguous_fifths_of_the_time() -> None:
     blocks = time_blocks(c)
     assert np.ptp(np.bincount(blocks)) <= 1
     assert all(time[blocks == k].max() < time[blocks == k + 1].min() for k in range(4))
-    assert of_time([FrameDrift()])
-    assert of_time([ThermalGrowth(None, 600.0)])
-    assert not of_time([FrictionWindup(2)])
+    assert depends_on_time([FrameDrift()])
+    assert depends_on_time([ThermalGrowth(None, 600.0)])
+    assert not depends_on_time([FrictionWindup(2)])
 
 
 def test_applied_causes_keep_their_promise_on_unseen_poses(half: tuple[Diagnosis, Measurements]) -> None:

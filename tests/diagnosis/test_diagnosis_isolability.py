@@ -9,7 +9,7 @@ from cases import practice, robot
 
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.isolability import Isolability, isolability
-from casadical.diagnosis.linear_problem import base_prior
+from casadical.diagnosis.linear_problem import base_prior_sigmas
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Backlash, BaseCompliance, FrictionWindup
 from casadical.measurements.derived_columns import derive
@@ -42,7 +42,7 @@ def test_absorbed_and_visible_are_those_of_a_projection() -> None:
     m, _ = derive(practice("kr210-P02"), [c for e in effects for c in e.conditions])
     E, J, _ = signatures(r, effects, m, r.parameters.values)
     E = E.reshape(3 * len(m), -1) * [size for e in effects for size, _ in e.sizes().values()]
-    scale = base_prior(r)
+    scale = base_prior_sigmas(r)
     A = np.vstack([J.reshape(3 * len(m), -1) * scale, WHITE.sigma * np.eye(len(scale))])
     tall = np.vstack([E, np.zeros((len(scale), E.shape[1]))])
     rest = tall - A @ np.linalg.lstsq(A, tall, rcond=None)[0]

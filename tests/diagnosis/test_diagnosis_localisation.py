@@ -169,7 +169,7 @@ def test_how_many_directions_of_the_base_round_off_leaves_changes_nothing(any_ca
     """Readings that moved by 1e-12 left one more, all draws were others, and shares changed by .01 to .1."""
     scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
     assert any_case.base.still.shape[1] > 0
-    every, units = any_case.base.everywhere(any_case.whole, np.arange(len(any_case.whole.r)))
+    every, units = any_case.base.with_all_combinations(any_case.whole, np.arange(len(any_case.whole.r)))
     whole = replace(any_case.base, units=units)
     tables = [
         localise_residual(c, NOISE, scale if named else NONE).joints

@@ -19,7 +19,7 @@ from casadical.diagnosis.next_poses import (
     Predictive,
     causes_in_question,
     next_poses,
-    noise_at,
+    noise_covariance_at,
     predict_cause,
 )
 from casadical.identification.accuracy import predicted
@@ -99,7 +99,7 @@ def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) ->
     pool = later_poses(doubtful.robot, doubtful.m, doubtful.kept, columns, 400, 5).m
     there = linearise(doubtful.given, pool, doubtful.values)
     found = [(cause.label, predict_cause(doubtful, cause.variant, least, there)) for cause in causes]
-    noise = noise_at(least, there)
+    noise = noise_covariance_at(least, there)
     rng = np.random.default_rng(0)
     chance = [rng.choice(len(pool), 8, replace=False).tolist() for _ in range(40)]
     pairs = [(p, r) for a, p in found for b, r in found if a < b]

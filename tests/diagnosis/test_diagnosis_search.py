@@ -14,7 +14,7 @@ from casadical.core.basics import silent
 from casadical.diagnosis import search
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import layers
-from casadical.diagnosis.claims import cause_set, with_further
+from casadical.diagnosis.claims import cause_set, with_additional_cause
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.diagnose import Diagnosis
@@ -147,7 +147,7 @@ def test_one_more_cause_that_is_there_has_names_and_leaves_a_gap(none: float) ->
     last = made_up({"backlash@1": 0.55, "friction_windup@1": 0.44, "frame_drift": 0.01}, none)
     step = Step(last, ("frame_drift",), own.candidates[0].variants[0])
     state = State(own, (step,), (step.ranking, last))
-    found = with_further(cause_set(state), state, 0)
+    found = with_additional_cause(cause_set(state), state, 0)
     assert found is not None
     there = none < 0.05
     assert found.further == ({"backlash@1": 0.55, "friction_windup@1": 0.44} if there else {})
