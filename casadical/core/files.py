@@ -111,6 +111,7 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
     """
 
     def remove_empty(folder: Path) -> None:
+        """Remove a folder if it is empty."""
         with suppress(OSError):
             folder.rmdir()
 

@@ -256,29 +256,38 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Return the columns that the formulas use."""
         return (*self._texts.conditions, *self.of_head)
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
+        """Return the formulas by insertion point, with joint and settings inserted."""
         return self._texts.formulas
 
     @property
     def drivers(self) -> tuple[str, ...]:
+        """Return the names in the formulas that are neither parameters nor settings."""
         return self._texts.drivers
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each parameter, with joint and settings in its name."""
         return self._texts.sizes
 
     def refuse_joints(self, arm: Arm) -> None:
+        """Check that the effect has a joint if it needs one, and that the arm has it. Raises
+        InputError.
+        """
         if "joints" in self.acts_at and self.joint is None:
             raise InputError(f"{self.name}: joint is missing")
         super().refuse_joints(arm)
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
+        """Return the values of settings and the symbols of parameters, by name."""
         settings = {name: getattr(self, name) for name in self.definition.settings}
         return settings | {name: self.value(context, name) for name in self.sizes()}
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts with the one that the definition names."""
         known = COUNTERPARTS.get(self.definition.counterpart)
         return known(self, simulator, v) if known else super().counterpart(simulator, v)
 

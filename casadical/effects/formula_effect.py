@@ -119,6 +119,7 @@ class FormulaEffect(Effect):
         raise NotImplementedError
 
     def refuse_joints(self, arm: Arm) -> None:
+        """Check that joints and payload in the formulas exist in the arm. Raises InputError."""
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
             numbered = _NUMBERED_NAME.fullmatch(name)
@@ -145,6 +146,7 @@ class FormulaEffect(Effect):
         return formula.values({n: known[n] if n in known else variable(context, n, moments) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
+        """Return the energy [J] of the formula, and that of a payload with wrong mass or centre."""
         payload, T = context.arm.payload, context.frames[-1]
         total: Symbolic = sum(self.values_at("energy", context))
         share, shift = (self.values_at(seam, context) for seam in ("payload", "payload shift"))
@@ -158,6 +160,7 @@ class FormulaEffect(Effect):
         return total + -kg * ca.dot(context.gravity, first_moment)
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the formula of its joint as the change of the joint variables, (n,) [rad or m]."""
         moved = ca.SX.zeros(context.arm.n)
         for value in self.values_at("joint", context):
             assert self.joint is not None
@@ -165,14 +168,19 @@ class FormulaEffect(Effect):
         return moved
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return the transform (4, 4) [m] behind a link: growth of all links, or tilt and shift of
+        one.
+        """
         if "growth" in self.formulas:
             return grown_link(number, context, self.values_at("growth", context)[0])
         return self._frame("", context) if number == self.joint else ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
+        """Return the transform (4, 4) [m] of the pedestal by formulas of its tilt and shift."""
         return self._frame("base ", context)
 
     def tool(self, context: Context) -> Symbolic:
+        """Return the transform (4, 4) [m] before the tool by formulas of its tilt and shift."""
         return self._frame("tool ", context)
 
     def _frame(self, where: str, context: Context) -> Symbolic:
@@ -183,6 +191,11 @@ class FormulaEffect(Effect):
         return translate(*shift) if shift else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] with errors of the point, of a distance, and along or across a
+        beam.
+
+        All are in the measuring frame.
+        """
         moved, names = point, dict(zip(_POINT_NAMES, ca.vertsplit(point), strict=True))
         if "point" in self.formulas:
             moved = moved + ca.vertcat(*self.values_at("point", context, names))
@@ -422,6 +435,7 @@ class Law(FormulaEffect):
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
+        """Return its formula, by its insertion point."""
         return {self.seam: parse(self.formula)}
 
     @property
@@ -433,15 +447,18 @@ class Law(FormulaEffect):
 
     @property
     def drivers(self) -> tuple[str, ...]:
+        """Return the names in its formula that are not factors."""
         own = {name for name, _ in self.factors}
         return tuple(name for name in parse(self.formula).names if name not in own)
 
     @property
     def label(self) -> str:
+        """Return its identifier: place and drivers."""
         return f"law at {self.place} by {', '.join(self.drivers)}"
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Return the columns that its formula and insertion point need."""
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
@@ -455,20 +472,28 @@ class Law(FormulaEffect):
         return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:
+        """Check that joints in the law exist in the arm. Raises InputError."""
         super().refuse_joints(arm)
         if self.seam == "joints" and self.count != arm.n:
             raise InputError(f"law: count = {self.count}; robot {arm.name!r} has {arm.n} joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each factor, for `joints` of each joint."""
         unit = SEAMS[self.seam].unit
         if self.seam != "joints":
             return {name: (size, unit) for name, size in self.factors}
         return {f"{name}{j}": (size, unit) for j in range(1, self.count + 1) for name, size in self.factors}
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
+        """Return the symbols of its factors by name; none for `joints`, where each joint has its
+        own.
+        """
         return {name: self.value(context, name) for name, _ in self.factors} if self.seam != "joints" else {}
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the change of the joint variables, (n,) [rad or m], for `joints` of every
+        joint.
+        """
         moved = super().joint_angle(context)
         for j in range(1, context.arm.n + 1) if self.seam == "joints" else ():
             own = {name: variable(context, f"{name}{j}") for name in self.drivers if JOINT_NAME.fullmatch(name)}

@@ -35,6 +35,7 @@ class FrameDrift(Effect):
         return (context.conditions["progress"] + 1e-6) ** self.shape
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] in the measuring frame after the drift so far."""
         when = self.course(context)
         creep = ca.vertcat(*(self.value(context, c) for c in "xyz"))
         turn = ca.vertcat(*(self.value(context, f"r{c}") for c in "xyz"))
@@ -60,9 +61,11 @@ class FrameSettling(FrameDrift):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect with several time constants."""
         return (cls(None, settles=s) for s in (0.02, 0.05, 0.12, 0.3))
 
     def course(self, context: Context) -> Symbolic:
+        """Return the share of the whole motion that has happened, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
 
@@ -91,6 +94,7 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return steps of the measuring frame and of all links but the last, at several times."""
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:
@@ -99,9 +103,13 @@ class FrameStep(Effect):
         return [self.value(context, name) * after for name in self.size]
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return the step of its link's frame as a transform (4, 4) [m]; the identity for
+        others.
+        """
         return small_frame(*self._six(context)) if number == self.joint else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] after a step of the measuring frame."""
         if self.joint is not None:
             return point
         x, y, z, *turn = self._six(context)
@@ -129,6 +137,7 @@ class SmrOffset(Effect):
     size = {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] displaced along, across and above the beam."""
         beam = point - ca.DM(self.station)
         along = beam / ca.sqrt(ca.sumsqr(beam) + 1e-12)
         across = ca.vertcat(-along[1], along[0], 0) / ca.sqrt(along[0] ** 2 + along[1] ** 2 + 1e-12)
@@ -158,10 +167,12 @@ class Session(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return no candidates: sessions are declared, not searched for."""
         return ()
 
     @property
     def label(self) -> str:
+        """Return its identifier, which contains the name of the session."""
         return f"{self.name}_{self.which}"
 
     @property
@@ -171,9 +182,11 @@ class Session(Effect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Return the column that marks its poses."""
         return (self.column,)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return prior standard deviation and unit of each difference from the first session."""
         base = dict.fromkeys(("x", "y", "z"), (1.0, "m")) | dict.fromkeys(("rx", "ry", "rz"), (0.5, "rad"))
         tool = {f"tool_{c}": (0.05, "m") for c in "xyz"}
         zeros = {f"zero{i}": (1e-3, "rad") for i in range(1, self.zeros + 1)}
@@ -184,15 +197,18 @@ class Session(Effect):
         return self.value(context, name) * context.conditions[self.column]
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the differences of the joint zero offsets, (n,) [rad or m], in this session."""
         moved = ca.SX.zeros(context.arm.n)
         for i in range(self.zeros):
             moved[i] = self._now(context, f"zero{i + 1}")
         return moved
 
     def base(self, context: Context) -> Symbolic:
+        """Return the difference of the base frame, (4, 4) [m], in this session."""
         if not self.base_too:
             return ca.SX.eye(4)
         return small_frame(*(self._now(context, name) for name in ("x", "y", "z", "rx", "ry", "rz")))
 
     def tool(self, context: Context) -> Symbolic:
+        """Return the difference of the tool point, (4, 4) [m], in this session."""
         return translate(*(self._now(context, f"tool_{c}") for c in "xyz")) if self.tool_too else ca.SX.eye(4)

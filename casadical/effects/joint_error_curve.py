@@ -56,11 +56,13 @@ class JointErrorCurve(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return one candidate, with curves of all revolute joints."""
         return (
             (cls(None, tuple(TYPICAL_HARMONIC_RAD * (j in arm.revolute) for j in arm.numbers)),) if arm.revolute else ()
         )
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return prior standard deviation and unit of every harmonic of every joint."""
         return {
             f"{wave}{order}_q{joint}": (spread * min(1.0, self.knee / order), "rad")
             for joint, spread in enumerate(self.spread, 1)
@@ -87,6 +89,7 @@ class JointErrorCurve(Effect):
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
+        """Return number of harmonics and prior size of each joint's, in place of parameters."""
         sizes = ", ".join(f"{1e6 * spread:.0f}" for spread in self.spread)
         return ("harmonics of each joint", str(self.orders), ""), ("one sigma of each, joint by joint", sizes, "urad")
 
@@ -95,6 +98,7 @@ class JointErrorCurve(Effect):
         return replace(self, spread=tuple(s * factors.get(j, 1.0) for j, s in enumerate(self.spread, 1)))
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the error of every joint by its curve, (n,) [rad]."""
         moved = ca.SX.zeros(context.arm.n)
         for joint in self.parts:
             values = [
@@ -104,6 +108,7 @@ class JointErrorCurve(Effect):
         return moved
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts without these curves, which it cannot have."""
         why = "a MuJoCo joint has no error that follows its own angle; add dq of `export c --what curves` to ctrl"
         return simulator.without(self.label, why) if any(v.values()) else simulator.noted(f"{self.label}: zero")
 

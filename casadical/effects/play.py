@@ -41,18 +41,22 @@ class Backlash(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect at every joint with all frictions and widths of the grid."""
         return (cls(j, f, f * w) for j in arm.numbers for f in FRICTION_GRID for w in (0.3, 0.6, 1.2))
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Return the column of the direction of approach of its joint."""
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         # Friction holds the link behind its last motion.
+        """Return the shift of the joint towards the flank in contact [rad]."""
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts with backlash in the joint's drive train."""
         if v["half"] <= 0:
             return simulator.without_sign(self.label)
         limits = f"joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad"
@@ -75,13 +79,16 @@ class BacklashByLoad(Backlash):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect at every joint with several widths."""
         return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
 
     @property
     def only_without(self) -> tuple[str, ...]:
+        """Return the column of the approach, with which `Backlash` is the candidate."""
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the shift of the joint towards the flank that gravity pushes it to [rad]."""
         return self.value(context, "half") * ca.tanh(context.load(self.joint) / self.width)
 
 
@@ -107,10 +114,14 @@ class AxisWobble(Effect):
     confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of the sine and cosine of two tilts and two shifts."""
         parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]
         return {p: (25e-6, "rad") if p[0] == "r" else (20e-6, "m") for p in parts}
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return tilt and shift of its joint's axis as a transform (4, 4) [m]; else the
+        identity.
+        """
         if number != self.joint:
             return ca.SX.eye(4)
         q = context.turned(number)
@@ -154,6 +165,7 @@ class BearingPlay(Effect):
     size = {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return tilt and drop of its bearing as a transform (4, 4) [m]; else the identity."""
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T

@@ -66,6 +66,7 @@ class _Series(_Smooth):
         return {f"q{i}_{n}": (TYPICAL_ANGLE_RAD * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the error of every joint by its series, shape (n,) [rad]."""
         terms = self.terms(context)
         return ca.vertcat(
             *(sum(self.value(context, f"q{i}_{n}") * f for n, _, f in terms) for i in range(1, self.moved + 1))
@@ -83,9 +84,11 @@ class SmoothInJoint(_Series):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect for every joint as the driver."""
         return (cls(None, arm.n, i) for i in arm.numbers)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return sines and cosines of the driver's angle up to the fourth harmonic."""
         q = context.q[self.driver - 1] if context else 0.0
         return [(f"{name}{h}", 1 / h, f(h * q)) for h in (1, 2, 3, 4) for name, f in (("s", ca.sin), ("c", ca.cos))]
 
@@ -101,9 +104,11 @@ class AnyOfOwnAngle(_Smooth):
     words = "any function of q{joint} in joint {joint}"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each harmonic."""
         return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the error of its joint [rad], a Fourier series of its own angle q."""
         return self._harmonics(context, q)
 
 
@@ -119,12 +124,15 @@ class AnyOfOtherAngle(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect for every joint, with every other revolute joint as the driver."""
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each harmonic."""
         return {f"{n}{h}": (2 * TYPICAL_ANGLE_RAD / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the error of its joint [rad], a Fourier series of the driver's angle."""
         return self._harmonics(context, context.q[self.driver - 1])
 
 
@@ -140,9 +148,11 @@ class SmoothInJoints(_Series):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect for every pair of joints."""
         return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return the products of sines and cosines of both angles."""
         a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
         parts = (("s", ca.sin), ("c", ca.cos))
         return [(f"{m}{n}", 1.0, f(a) * g(b)) for m, f in parts for n, g in parts]
@@ -157,10 +167,12 @@ class SmoothInTime(_Series):
     needs = ("progress",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return cosines of time up to the sixth harmonic."""
         t = context.conditions["progress"] if context else 0.0
         return [(f"t{h}", 1 / h, ca.cos(ca.pi * h * t)) for h in (1, 2, 3, 4, 5, 6)]
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each term, for joints, measuring frame and tool."""
         points = {
             f"{w}{c}_{n}": (TYPICAL_LENGTH_M * s, "m")
             for w in ("m", "e")
@@ -170,9 +182,11 @@ class SmoothInTime(_Series):
         return {**super().sizes(), **points}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] displaced with the measuring frame."""
         return point + self._moved(context, "m")
 
     def tool(self, context: Context) -> Symbolic:
+        """Return the displacement of the tool as a transform (4, 4) [m]."""
         T = ca.SX.eye(4)
         T[:3, 3] = self._moved(context, "e")
         return T
@@ -202,9 +216,11 @@ class WarmUp(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect with several time constants."""
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of the drift of each zero and of the growth of links."""
         return {f"q{i}": (TYPICAL_ANGLE_RAD, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
 
     def _warmth(self, context: Context) -> Symbolic:
@@ -212,9 +228,11 @@ class WarmUp(_Smooth):
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
     def joint_angle(self, context: Context) -> Symbolic:
+        """Return the drift of all joint zeros so far, shape (n,) [rad or m]."""
         return self._warmth(context) * ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, self.moved + 1)))
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return the growth of a link so far as a transform (4, 4) [m]."""
         return grown_link(number, context, self.value(context, "growth") * self._warmth(context))
 
 
@@ -232,13 +250,16 @@ class SmoothInSpace(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return one candidate, scaled by the reach of the arm."""
         return (cls(None, max(arm.reach, 0.1)),)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each coefficient of the quadratic polynomials."""
         products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
         return {f"{c}_{p}": (TYPICAL_LENGTH_M, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point (3,) [m] displaced by a quadratic polynomial of itself."""
         x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
         moved = ca.SX.zeros(3)
         for name in self.sizes():
@@ -259,9 +280,11 @@ class SmoothInLoad(_Series):
 
     @property
     def conditions(self) -> tuple[str, ...]:
+        """Return the columns of the directions of approach of all joints."""
         return tuple(f"approach{i}" for i in range(1, self.moved + 1))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return gravity in the flange frame, saturating loads, and directions of approach."""
         if context is None:
             down, loads, sides = [0.0] * 3, [0.0] * self.moved, [0.0] * self.moved
         else:

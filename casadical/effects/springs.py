@@ -41,9 +41,11 @@ class GravityCompensator(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect at joint 2 with all settings of the grid."""
         return (effect for effect in super().candidates(arm) if effect.joint == 2)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the deflection of the joint by the torque of the spring [rad]."""
         assert self.joint is not None
         turn = q + context.values[f"theta{self.joint}"] - self.phase
         length = ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * ca.cos(turn)) / self.anchor
@@ -52,6 +54,7 @@ class GravityCompensator(Effect):
         return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts with a balancing spring."""
         if not self.joint or simulator.drive(self.joint).compliance <= 0:
             return simulator.without_sign(self.label)
         great = simulator.great(self.joint)
@@ -85,9 +88,11 @@ class HoseDrag(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return the effect for arms of six joints or more."""
         return super().candidates(arm) if arm.n >= 6 else ()
 
     def energy(self, context: Context) -> Symbolic:
+        """Return the potential energy [J] of the hose by its length from the clip to the load."""
         arm, n = context.arm, context.arm.n
         elbow, wrist = context.frames[n - 4], context.frames[n - 3][:3, 3]
         forearm = wrist - elbow[:3, 3]
@@ -128,6 +133,7 @@ class LinkMasses(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
+        """Return one candidate if the arm has elastic joints and uncertain masses, else none."""
         width = arm.body_width
         there = [bool(j.body and j.body.mass > 0) for j in arm.joints]
         share = tuple(width.share * yes for yes in there)
@@ -136,11 +142,13 @@ class LinkMasses(Effect):
         return (cls(None, share, centre),) if compliant and (any(share) or (width.centre and any(centre))) else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return prior standard deviation and unit of each mass and coordinate of a mass centre."""
         masses = {f"m{i}": (size, "kg/kg") for i, size in enumerate(self.share, 1) if size}
         return masses | {f"{c}{i}": (size, "m") for i, size in enumerate(self.centre, 1) if size for c in "xyz"}
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
+        """Return the prior standard deviations of all links, in place of parameters."""
         centres = ", ".join(f"{1e3 * size:.0f}" for size in self.centre)
         return (
             ("one sigma of each mass", ", ".join(f"{100 * size:.0f}" for size in self.share), "%"),
@@ -148,6 +156,7 @@ class LinkMasses(Effect):
         )
 
     def energy(self, context: Context) -> Symbolic:
+        """Return the potential energy [J] of the differences from the declared masses."""
         total: Symbolic = 0.0
         for i, (joint, T) in enumerate(zip(context.arm.joints, context.frames, strict=True), 1):
             if joint.body and (self.share[i - 1] or self.centre[i - 1]):
@@ -207,11 +216,13 @@ class BaseCompliance(Effect):
     size = {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
 
     def base(self, context: Context) -> Symbolic:
+        """Return the tilt of the pedestal under the moment of weight as a transform (4, 4) [m]."""
         moment = context.moment(1, ca.vertcat(0, 0, -self.below)) / context.great_moment
         rx, ry = (self.value(context, name) * moment[k] for k, name in enumerate(("rx", "ry")))
         return translate(0, 0, -self.below) @ small_frame(0, 0, 0, rx, ry, 0) @ translate(0, 0, self.below)
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts with hinges of the pedestal."""
         return replace(simulator.with_springs(self.label, v, 0), base_below=self.below)
 
 
@@ -260,14 +271,17 @@ class LinkFlexure(Effect):
             yield from (*((e,) for e in links), links)
 
     def refuse_joints(self, arm: Arm) -> None:
+        """Check that its link exists and is not the last one. Raises InputError."""
         super().refuse_joints(arm)
         if self.member == arm.n:
             raise InputError(f"{self.name}: member = {arm.n} is the last link; allowed: links between two joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of the rotation of the link's end about each axis."""
         return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
 
     def link(self, number: int, context: Context) -> Symbolic:
+        """Return slope and sag of its end as a transform (4, 4) [m]; the identity for others."""
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
@@ -291,4 +305,5 @@ class LinkFlexure(Effect):
         )
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
+        """Return a simulator's counterparts with hinges in the link."""
         return simulator.with_springs(self.label, v, self.member, spread=self.spread)

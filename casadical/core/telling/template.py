@@ -117,6 +117,7 @@ def template_blocks(path: Path, result: Any, block: str = "", **more: Any) -> li
     made: list[Block | Sequence[Block]] = []
 
     def put(blocks: Block | Sequence[Block]) -> str:
+        """Return a tag that stands for blocks until the template is rendered."""
         made.append(blocks)
         return tag(f"put {len(made) - 1}")
 

@@ -143,6 +143,7 @@ class Discovery(Result):
         return f"{'; '.join(self.lines)}; {left} (casadical diagnose --laws --out DIR has it in a robot file)"
 
     def blocks(self) -> list[Block]:
+        """Return the report: laws with factors, rivals, held-out errors and the best model."""
         several = len(self.rounds) > 1
         title = "Laws that compete"
         each = [_table(r, f"{title}, round {k}" if several else title) for k, r in enumerate(self.rounds, 1)]
@@ -242,16 +243,19 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     unit, factor = REPORT_UNITS[SEAMS[law.seam][1]]
 
     def shown(name: str) -> str:
+        """Return a factor as text: its value in the unit of reports, or its name."""
         if values is not None and law.seam == "joints":
             each = (factor * values[f"{name}{j}"] for j in range(1, law.count + 1))
             return f"[{', '.join(f'{v:.3g}' for v in each)}]"
         return name if values is None or name not in values else f"{factor * values[name]:.3g}"
 
     def vector(found: re.Match[str]) -> str:
+        """Return a vector of factors as text."""
         inside = ", ".join(shown(n) for n in found[1].split(", "))
         return f"[{inside}]{'' if values is None else f' {unit}'} * "
 
     def scalar(found: re.Match[str]) -> str:
+        """Return a single factor as text."""
         return f"{found[1]}{shown(found[2])}{'' if values is None else f' {unit}'} * "
 
     text = re.sub(r"\[(\w(?:, \w){2})\]\*", vector, law.formula)

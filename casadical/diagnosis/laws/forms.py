@@ -225,6 +225,7 @@ def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]
     """Return the grid of k and w; shares : widths as shares of the driver's range."""
 
     def grid(x: Array) -> Array:
+        """Return the pairs of k and w for a driver's values."""
         k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
         w = np.array(shares) * np.ptp(x)
         return rounded(np.array([(a, b) for a in k for b in w]))

@@ -318,6 +318,7 @@ def refined_settings(
     """
 
     def evidences(trial: Sequence[Chosen]) -> Array:
+        """Return the exact log evidence of each choice."""
         return problem.evidences([of.column(place, s)[1][poses] for of, place, s in trial])
 
     best: Chosen = (tried, seam, settings)
