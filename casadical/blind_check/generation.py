@@ -1,4 +1,7 @@
-"""Make a blind check: public campaigns, and in another folder the key, whose hash is published with them."""
+"""Generation of a blind check: public campaigns, and in another folder the key.
+
+The hash of the key is published with the campaigns.
+"""
 
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -13,9 +16,9 @@ from scipy.linalg import orth
 
 from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
-from casadical.blind_check.mujoco_physics.table import MEASURED, TRUE
+from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS, TRUE_COLUMNS
 from casadical.blind_check.prediction import nominal
-from casadical.blind_check.recording import COLUMNS, POSES, Plan, Record, Subject, draw_plans, record
+from casadical.blind_check.recording import COLUMN_PREFIXES, POSE_COUNTS, Plan, Record, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
@@ -31,28 +34,38 @@ from casadical.robot.robot_file import to_toml
 
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
-    """Columns of the base model, shape (n, 3, P), calibrated on a campaign without effects."""
+    """Return the base model's columns, calibrated on a campaign without effects, (n, 3, P)."""
     fit = base_calibrated(prepare(robot, clean))
     m, _ = derive(clean, robot.conditions, robot.loads)
     return signatures(robot, (), m, robot.values_of(fit.robot))[1]
 
 
 def unabsorbed_rms(J: Array, shift: Array) -> float:
-    """Root mean square [m] of a shift, shape (n, 3) [m], orthogonal to the base model's columns, shape (n, 3, P)."""
+    """Return the rms of the part of a shift that the base model cannot absorb [m].
+
+    J : the base model's columns, shape (n, 3, P); shift : shape (n, 3) [m]"""
     A = J.reshape(shift.size, -1)
-    # Some columns of the base model depend on others; without a cut by rank these would add arbitrary directions.
+    # Some columns of the base model are linearly dependent; without a rank threshold they would add
+    # arbitrary directions.
     Q = orth(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), rcond=1e-9)
     left = shift.ravel() - Q @ (Q.T @ shift.ravel())
     return float(np.sqrt(np.mean(left**2)))
 
 
-UNSEEN = 50
-LEAST_POSES = 20
+# Number of poses of a campaign whose positions are only in the key.
+UNSEEN_POSES = 50
+# With fewer poses in a campaign no robot can be identified.
+MIN_POSES = 20
 
 
 @dataclass(frozen=True, eq=False)
 class Campaign:
-    """The texts of a campaign's tables, and what it hides."""
+    """A campaign before it is written.
+
+    name : of the campaign
+    seen, unseen : CSV text of the measured poses, and of the unseen ones without positions
+    secret : what it hides
+    """
 
     name: str
     seen: str
@@ -66,30 +79,33 @@ def make(
     n: int,
     seed: int | None = None,
     *,
-    poses: Sequence[int] = POSES,
+    poses: Sequence[int] = POSE_COUNTS,
     project: str | Path = ".",
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
     also: Callable[[protocol.Manifest], Mapping[Path, str]] = lambda _: {},
 ) -> protocol.Manifest:
-    """Write n campaigns to a folder and their key to another, and publish the key's hash with the campaigns.
+    """Write n campaigns to a folder and their key to another, and return the manifest.
+
+    The manifest contains the hash of the key.
 
     seed : of everything drawn, kept in the key; by default a random one, which a real test needs
-    poses : numbers of poses of a campaign, one of these; each has 50 more whose positions are only in the key
-    project : folder with problems/ and data/; executor : of `concurrent.futures`' kind, by default a process for each
-        core
+    poses : possible numbers of poses of a campaign; each has 50 more whose positions are only in
+        the key
+    project : folder with problems/ and data/
+    executor : of `concurrent.futures`' kind, by default a process for each core
     show : called with a campaign's name, how many are done, and how many there are
-    also : further files that appear with them or not at all
+    also : returns further files, which are written together with the campaigns
     Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
     """
     folder, key_folder = Path(folder), Path(key)
     if n < 4:
         raise InputError(f"n is {n}; a blind check needs at least 4 campaigns, one of each kind")
-    if not poses or min(poses) < LEAST_POSES:
-        raise InputError(f"poses of {list(poses)}; a campaign needs at least {LEAST_POSES}, or no robot is identified")
+    if not poses or min(poses) < MIN_POSES:
+        raise InputError(f"poses of {list(poses)}; a campaign needs at least {MIN_POSES}, or no robot is identified")
     if key_folder.resolve() == folder.resolve() or folder.resolve() in key_folder.resolve().parents:
         raise InputError(f"{key}: the key must lie apart from the campaigns in {folder}; name another folder")
-    for path in (folder / protocol.MANIFEST, key_folder / protocol.KEY):
+    for path in (folder / protocol.MANIFEST_FILE, key_folder / protocol.KEY_FILE):
         if path.exists():
             raise InputError(f"{path}: is there already; name a new folder, or delete that check first")
     seed = secrets.randbits(62) if seed is None else seed
@@ -121,19 +137,24 @@ def make(
         key_sha256=protocol.sha256(inside.text().encode()),
         campaigns={p.name: protocol.CampaignEntry(robot=p.robot) for p in todo},
     )
-    # The key first: campaigns whose key was lost would be of no use.
-    texts = {key_folder / protocol.KEY: inside.text()}
-    texts |= {folder / protocol.ROBOTS / f"{name}.robot.toml": subject.model for name, subject in subjects.items()}
+    # The key is written first, because campaigns without a key would be useless.
+    texts = {key_folder / protocol.KEY_FILE: inside.text()}
+    texts |= {
+        folder / protocol.ROBOTS_FOLDER / f"{name}.robot.toml": subject.model for name, subject in subjects.items()
+    }
     texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
     texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
-    texts |= {folder / protocol.MANIFEST: manifest.model_dump_json(indent=1) + "\n"}
+    texts |= {folder / protocol.MANIFEST_FILE: manifest.model_dump_json(indent=1) + "\n"}
     with claimed([folder, key_folder]):
         write_together({**texts, **also(manifest)})
     return manifest
 
 
 def engine_versions() -> dict[str, str]:
-    """Of the packages on which campaigns depend. Raises InputError if one is not installed."""
+    """Return the versions of the packages on which campaigns depend.
+
+    Raises InputError if one is not installed.
+    """
     try:
         return {name: version(name) for name in ("mujoco", "numpy")}
     except PackageNotFoundError as error:
@@ -141,36 +162,36 @@ def engine_versions() -> dict[str, str]:
 
 
 def campaign_of(subject: Subject, plan: Plan) -> Campaign:
-    """One campaign of a plan; runs in a worker."""
+    """Return one campaign of a plan; this runs in a worker."""
     rng = np.random.default_rng([plan.seed, 2])
-    # Among the others, so that nothing has to be predicted beyond the campaign's time and temperature.
-    kept = np.ones(plan.poses + UNSEEN, dtype=bool)
-    kept[1 + rng.choice(len(kept) - 2, UNSEEN, replace=False)] = False
+    # Unseen poses lie between measured ones, so that no time or temperature is extrapolated.
+    kept = np.ones(plan.poses + UNSEEN_POSES, dtype=bool)
+    kept[1 + rng.choice(len(kept) - 2, UNSEEN_POSES, replace=False)] = False
     poses = None if subject.poses is None else with_poses_between(subject.poses, kept)
-    # If a session finds no equilibrium, all except the plan is drawn again, at most five times.
+    # If a session finds no equilibrium, everything but the plan is drawn again, up to five times.
     for retry in range(6):
         plan = replace(plan, seed=plan.seed + min(retry, 1))
         try:
-            recorded = record(subject, plan, plan.poses + UNSEEN, poses)
+            recorded = record(subject, plan, plan.poses + UNSEEN_POSES, poses)
             break
         except ConvergenceError:
             if retry == 5:
                 raise
-    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMNS[word])]
-    shown = recorded.session.drop(columns=[*struck, *TRUE])
+    struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMN_PREFIXES[word])]
+    shown = recorded.session.drop(columns=[*struck, *TRUE_COLUMNS])
     unseen = recorded.session[~kept]
     return Campaign(
         name=plan.name,
         seen=shown[kept].to_csv(index=False),
-        unseen=shown[~kept].drop(columns=MEASURED).to_csv(index=False),
+        unseen=shown[~kept].drop(columns=MEASURED_COLUMNS).to_csv(index=False),
         secret=_secret(plan, recorded, kept, subject.model, unseen),
     )
 
 
 def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
-    """Given poses where the mask says so, and between them poses on the way to the next one.
+    """Return given poses where the mask is true, and poses on the way to the next one elsewhere.
 
-    There the payload is still that of the pose before, and the joints come from where they come to the next one.
+    The latter have the payload of the pose before and the approach directions of the next one.
     """
     place = np.cumsum(kept) - 1.0
     for k in np.flatnonzero(~kept):
@@ -190,12 +211,13 @@ def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
 
 
 def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
+    """Return what a campaign hides, with the visible size of each effect."""
     robot = nominal(model)
-    clean = from_table(recorded.clean[kept].drop(columns=TRUE), [j.kind for j in robot.joints], "position")
+    clean = from_table(recorded.clean[kept].drop(columns=TRUE_COLUMNS), [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
-        shift = table[MEASURED].to_numpy(float) - recorded.clean[MEASURED].to_numpy(float)
+        shift = table[MEASURED_COLUMNS].to_numpy(float) - recorded.clean[MEASURED_COLUMNS].to_numpy(float)
         return round(unabsorbed_rms(J, 1e-3 * shift[kept]), 9)
 
     together = seen(recorded.session)
@@ -212,10 +234,11 @@ def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.Da
         noise=plan.noise,
         repeatability=plan.repeatability,
         visible=together,
-        measured_mm=_rows(unseen, MEASURED),
-        true_mm=_rows(unseen, TRUE),
+        measured_mm=_rows(unseen, MEASURED_COLUMNS),
+        true_mm=_rows(unseen, TRUE_COLUMNS),
     )
 
 
 def _rows(table: pd.DataFrame, columns: list[str]) -> tuple[tuple[float, float, float], ...]:
+    """Return columns of a table as rounded tuples [mm]."""
     return tuple((round(x, 4), round(y, 4), round(z, 4)) for x, y, z in table[columns].to_numpy(float).tolist())

@@ -1,9 +1,11 @@
-"""The metrics of a blind check, each with its interval, of what was hidden beside what was answered.
+"""Metrics of a blind check, each with its 95 % interval, from hidden effects and answers.
 
-Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb, over the instrument's
-noise. Detection, false alarms and FIA are counted as in the DX diagnosis competitions; the others are ours. Intervals
-are 95 %: shares by Wilson's score (1927), means and quantiles by the bootstrap (Efron 1979), written here again because
-the bootstrap of the diagnosis is part of what is judged.
+Signal is the rms of a coordinate that the hidden effects add and the base model cannot absorb,
+divided by the instrument's noise. Detection, false alarms and FIA (fault isolation accuracy) are
+counted as in the DX diagnosis competitions; the other metrics are casadical's. Intervals of shares
+are Wilson's score intervals (1927), those of means and quantiles come from the bootstrap (Efron
+1979). The bootstrap is implemented here again, because that of the diagnosis is part of what is
+judged.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,14 +20,21 @@ from casadical.core.basics import Array
 
 @dataclass(frozen=True)
 class Outcome:
-    """One campaign.
+    """What was hidden in one campaign, and what was answered.
 
-    kind : none, one, several, unlisted; effects : names of what is hidden; truth : labels that a right answer names
-    signal, signals : rms that the base model cannot absorb over the noise, of all effects and of each alone
-    verdict, named : the answer, its causes by label; alike : the set of the first cause, itself included
-    probability : given to the truth (the mean, where there are several)
-    predicted, realised : share by which the gap shrinks, as the answer says and at the unseen poses
-    before, after : mean error at the unseen poses [m], by the base model and with the named causes
+    name, robot, poses : of the campaign
+    kind : none, one, several or unlisted
+    missing : column that was not logged, or None
+    effects : names of the hidden effects
+    truth : labels that a right answer names
+    signal : rms of all effects that the base model cannot absorb, over the noise
+    signals : the same of each effect alone
+    verdict, named : the answer, and its causes by label
+    alike : the set of indistinguishable causes with the first one, itself included
+    probability : that the answer gives to the truth (the mean, where there are several)
+    predicted, realised : share by which the gap shrinks, as predicted by the answer and at the
+        unseen poses
+    before, after : mean error at the unseen poses [m], of the base model and with the named causes
     """
 
     name: str
@@ -48,28 +57,32 @@ class Outcome:
 
     @property
     def detected(self) -> bool:
+        """Whether the answer reports anything."""
         return self.verdict != "none"
 
     @property
     def alarmed(self) -> bool:
-        """Whether it reports something that is not there: a cause, or one that it does not know."""
+        """Whether the answer reports a cause that is not there, or an unknown one."""
         return self.verdict in ("ambiguous", "unknown") or any(text not in self.truth for text in self.named)
 
     @property
     def claimed(self) -> bool:
+        """Whether the answer claims to explain the gap."""
         return self.verdict == "explained"
 
     @property
     def wrong_claims(self) -> tuple[str, ...]:
+        """The claimed causes that are not there."""
         return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
 
     @property
     def first_right(self) -> bool:
-        """Whether the causes named first are those that are hidden, in name and joint, in any order."""
+        """Whether the causes named first are the hidden ones, with their joints, in any order."""
         return bool(self.truth) and set(self.truth) <= set(self.named[: len(self.truth)])
 
 
 def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
+    """Return the outcome of a campaign from its secret and its answer."""
     named = tuple(dict.fromkeys(c.label for c in answer.causes))
     before, after = unseen_errors(secret, answer, "outliers" in named)
     wanted = secret.truth or ("none" if secret.kind == "none" else "unknown",)
@@ -96,23 +109,28 @@ def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
 
 
 def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple[float, float]:
-    """Mean error at the unseen poses [m], by the base model and with the named causes.
+    """Return the mean errors at the unseen poses [m], of the base model and with the named causes.
 
-    Where the answer names outliers, those of the instrument are left out of the second: they are no error of the robot.
+    If the answer names outliers, those of the instrument are excluded from the second, because they
+    are no error of the robot.
     """
     measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
     base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)
     before, after = np.linalg.norm(measured - base, axis=1), np.linalg.norm(measured - better, axis=1)
     if outliers_named:
         noise = np.abs(measured - true)
-        # Beyond eight robust standard deviations, a coordinate is an outlier of the instrument.
+        # A coordinate beyond eight robust standard deviations is an outlier of the instrument.
         after = after[noise.max(axis=1) <= 8.0 * 1.4826 * float(np.median(noise))]
     return 1e-3 * float(before.mean()), 1e-3 * float(after.mean())
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate and its interval, None where there is no data; n : campaigns (or claims); hits : of a share."""
+    """An estimate and its 95 % interval; None without data.
+
+    n : number of campaigns or claims
+    hits : number of positive ones, for a share
+    """
 
     value: float | None
     low: float | None
@@ -128,6 +146,7 @@ class Estimate:
 
 
 def share(hits: Sequence[bool]) -> Estimate:
+    """Return the share of positive cases with Wilson's score interval."""
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
@@ -138,7 +157,10 @@ def share(hits: Sequence[bool]) -> Estimate:
 
 
 def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> Estimate:
-    """A statistic of values; it takes them along the last axis."""
+    """Return a statistic of values with its bootstrap interval.
+
+    statistic : function that takes the values along the last axis
+    """
     if not len(values):
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
@@ -148,30 +170,36 @@ def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> E
 
 
 def mean(values: Sequence[float]) -> Estimate:
+    """Return the mean with its bootstrap interval."""
     return bootstrap(values, lambda x: np.asarray(x.mean(axis=-1)))
 
 
 def quantile(values: Sequence[float], q: float) -> Estimate:
+    """Return a quantile with its bootstrap interval."""
     return bootstrap(values, lambda x: np.asarray(np.quantile(x, q, axis=-1)))
 
 
-STRONG, DETECTABLE, FAINT = 0.5, 0.35, 0.2
+# Signals (rms over noise) from which on effects count as strong, as detectable, and as faint.
+STRONG_SIGNAL = 0.5
+DETECTABLE_SIGNAL = 0.35
+FAINT_SIGNAL = 0.2
 
 
 def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
-    """Return the metrics by name, each with its interval, and what the project aims at."""
+    """Return the metrics by name, each with its interval and the project's target."""
     none, one, several, off = (of_kind(outcomes, kind) for kind in ("none", "one", "several", "unlisted"))
     hidden = [t for t in outcomes if t.kind != "none"]
-    pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE]
-    visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= DETECTABLE]
-    # The number of outliers among fifty poses is random, and no error of the robot: counted separately.
+    pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE_SIGNAL]
+    visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= DETECTABLE_SIGNAL]
+    # Answers with outliers are counted separately: their number among fifty poses is random, and
+    # they are no error of the robot.
     wrong, every = shrink_errors([t for t in outcomes if "outliers" not in t.named]), shrink_errors(outcomes)
     left = [t.after / t.before for t in detectable(outcomes) if t.kind in ("one", "several")]
     return {
         "false alarms where there is nothing": (false_alarms(none), "at most .01"),
-        "detection, signal >= .5": (detection(hidden, STRONG), ".99"),
-        "detection, signal .35 to .5": (detection(hidden, DETECTABLE, STRONG), ".90"),
-        "detection, signal .2 to .35": (detection(hidden, FAINT, DETECTABLE), ""),
+        "detection, signal >= .5": (detection(hidden, STRONG_SIGNAL), ".99"),
+        "detection, signal .35 to .5": (detection(hidden, DETECTABLE_SIGNAL, STRONG_SIGNAL), ".90"),
+        "detection, signal .2 to .35": (detection(hidden, FAINT_SIGNAL, DETECTABLE_SIGNAL), ""),
         "one effect: first cause right, signal >= .35": (share([t.first_right for t in detectable(one)]), ""),
         "FIA: probability of the true cause, signal >= .35": (isolation(detectable(one)), ".92"),
         "FIA over all campaigns with one effect": (isolation(one), ""),
@@ -192,45 +220,54 @@ def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
 
 
 def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
+    """Return the outcomes of campaigns of one kind."""
     return [t for t in outcomes if t.kind == kind]
 
 
 def detectable(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Those whose signal is large enough to be found."""
-    return [t for t in outcomes if t.signal >= DETECTABLE]
+    """Return the outcomes whose signal is large enough to be detected."""
+    return [t for t in outcomes if t.signal >= DETECTABLE_SIGNAL]
 
 
 def false_alarms(none: Sequence[Outcome]) -> Estimate:
-    """Answers that report something that is not there."""
+    """Return the share of answers that report something that is not there."""
     return share([t.alarmed for t in none])
 
 
 def detection(hidden: Sequence[Outcome], low: float, high: float = float("inf")) -> Estimate:
-    """Of signals from low to high, those answered by anything but none."""
+    """Return the share of detected campaigns among those with a signal from low to high."""
     return share([t.detected for t in hidden if low <= t.signal < high])
 
 
 def isolation(outcomes: Sequence[Outcome]) -> Estimate:
-    """FIA: mean probability given to the truth."""
+    """Return the mean probability given to the truth (FIA)."""
     return mean([t.probability for t in outcomes])
 
 
 def claims_right(one: Sequence[Outcome]) -> Estimate:
+    """Return the share of claims that are right."""
     return share([t.first_right for t in one if t.claimed])
 
 
 def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
+    """Return the share of answers that claim an explanation."""
     return share([t.claimed for t in outcomes])
 
 
 def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
-    """Difference of predicted and realised shrink of the gap, where a cause is named."""
+    """Return |predicted - realised| shrink of the gap, where a cause is named."""
     return [abs(t.predicted - t.realised) for t in outcomes if t.named]
 
 
 def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]]:
-    """Outcomes in parts: by poses, signal, column that was not logged, robot, and effect."""
-    bands = [(0.0, FAINT), (FAINT, DETECTABLE), (DETECTABLE, STRONG), (STRONG, 1.0), (1.0, float("inf"))]
+    """Return the outcomes in parts: by poses, signal, missing column, robot, and effect."""
+    bands = [
+        (0.0, FAINT_SIGNAL),
+        (FAINT_SIGNAL, DETECTABLE_SIGNAL),
+        (DETECTABLE_SIGNAL, STRONG_SIGNAL),
+        (STRONG_SIGNAL, 1.0),
+        (1.0, float("inf")),
+    ]
     words = [*(f"{low:g} .. {high:g}" for low, high in bands[:-1]), ">= 1"]
     hidden = [t for t in outcomes if t.kind != "none"]
     return {
@@ -244,11 +281,12 @@ def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]
 
 
 def _parts(outcomes: Sequence[Outcome], word: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
+    """Return the outcomes grouped by a word."""
     return {w: [t for t in outcomes if word(t) == w] for w in sorted({word(t) for t in outcomes})}
 
 
 def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
-    """The metrics that are counted for each part."""
+    """Return the metrics that are computed for each part."""
     one = of_kind(part, "one")
     return {
         "false alarms": false_alarms(of_kind(part, "none")),

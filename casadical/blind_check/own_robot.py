@@ -1,4 +1,8 @@
-"""How often a diagnosis of a robot of one's own would be right: hidden campaigns of it, diagnosed, and counted."""
+"""Blind check of a user's own robot: how often a diagnosis of it would be right.
+
+Simulated campaigns of the robot with hidden effects are diagnosed, and the right answers are
+counted.
+"""
 
 import json
 import secrets
@@ -13,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.blind_check import metrics
-from casadical.blind_check.generation import LEAST_POSES, campaign_of, engine_versions
+from casadical.blind_check.generation import MIN_POSES, campaign_of, engine_versions
 from casadical.blind_check.metrics import Estimate, Outcome, detectable, detection, of_kind, outcome, share
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
@@ -22,7 +26,7 @@ from casadical.blind_check.mujoco_physics.plant import Building, home_frames
 from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.prediction import answer_campaign
 from casadical.blind_check.protocol import Answer
-from casadical.blind_check.recording import COLUMNS, Plan, Subject, draw_plans
+from casadical.blind_check.recording import COLUMN_PREFIXES, Plan, Subject, draw_plans
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.parts import lacks_masses, with_estimated_masses
@@ -34,20 +38,30 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-REPEATABILITY = 5e-6  # rad, or m of a prismatic joint
-SOFT, RIGID = 3e-4, 2e-6  # deflection at the rated torque [rad or m]: stiffness not in the file, and joint without any
-MASS_SPREAD = 0.3  # of the logarithm of masses that are estimated
+# Standard deviation of a joint about its reading [rad, or m of a prismatic joint].
+JOINT_REPEATABILITY = 5e-6
+# Deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
+DEFLECTION_UNKNOWN_STIFFNESS = 3e-4
+# Deflection at the rated torque of a joint that the file takes as rigid [rad or m].
+DEFLECTION_RIGID = 2e-6
+# Standard deviation of the logarithm of estimated masses.
+LOG_MASS_SIGMA = 0.3
 
 
 def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject, tuple[str, ...]]:
-    """A robot as the check uses it, and what had to be assumed; poses : to measure, as they were logged, None: drawn.
+    """Return a robot as the check simulates it, and sentences on what had to be assumed.
 
+    poses : poses to measure, as they were logged; None: drawn at random
     Raises InputError: what cannot be simulated.
     """
     _refuse(robot)
     assumed = []
     table = None if poses is None else _in_order(poses, _turns(robot))
-    taken = [word for word, start in COLUMNS.items() if table is not None and any(table.columns.str.startswith(start))]
+    taken = [
+        word
+        for word, start in COLUMN_PREFIXES.items()
+        if table is not None and any(table.columns.str.startswith(start))
+    ]
     if taken:
         assumed.append(f"{', '.join(taken)} as in the table of poses")
     if "temperature" not in taken:
@@ -65,8 +79,8 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
     )
     weighed = with_estimated_masses(robot) if lacks_masses(robot) else robot
     if weighed.masses == "estimated":
-        building = replace(building, mass_spread=MASS_SPREAD)
-        assumed.append(f"masses of the links are estimates from the reach, each off by some {MASS_SPREAD:.0%}")
+        building = replace(building, mass_spread=LOG_MASS_SIGMA)
+        assumed.append(f"masses of the links are estimates from the reach, each off by some {LOG_MASS_SIGMA:.0%}")
     if "payload" not in taken:
         both = "no payload and {:g} kg in turns, or the latter alone where it is not logged"
         assumed.append(both.format(robot.payload.mass) if robot.payload else "no payload, for the file has none")
@@ -78,8 +92,8 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
 
 
 def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
-    """Poses in the order in which they were taken, with what was logged of them, as columns of a campaign."""
-    logged = {k: c for k, c in poses.conditions.items() if k.startswith(tuple(COLUMNS.values()))}
+    """Return poses and logged quantities in the order of measuring, as a campaign's columns."""
+    logged = {k: c for k, c in poses.conditions.items() if k.startswith(tuple(COLUMN_PREFIXES.values()))}
     if "time_s" in logged:
         logged["time_s"] = logged["time_s"] - logged["time_s"].min() + SECONDS_A_POSE
     shown = np.where(turns, np.rad2deg(poses.q), 1e3 * poses.q)
@@ -89,7 +103,7 @@ def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
 
 
 def _refuse(robot: Robot) -> None:
-    """Raises InputError for a structure that the engine's robots do not have."""
+    """Check that the robot's structure can be simulated. Raises InputError."""
     coupled = [str(i) for i, j in enumerate(robot.joints, 1) if j.coupling is not None]
     faults = {
         f"joint {', '.join(coupled)} follows other joints or is locked": bool(coupled),
@@ -107,11 +121,12 @@ def _refuse(robot: Robot) -> None:
 
 
 def _turns(robot: Robot) -> Array:
+    """Return whether each joint is revolute, shape (joints,)."""
     return np.array([j.kind == "revolute" for j in robot.joints])
 
 
 def _drawing(robot: Robot) -> Plant:
-    """The numbers of a robot file as the physics takes them; its kinematics are computed there again."""
+    """Return a robot file's numbers for the physics, which computes the kinematics itself."""
     joints, bar = robot.joints, robot.loops[0] if robot.loops else None
     gravity = robot.gravity if robot.gravity_frame != "base" else robot.base.T[:3, :3] @ robot.gravity
     return Plant(
@@ -141,14 +156,17 @@ def _drawing(robot: Robot) -> Plant:
 
 
 def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
-    """Of every joint [N m/rad or N/m], and what was assumed of it."""
+    """Return the stiffness of every joint [N m/rad or N/m], and what was assumed of it."""
     given = [joint.compliance for joint in robot.joints]
     values = [
-        1 / c if c else torque / (RIGID if c is None else SOFT)
+        1 / c if c else torque / (DEFLECTION_RIGID if c is None else DEFLECTION_UNKNOWN_STIFFNESS)
         for c, torque in zip(given, rated_torque(nominal), strict=True)
     ]
     assumed = []
-    for compliance, word, size in ((0.0, "no stiffness", SOFT), (None, "rigid", RIGID)):
+    for compliance, word, size in (
+        (0.0, "no stiffness", DEFLECTION_UNKNOWN_STIFFNESS),
+        (None, "rigid", DEFLECTION_RIGID),
+    ):
         if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
             words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
             assumed.append(f"joint {', '.join(numbers)}: {words}")
@@ -157,11 +175,15 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
 
 @dataclass(frozen=True, eq=False)
 class RobotCheck(Result):
-    """Hidden campaigns of one robot and how they were answered; poses, noise [m], seed : as of `check_robot`.
+    """Hidden campaigns of one robot and how they were answered.
 
-    assumed : what the file does not say; not_drawn : effects that it cannot have, and why
-    outcomes : of the campaigns that were answered; failed : name of each other one, and why
+    robot : its name
+    poses, noise, seed : as of `check_robot`, the noise in [m]
     not_logged : columns that the campaigns lack
+    assumed : what the file does not specify
+    not_drawn : effects that the robot cannot have, and why
+    outcomes : of the campaigns that were answered
+    failed : names of the other campaigns, and why
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -207,7 +229,7 @@ class RobotCheck(Result):
 
     @property
     def figures(self) -> dict[str, Estimate]:
-        """Shares with their 95 % intervals (Wilson), by what they count."""
+        """The shares of right answers, with their 95 % intervals (Wilson), by what they count."""
         none, one, off = (of_kind(self.outcomes, kind) for kind in ("none", "one", "unlisted"))
         hidden = [t for t in self.outcomes if t.kind != "none"]
         claims = [t for t in self.outcomes if t.claimed]
@@ -223,7 +245,7 @@ class RobotCheck(Result):
 
     @property
     def by_effect(self) -> dict[str, list[Outcome]]:
-        """Campaigns in which an effect was hidden, alone or with others, by its name."""
+        """The campaigns in which an effect was hidden, alone or with others, by its name."""
         names = sorted({e for t in self.outcomes for e in t.effects}, key=lambda e: (e in UNLISTED, e))
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
@@ -248,7 +270,7 @@ class RobotCheck(Result):
             ),
             Words(
                 f"{len(self.outcomes)} campaigns of MuJoCo{lacking}; noise {1e6 * self.noise:g} um a coordinate, "
-                f"joints repeat to {1e6 * REPEATABILITY:g} urad; seed {self.seed}. Signal: what "
+                f"joints repeat to {1e6 * JOINT_REPEATABILITY:g} urad; seed {self.seed}. Signal: what "
                 "the base model cannot absorb of all that is hidden, over the noise.",
                 "note",
             ),
@@ -259,6 +281,7 @@ class RobotCheck(Result):
 
     @property
     def verdict(self) -> str:
+        """A sentence on right claims and false alarms."""
         right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
@@ -266,11 +289,12 @@ class RobotCheck(Result):
 
 
 def _named(effect: str, t: Outcome) -> bool:
+    """Return whether an answer named this effect at the right joint."""
     return any(text in t.named for text in t.truth if text.partition("@")[0] == effect)
 
 
 def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
-    """Of an effect: in how many campaigns something was noticed, and it was named; and the median of the signals."""
+    """Return the table's row of an effect: how often noticed and named, median signal."""
     noticed, signal = f"{sum(t.detected for t in part)} of {len(part)}", f"{median(t.signal for t in part):.2g}"
     if effect in UNLISTED:
         return [f"{effect} (on no list)".replace("_", " "), noticed, "-", "-", signal]
@@ -290,10 +314,10 @@ def check_robot(
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
 ) -> RobotCheck:
-    """How often would a diagnosis of this robot, with this instrument, be right?
+    """Return how often a diagnosis of this robot, with this instrument, would be right.
 
-    Campaigns of robots as built after its file are made in the engine MuJoCo, with effects hidden at random; each is
-    diagnosed from its table alone, and compared with what was hidden.
+    Campaigns of robots built after its file are simulated in MuJoCo, with effects hidden at random;
+    each is diagnosed from its table alone, and compared with what was hidden.
 
     Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
 
@@ -325,7 +349,7 @@ def check_robot(
     not_drawn = impossible(subject.nominal)
     words = ([e for e in LISTED if e not in not_drawn], [e for e in UNLISTED if e not in not_drawn])
     plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noises=(1e-6 * noise_um,), struck=0.0)
-    plans = [replace(p, missing=",".join(not_logged) or None, repeatability=REPEATABILITY) for p in plans]
+    plans = [replace(p, missing=",".join(not_logged) or None, repeatability=JOINT_REPEATABILITY) for p in plans]
     results: dict[str, Outcome | str] = {}
     with workers(executor) as pool:
         for done, (name, result) in enumerate(completed(pool, _checked, [(subject, p) for p in plans]), 1):
@@ -346,7 +370,8 @@ def check_robot(
 
 
 def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequence[str]) -> None:
-    least = max(LEAST_POSES, 3 * robot.n)
+    """Check the arguments of `check_robot`. Raises InputError."""
+    least = max(MIN_POSES, 3 * robot.n)
     if poses < least:
         raise InputError(f"{poses} poses; a campaign of {robot.name} needs at least {least}, or no robot is identified")
     if not 0 < noise_um < 1e5:
@@ -354,12 +379,15 @@ def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequen
     if n < 4:
         raise InputError(f"n is {n}; a check needs at least 4 campaigns, one of each kind")
     for word in not_logged:
-        if word not in COLUMNS:
-            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMNS)}")
+        if word not in COLUMN_PREFIXES:
+            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMN_PREFIXES)}")
 
 
 def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
-    """A campaign made, diagnosed from its tables alone, and held against its secret; runs in a worker."""
+    """Return a campaign's name and its outcome, or why there is none; this runs in a worker.
+
+    The campaign is simulated, diagnosed from its tables alone, and compared with its secret.
+    """
     try:
         made = campaign_of(subject, plan)
     except (InputError, ConvergenceError) as error:

@@ -1,4 +1,4 @@
-"""Answer a blind check: diagnose each campaign from its folder alone, and predict positions at its unseen poses."""
+"""Answers to a blind check: diagnosis of each campaign from its folder alone, with predictions."""
 
 from __future__ import annotations
 
@@ -31,8 +31,11 @@ from casadical.robot.robot_file import read_robot, robot_from, to_toml
 class Session:
     """A campaign and its unseen poses.
 
-    robot : nominal; everything : all poses in the order in which the robot took them, positions of unseen ones zero
-    seen : mask, shape (all poses,)
+    name : of the campaign
+    robot : nominal
+    everything : all poses in the order in which the robot took them, with positions of zero at
+        unseen ones
+    seen : mask of measured poses, shape (all poses,)
     """
 
     name: str
@@ -42,20 +45,24 @@ class Session:
 
     @property
     def measured(self) -> Measurements:
+        """The measured poses."""
         return self.everything[self.seen]
 
     def _with_columns(self, robot: Robot) -> Measurements:
-        """All poses with the columns that a robot's effects need; warmth is counted from the measured poses' mean."""
+        """Return all poses with the columns that a robot's effects need.
+
+        Lagged temperatures are counted from the mean of the measured poses.
+        """
         m, _ = derive(self.everything, robot.conditions, robot.loads)
         columns = {k: c - c[self.seen].mean() if k.startswith("warmth") else c for k, c in m.conditions.items()}
         return replace(m, conditions=columns)
 
     def at_unseen(self, robot: Robot) -> Array:
-        """Positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+        """Return predicted positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
         return predicted(robot, self._with_columns(robot)[~self.seen])[0]
 
     def fitted(self, robot: Robot, leave_out: Array) -> Robot:
-        """A robot, effects included, identified from the measured poses but those of the rows given."""
+        """Return a robot with its effects, identified from the measured poses without some rows."""
         m = self._with_columns(robot)
         m = m[self.seen & ~np.isin(m.row, leave_out)]
         free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
@@ -64,26 +71,29 @@ class Session:
 
 @lru_cache(maxsize=16)
 def nominal(model: str) -> Robot:
-    """The robot of a file's text; kept, because what CasADi derives from it is costly."""
+    """Return the robot of a file's text; it is cached, because compiling its model is costly."""
     return robot_from(tomllib.loads(model), "the folder's robot")
 
 
 def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> Session:
-    """The session of a campaign's two tables; model : text of the nominal robot's file. Raises InputError."""
+    """Return the session of a campaign's two tables. Raises InputError.
+
+    model : text of the nominal robot's file
+    """
     robot = nominal(model)
     blank = unseen.assign(x_mm=0.0, y_mm=0.0, z_mm=0.0)
     table = pd.concat([seen.assign(seen=1.0), blank.assign(seen=0.0)]).sort_values("pose", kind="stable")
     joints = [j.kind for j in robot.joints]
     everything = from_table(table.drop(columns="seen"), joints, "position", source=f"{name}.csv")
-    # Columns that follow from the order of all poses, the unseen ones among them.
+    # These columns follow from the order of all poses, so they are derived before unseen ones go.
     everything, _ = derive(everything, ["progress", *(f"approach{j}" for j in range(1, robot.n + 1))])
     return Session(name, robot, everything, table["seen"].to_numpy() == 1.0)
 
 
 def answer_campaign(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
-    """Return the diagnosis' answer to one campaign, as plain data; runs in a worker.
+    """Return the diagnosis of one campaign as plain data; this runs in a worker.
 
-    Where a campaign cannot be answered, the entry `failed` says why, and all others are answered still.
+    If a campaign cannot be answered, the entry `failed` says why.
     """
     try:
         return diagnosis(session(name, model, seen, unseen))
@@ -92,7 +102,7 @@ def answer_campaign(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFr
 
 
 def diagnosis(s: Session) -> dict[str, Any]:
-    """The answer of the diagnosis."""
+    """Return the answer of the diagnosis to a session, with posterior and predictions."""
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.localisation import localise
@@ -107,7 +117,7 @@ def diagnosis(s: Session) -> dict[str, Any]:
         text = candidate.label if candidate.listed else "unknown"
         posterior[text] = posterior.get(text, 0.0) + first.probability.get(candidate.label, 0.0)
     if any(c.effect == "outliers" for c in diagnosed.causes):
-        # The screening has no probability: where it finds outliers it is sure, and the ranking is of the other poses.
+        # Outliers are found by a screening, not ranked, so their confidence is used as probability.
         posterior["outliers"] = next(c.confidence for c in diagnosed.causes if c.effect == "outliers")
     out = np.array([o.row for o in diagnosed.outliers], dtype=int)
     return answer | {
@@ -117,9 +127,10 @@ def diagnosis(s: Session) -> dict[str, Any]:
 
 
 def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Array) -> dict[str, Any]:
-    """Positions at the unseen poses by the base model and by the robot with causes, in mm.
+    """Return the positions at the unseen poses of the base model and of the robot with causes [mm].
 
-    base : as calibrated on all poses; leave_out : rows of outliers, without which it is calibrated again
+    base : calibrated on all poses
+    leave_out : rows of outliers, without which the base model is calibrated again
     """
     before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
     after = s.at_unseen(with_causes) if with_causes.effects else before
@@ -136,9 +147,10 @@ def predict(
     executor: Executor | None = None,
     show: Callable[[str, int, int], None] = lambda _text, _done, _all: None,
 ) -> Path:
-    """Answer every campaign of a folder that `make` wrote; answers that are in the file already are kept.
+    """Answer every campaign of a folder that `make` wrote, and return the file of answers.
 
-    A campaign that cannot be answered has a line that says why; it is tried again by the next call.
+    Answers that are in the file already are kept. A campaign that cannot be answered has a line
+    that says why; it is tried again by the next call.
 
     out : file of answers, a line each; by default answers.diagnosis.jsonl in the folder
     executor, show : as of `make`
@@ -154,14 +166,16 @@ def predict(
             raise InputError(f"{path}: holds answers to another check; name another file by --out")
         done = set(answers)
     left = [name for name in manifest.campaigns if name not in done]
-    robots = {c.robot: folder / protocol.ROBOTS / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
+    robots = {c.robot: folder / protocol.ROBOTS_FOLDER / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
     tasks = []
     for name in left:
         seen, unseen = (protocol.read_table(folder, name + end) for end in ("", ".unseen"))
         if {"x_mm", "y_mm", "z_mm"} & set(unseen):
             place = folder / name
-            raise InputError(f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST})")
+            raise InputError(
+                f"{place}.unseen.csv: holds positions; they belong in the key alone ({protocol.MANIFEST_FILE})"
+            )
         tasks.append((name, models[manifest.campaigns[name].robot], seen, unseen))
     with workers(executor) as pool, appending(path, protocol.whole_lines(path)) as add:
         if not path.stat().st_size:

@@ -1,10 +1,11 @@
-"""The check on disk: the public folder, and the key whose hash is in that folder.
+"""Files of a blind check: the public folder, the key whose hash is in that folder, and the answers.
 
-The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses) and NAME.unseen.csv
-(further readings, without positions). The key is one file, key.json; its first entry is a salt, so its SHA-256 reveals
-nothing of its content, and `sha256sum key.json` is all that a sceptical reader needs.
+The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses)
+and NAME.unseen.csv (further readings, without positions). The key is one file, key.json; its first
+entry is a salt, so its SHA-256 reveals nothing of its content, and `sha256sum key.json` suffices to
+verify it.
 
-Answers are a line of JSON with its SHA-256 for each campaign, added when it is answered, never rewritten.
+Each answer is one line of JSON with its SHA-256, appended when it is given and never rewritten.
 """
 
 import hashlib
@@ -22,12 +23,12 @@ from casadical.core.reading import json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
-MANIFEST = "withheld.json"
-KEY = "key.json"
-ROBOTS = "robots"
+MANIFEST_FILE = "withheld.json"
+KEY_FILE = "key.json"
+ROBOTS_FOLDER = "robots"
 Kind = Literal["none", "one", "several", "unlisted"]
 
-# Effects that belong to no joint, so that an answer need not name one.
+# Effects that belong to no joint, so that answers are compared without one.
 JOINTLESS = frozenset((
     "thermal_growth", "target_shift", "payload_error", "gravity_compensator", "link_flexure", "base_compliance",
     "frame_drift", "outliers", "none", "unknown",
@@ -35,7 +36,7 @@ JOINTLESS = frozenset((
 
 
 def label(effect: str, joint: int | None) -> str:
-    """By what an effect at a joint is compared: name, or name@joint."""
+    """Return the label by which effects are compared: name, or name@joint."""
     return effect if joint is None or effect in JOINTLESS else f"{effect}@{joint}"
 
 
@@ -44,13 +45,13 @@ class _Strict(BaseModel):
 
 
 class CampaignEntry(_Strict):
-    """The public part of a campaign: which robot it is of."""
+    """The public part of a campaign: its robot."""
 
     robot: str
 
 
 class Manifest(_Strict):
-    """withheld.json: the campaigns, and the hash of the key that was written with them."""
+    """Content of withheld.json: the campaigns, and the hash of their key."""
 
     format: Literal["casadical withheld 1"] = "casadical withheld 1"
     key_sha256: str = Field(pattern="^[0-9a-f]{64}$")
@@ -58,7 +59,12 @@ class Manifest(_Strict):
 
 
 class HiddenEffect(_Strict):
-    """One effect that was switched on; visible : rms [m] of a coordinate that the base model cannot absorb of it."""
+    """One effect that was switched on.
+
+    effect, joint : its name, and its joint from 1 or None
+    about : its sizes in words
+    visible : rms of a coordinate that it adds and the base model cannot absorb [m]
+    """
 
     effect: str
     joint: int | None
@@ -73,10 +79,14 @@ class HiddenEffect(_Strict):
 class Secret(_Strict):
     """What a campaign hides.
 
-    noise : standard deviation of a measured coordinate [m]; repeatability : of a joint [rad]
-    visible : rms of a coordinate [m] that all effects together add and the base model cannot absorb
-    missing : the column that was struck out, or None
-    measured_mm, true_mm : positions at the unseen poses, with and without noise, each three numbers a pose
+    robot, kind, poses : of the campaign
+    hidden : its effects
+    noise : standard deviation of a measured coordinate [m]
+    repeatability : standard deviation of a joint about its reading [rad]
+    visible : rms of a coordinate that all effects together add and the base model cannot absorb [m]
+    missing : the column that was not logged, or None
+    measured_mm, true_mm : positions at the unseen poses, with and without noise, three numbers a
+        pose [mm]
     """
 
     robot: str
@@ -92,12 +102,12 @@ class Secret(_Strict):
 
     @property
     def truth(self) -> tuple[str, ...]:
-        """Labels that a right answer names; none for what is on no list."""
+        """The labels that a right answer names; none for effects that are not listed."""
         return () if self.kind == "unlisted" else tuple(h.label for h in self.hidden)
 
 
 class Key(_Strict):
-    """key.json: salt, how it was made (seed, physics, versions), and every campaign's secret."""
+    """Content of key.json: salt, how the campaigns were made, and every campaign's secret."""
 
     salt: str
     seed: int
@@ -106,25 +116,28 @@ class Key(_Strict):
     campaigns: dict[str, Secret]
 
     def text(self) -> str:
-        """The file's text, a line for each campaign; the same key gives the same text."""
+        """Return the file's text, one line for each campaign; equal keys give equal texts."""
         head = self.model_dump(exclude={"campaigns"})
         lines = [f"  {json.dumps(n)}: {json.dumps(s.model_dump())}" for n, s in self.campaigns.items()]
         return json.dumps(head, indent=1)[:-2] + ',\n "campaigns": {\n' + ",\n".join(lines) + "\n }\n}\n"
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """What a folder made by `make` holds. Raises InputError."""
-    path = folder / MANIFEST
+    """Return the manifest of a folder that `make` wrote. Raises InputError."""
+    path = folder / MANIFEST_FILE
     if not path.is_file():
-        raise InputError(f"{folder}: holds no {MANIFEST}; name the folder that `casadical withheld make` wrote")
+        raise InputError(f"{folder}: holds no {MANIFEST_FILE}; name the folder that `casadical withheld make` wrote")
     return check(Manifest, load_json(path), str(path))
 
 
 def read_key(folder: Path, manifest: Manifest) -> Key:
-    """The key, after its hash was found to be the published one. Raises InputError if it is another or was changed."""
-    path = folder / KEY if folder.is_dir() else folder
+    """Return the key, after a check that its hash is the published one.
+
+    Raises InputError if it is another one or was changed.
+    """
+    path = folder / KEY_FILE if folder.is_dir() else folder
     if not path.is_file():
-        raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY}")
+        raise InputError(f"{path}: no such key; name the folder that `make --key` wrote, or its {KEY_FILE}")
     data = read_bytes(path)
     digest = sha256(data)
     if digest != manifest.key_sha256:
@@ -134,30 +147,34 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
         )
     key = check(Key, json_of(data, str(path)), str(path))
     if key.campaigns.keys() != manifest.campaigns.keys():
-        raise InputError(f"{path}: its campaigns are not those of {MANIFEST}")
+        raise InputError(f"{path}: its campaigns are not those of {MANIFEST_FILE}")
     return key
 
 
 def read_table(folder: Path, name: str) -> pd.DataFrame:
-    """A campaign's table, or with `.unseen` behind the name its further readings. Raises InputError."""
+    """Return a campaign's table, or with `.unseen` behind the name its unseen readings.
+
+    Raises InputError.
+    """
     path = folder / f"{name}.csv"
     if not path.is_file():
-        raise InputError(f"{path}: is missing, though {MANIFEST} names it; take the folder whole")
+        raise InputError(f"{path}: is missing, though {MANIFEST_FILE} names it; take the folder whole")
     return read_csv(path).frame
 
 
-_CHECKED = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
+# A line of answers with its checksum.
+_CHECKSUMMED_LINE = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
 Rows = tuple[tuple[float, float, float], ...]
 
 
 class _Loose(BaseModel):
-    """What is scored of an answer; its other entries are for people to read."""
+    """Part of an answer that is scored; other entries are allowed."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
 
 
 class Header(_Loose):
-    """The first line: which check was answered (by the hash of its key), by what, and with which versions."""
+    """The first line of answers: hash of the key of the check, name of the method, and versions."""
 
     key_sha256: str
     by: str
@@ -180,21 +197,21 @@ class NamedCause(_Loose):
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """The others of its set, by the labels of the key."""
+        """The other causes of its set, by the labels of the key."""
         return tuple(relabelled(text) for text in self.indistinguishable)
 
 
 class UnseenPositions(_Loose):
-    """Positions predicted at the unseen poses: by the base model, and with the named causes added."""
+    """Predicted positions at the unseen poses [mm], of the base model and with the named causes."""
 
     base_mm: Rows
     with_causes_mm: Rows
 
 
 class Answer(_Loose):
-    """One answer, as `casadical diagnose --json` writes it, with what the check adds.
+    """One answer, as `casadical diagnose --json` writes it, with the additions of the check.
 
-    posterior : probability of every label that has some, none and unknown among them
+    posterior : probability of every label that has some, "none" and "unknown" included
     """
 
     campaign: str
@@ -214,12 +231,13 @@ class Answer(_Loose):
 
 
 def relabelled(text: str) -> str:
-    """name or name@joint as the key has it: without a joint where the effect belongs to none."""
+    """Return name or name@joint as in the key: without a joint for effects that belong to none."""
     name, _, joint = text.partition("@")
     return label(name, int(joint) if joint.isdigit() else None)
 
 
 def json_line(data: Mapping[str, Any]) -> str:
+    """Return data as a line of JSON with its checksum."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f'{text[:-1]},"sha256":"{sha256(text.encode())}"}}\n'
 
@@ -229,8 +247,11 @@ def sha256(content: bytes) -> str:
 
 
 def _intact(line: bytes) -> bool:
-    """Whether a line is as it was written; one without a checksum, of an earlier casadical, if it is JSON."""
-    checked = _CHECKED.fullmatch(line)
+    """Return whether a line is unchanged; a line without a checksum must be valid JSON.
+
+    Earlier versions of casadical wrote lines without checksums.
+    """
+    checked = _CHECKSUMMED_LINE.fullmatch(line)
     if checked:
         return sha256(checked[1] + b"}") == checked[2].decode()
     try:
@@ -240,14 +261,17 @@ def _intact(line: bytes) -> bool:
 
 
 def whole_lines(path: Path) -> int:
-    """Bytes of the lines that were written to their end; 0 where there is no file. Raises InputError."""
+    """Return the number of bytes of complete lines; 0 if there is no file. Raises InputError."""
     return read_bytes(path).rfind(b"\n") + 1 if path.exists() else 0
 
 
 def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
-    """A file of answers by campaign, without what failed and lines that are damaged. Raises InputError.
+    """Return the header and the answers by campaign, without failed and damaged ones.
 
-    A damaged line (a process was killed, a disk was full) counts as no answer, so that `predict` answers it again.
+    Raises InputError.
+
+    A damaged line (a process was killed, a disk was full) counts as no answer, so that `predict`
+    answers it again.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file; make it with `casadical withheld predict`")
@@ -255,7 +279,7 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
     if not lines:
         raise InputError(f"{path}: holds no answers; its first line must say which check they answer")
     head = _read(Header, lines[0], f"{path}: line 1", "predict into another file (--out)")
-    # Quotes inside of a text are escaped, so that this can only be the entry.
+    # Quotes inside texts are escaped, so this can only be the entry itself.
     answered = [(k, t) for k, t in enumerate(lines[1:], 2) if b'"failed":' not in t and _intact(t)]
     remedy = "delete this line, and run predict again to answer the campaign again"
     answers = [_read(Answer, text, f"{path}: line {k}", remedy) for k, text in answered]
@@ -263,6 +287,7 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
 
 
 def _read(schema: Any, text: bytes, place: str, remedy: str) -> Any:
+    """Return a line of JSON as an object of a schema. Raises InputError."""
     try:
         return schema.model_validate_json(text)
     except ValidationError as error:

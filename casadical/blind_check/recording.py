@@ -1,4 +1,4 @@
-"""Measuring sessions of planned campaigns: a robot as built in a physics, what is hidden in it, and its table."""
+"""Simulated measuring sessions of planned campaigns, with hidden effects."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,16 +14,24 @@ from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.mujoco_physics.table import readings
 from casadical.blind_check.protocol import Kind
 
-POSES = (40, 100, 200)
-# What may not be logged, and how its columns begin.
-COLUMNS = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
+# Possible numbers of poses of a campaign.
+POSE_COUNTS = (40, 100, 200)
+# Quantities that may be missing in a campaign, and how the names of their columns begin.
+COLUMN_PREFIXES = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
 
 Thing = TypeVar("Thing")
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One campaign before it is measured; noise [m], repeatability [rad], seed : of everything else that is drawn."""
+    """One campaign before it is measured.
+
+    name, robot, kind, effects, poses : of the campaign
+    missing : quantities that are not logged, separated by commas, or None
+    noise : standard deviation of a measured coordinate [m]
+    repeatability : standard deviation of a joint about its reading [rad]
+    seed : of everything else that is drawn
+    """
 
     name: str
     robot: str
@@ -37,6 +45,7 @@ class Plan:
 
     @property
     def not_logged(self) -> tuple[str, ...]:
+        """The quantities that are not logged."""
         return tuple(self.missing.split(",")) if self.missing else ()
 
 
@@ -44,22 +53,26 @@ def draw_plans(
     n: int,
     seed: int,
     words: tuple[Sequence[str], Sequence[str]],
-    poses: Sequence[int] = POSES,
+    poses: Sequence[int] = POSE_COUNTS,
     *,
     robots: Sequence[str] = ("hh800", "kr210", "ur10e"),
     noises: Sequence[float] = (10e-6, 20e-6, 30e-6),
     struck: float = 1 / 3,
 ) -> list[Plan]:
-    """n campaigns in random order; shares are kept as nearly as whole numbers allow, all else takes turns.
+    """Return the plans of n campaigns in random order, with fixed shares of each kind.
 
-    words : effects that are on the diagnosis' list, and on none; poses : numbers of poses of a campaign
-    robots, noises [m] : one of these each; struck : share of campaigns in which a column is not logged
+    Robots, numbers of poses, effects and missing columns take turns.
+
+    words : effects that are on the diagnosis' list, and on none
+    poses : possible numbers of poses of a campaign
+    robots, noises : possible robots and noises [m]
+    struck : share of campaigns in which a column is not logged
     """
     rng = np.random.default_rng([seed, 1])
     shares: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
     kinds = shuffled(rng, in_shares(n, shares))
     lacking = shuffled(rng, in_shares(n, {True: struck, False: 1 - struck}))
-    names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, tuple(COLUMNS))
+    names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, tuple(COLUMN_PREFIXES))
     known, foreign = (turns(rng, pool) for pool in words)
     plans = []
     for k, kind in enumerate(kinds):
@@ -76,7 +89,7 @@ def draw_plans(
 
 
 def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:
-    """n things in the given shares, rounded by largest remainder."""
+    """Return n items in the given shares, rounded by the largest remainder method."""
     exact = {thing: n * share for thing, share in shares.items()}
     counts = {thing: int(count) for thing, count in exact.items()}
     for thing in sorted(exact, key=lambda t: counts[t] - exact[t])[: n - sum(counts.values())]:
@@ -85,11 +98,12 @@ def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:
 
 
 def shuffled(rng: np.random.Generator, things: Sequence[Thing]) -> list[Thing]:
+    """Return the items in random order."""
     return [things[int(k)] for k in rng.permutation(len(things))]
 
 
 def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
-    """Everything once in random order, then everything again in another, without end."""
+    """Yield all items in random order, then again in another one, endlessly."""
     while True:
         yield from shuffled(rng, things)
 
@@ -98,10 +112,13 @@ def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
 class Subject:
     """A robot whose diagnosis is checked.
 
-    nominal : its drawing, for the physics; model : text of the file of the base model that the diagnosis is given
-    building : which errors the real robot has; level : whether gravity is known in the measuring frame, not in the base
-    poses : of the poses to measure, in their order, the columns of a campaign: readings, and those of time_s,
-        temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: drawn within the joint ranges
+    nominal : its drawing, for the physics
+    model : text of the file of the base model that the diagnosis is given
+    building : which errors the real robot has
+    level : whether gravity is given in the measuring frame, not in the base
+    poses : poses to measure, in their order, as columns of a campaign: readings, and those of
+        time_s, temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: drawn
+        within the joint ranges
     """
 
     nominal: Plant
@@ -111,6 +128,7 @@ class Subject:
     poses: pd.DataFrame | None = None
 
     def built(self, seed: int) -> Plant:
+        """Return the robot with building errors drawn from a seed."""
         plant = perturb(self.nominal, seed, building=self.building)
         if self.level:
             return plant
@@ -120,10 +138,13 @@ class Subject:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """A measuring session as it was, and as it would have been with less.
+    """A measuring session, and the same session with fewer effects.
 
-    session : with all that is hidden; its columns are a campaign's, and x_true_mm, y_true_mm, z_true_mm without noise
-    clean : without any effect; alone : with each effect by itself; of the same seed, poses and noise
+    hidden : the effects
+    session : with all effects; its columns are a campaign's, and x_true_mm, y_true_mm, z_true_mm
+        without noise
+    clean : without any effect, with the same seed, poses and noise
+    alone : with each effect by itself, if there are several
     """
 
     hidden: tuple[Hidden, ...]
@@ -133,7 +154,10 @@ class Record:
 
 
 def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> Record:
-    """The session of a plan, of n poses; poses : of all of them, as of `Subject`."""
+    """Return the session of a plan with n poses.
+
+    poses : all poses, as of `Subject.poses`; None: drawn
+    """
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
     options: dict[str, Any] = {"approach": "motion", "truth": True}

@@ -1,4 +1,4 @@
-"""Score answers: open the key, check that it is the one whose hash was published, count, and tell."""
+"""Scoring of answers: the key is opened, checked against its published hash, and compared."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,9 +15,11 @@ from casadical.core.telling.result import Result
 
 @dataclass(frozen=True, eq=False)
 class Score(Result):
-    """A file of answers against the key.
+    """A file of answers compared with the key.
 
-    head : the method that answered; key : how the campaigns were made; outcomes : of campaigns that were answered
+    head : the method that answered
+    key : how the campaigns were made
+    outcomes : of campaigns that were answered
     """
 
     head: Header
@@ -26,20 +28,21 @@ class Score(Result):
 
     @property
     def unanswered(self) -> list[str]:
-        """Campaigns without an answer; they do not count."""
+        """The campaigns without an answer; they do not count."""
         return sorted(set(self.key.campaigns) - {t.name for t in self.outcomes})
 
     @property
     def metrics(self) -> dict[str, tuple[Estimate, str]]:
+        """The metrics by name, with their targets."""
         return counted.metrics(self.outcomes)
 
     @property
     def parts(self) -> dict[str, dict[str, list[Outcome]]]:
-        """Outcomes by poses, signal, column that was not logged, robot, and effect."""
+        """The outcomes by poses, signal, missing column, robot, and effect."""
         return counted.breakdown(self.outcomes)
 
     def blocks(self) -> list[Block]:
-        """Metrics beside their targets, the same by parts, and every wrong claim."""
+        """Return the report: metrics with targets, the same by parts, and every wrong claim."""
         made = ", ".join(f"{name} {number}" for name, number in self.key.versions.items())
         missing = f"; {len(self.unanswered)} more have no answer and do not count" if self.unanswered else ""
         rows = []
@@ -63,6 +66,7 @@ class Score(Result):
         ]
 
     def to_json(self) -> dict[str, Any]:
+        """Return the score as plain data."""
         return {
             "by": self.head.by,
             "versions": self.head.versions,
@@ -79,9 +83,9 @@ class Score(Result):
 
 
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
-    """Answers against the key of the campaigns in a folder.
+    """Return the score of answers with the key of the campaigns in a folder.
 
-    Raises InputError where the key is not the one that was published, or the answers are to another check.
+    Raises InputError if the key is not the published one, or the answers are to another check.
     """
     folder, path = Path(folder), Path(answers)
     manifest = read_manifest(folder)
@@ -100,6 +104,7 @@ def _plain(f: Estimate) -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
+    """Return plain data with floats rounded to six digits."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value

@@ -1,6 +1,7 @@
-"""Independent tasks on all cores, or on an executor that is handed in; results come in the order of completion.
+"""Independent tasks on all cores, or on a given executor; results come in the order of completion.
 
-This module loads nothing heavy, so that a fresh worker can be set to one thread before it loads numpy.
+This module loads nothing heavy, so that a new worker can be limited to one thread before it loads
+NumPy.
 """
 
 import os
@@ -17,14 +18,17 @@ Result = TypeVar("Result")
 
 
 def start_worker() -> None:
-    """Let a worker use one thread, as there is one for each core; Ctrl-C is left to the process that started it."""
+    """Limit a worker to one thread, as there is one worker for each core, and ignore Ctrl-C in it.
+
+    The process that started the workers handles Ctrl-C.
+    """
     signal(SIGINT, SIG_IGN)
     one_thread()
 
 
 @contextmanager
 def workers(executor: Executor | None, count: int | None = None) -> Iterator[Executor]:
-    """The executor that was handed in, left open; else processes of our own, one a core."""
+    """Yield the given executor, which stays open, or one with a process for each core."""
     if executor is not None:
         yield executor
         return
@@ -40,7 +44,7 @@ def workers(executor: Executor | None, count: int | None = None) -> Iterator[Exe
 def completed(
     executor: Executor, function: Callable[..., Result], tasks: Iterable[tuple[Any, ...]]
 ) -> Iterator[Result]:
-    """Results of a function for each task's arguments, in the order of completion.
+    """Yield the results of a function for each task's arguments, in the order of completion.
 
     An error in one ends them all; when the caller stops, tasks that have not begun are cancelled.
     """

@@ -34,7 +34,9 @@ from casadical.robot.robot import Robot
 
 # Kinds of change that are usual between two days.
 USUAL_KINDS = ("joint_zero", "tool", "foot", "lengths")
-CRASH, UNKNOWN = "crash", "unknown"
+# Kinds of change that only touches distinguish: a crash, and one that no parameter explains.
+CRASH = "crash"
+UNKNOWN = "unknown"
 # Relative frequency of each kind of change; a crash moves several zeros and the tool.
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
 # Grid of the noise's share in the unexplained variance, where the noise is not declared.

@@ -14,7 +14,7 @@ from acting import Disturbance, State
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, point, random_vector, slide
-from casadical.blind_check.mujoco_physics.stops import Stops, only
+from casadical.blind_check.mujoco_physics.stops import Stops, in_column
 
 Direction = tuple[float, float, float]
 _ZERO = np.zeros(3)
@@ -76,7 +76,7 @@ class GearLag(Disturbance):
             for k, aim in enumerate(course):
                 held = min(max(held, aim - width), aim + width)
                 lag[k] += (held - aim) / (3 * width)
-        return only(self.joint, self.size * lag)
+        return in_column(self.joint, self.size * lag)
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ShortMoveStick(Disturbance):
 
     def misread(self, stops: Stops) -> Array:
         left = np.exp(-np.abs(_moves(stops, self.joint)) / self.reach_rad)
-        return only(self.joint, -self.size * stops.approach[:, self.joint - 1] * left)
+        return in_column(self.joint, -self.size * stops.approach[:, self.joint - 1] * left)
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class WrongTable(Disturbance):
         for a, b in np.ndindex(2, 2):
             weight = np.abs(1 - np.array([a, b]) - (cell - low)).prod(-1)
             found += weight * nodes[(low[:, 0] + a) % 9, (low[:, 1] + b) % 9]
-        return only(self.joint, self.size * found)
+        return in_column(self.joint, self.size * found)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class UnevenPlanets(Disturbance):
 
     def twist(self, state: State) -> Array:
         wave = np.sin(self.cycles * state.stops.q[:, self.joint - 1] + self.phase)
-        return only(self.joint, self.size * _load(state, self.joint) * wave)
+        return in_column(self.joint, self.size * _load(state, self.joint) * wave)
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ class WarmBalancer(Disturbance):
 
     def torque(self, state: State) -> Array:
         rise = state.stops.warmth_after(self.minutes) / 10.0
-        return only(2, self.size * state.rated[1] * rise * np.sin(state.stops.q[:, 1] - self.at_rad))
+        return in_column(2, self.size * state.rated[1] * rise * np.sin(state.stops.q[:, 1] - self.at_rad))
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class HoseWinds(Disturbance):
 
     def torque(self, state: State) -> Array:
         wound = ((state.stops.q[:, 3] - self.at_rad) / 2.0) ** 2
-        return only(5, -self.size * state.rated[4] * wound * np.sin(state.stops.q[:, 4]))
+        return in_column(5, -self.size * state.rated[4] * wound * np.sin(state.stops.q[:, 4]))
 
 
 @dataclass(frozen=True)

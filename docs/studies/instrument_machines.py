@@ -11,7 +11,7 @@ from scipy.linalg import orth
 
 from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Plant
-from casadical.blind_check.mujoco_physics.table import MEASURED
+from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
 from casadical.core.basics import Array
 from casadical.diagnosis.linearisation import signatures
 from casadical.identification.accuracy import predicted
@@ -42,10 +42,10 @@ class Machine:
 
     def positions(self, q: Array, point: Array = POINTS[0], repeatability: float = 0.0) -> tuple[Array, Array]:
         """Where a point of the flange is [m], and by how much a hidden effect alone shifts it, shapes (n, 3)."""
-        still = self.table(q, len(q), None, point, repeatability)[MEASURED].to_numpy(float) * 1e-3
+        still = self.table(q, len(q), None, point, repeatability)[MEASURED_COLUMNS].to_numpy(float) * 1e-3
         if self.hidden is None:
             return still, np.zeros_like(still)
-        moved = self.table(q, len(q), self.hidden, point, repeatability)[MEASURED].to_numpy(float) * 1e-3
+        moved = self.table(q, len(q), self.hidden, point, repeatability)[MEASURED_COLUMNS].to_numpy(float) * 1e-3
         return still, moved - still
 
     def at(self, q: Array) -> Array:

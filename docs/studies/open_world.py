@@ -37,7 +37,7 @@ from sessions import UNLISTED, Scatter, Session
 from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.metrics import Estimate, mean, share
 from casadical.blind_check.mujoco_physics import LISTED, perturb
-from casadical.blind_check.mujoco_physics.table import MEASURED
+from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
 from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
@@ -140,15 +140,15 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
     m0 = from_table(session.table(), 6, "position")
     sizes = signals(part, rng)
     J = base_jacobian(robot, m0) if sizes else None
-    position, truth, visible = clean[MEASURED].to_numpy(float), [], []
+    position, truth, visible = clean[MEASURED_COLUMNS].to_numpy(float), [], []
     for word, size in zip(words, sizes, strict=False):
         label, hidden = session.drawn(word, rng)
-        shift = session.table(hidden)[MEASURED].to_numpy(float) - 1e3 * m0.position
+        shift = session.table(hidden)[MEASURED_COLUMNS].to_numpy(float) - 1e3 * m0.position
         seen = unabsorbed_rms(J, shift) / NOISE_MM
         # What the base model absorbs altogether stays small.
         factor = min(size / seen, 8.0)
         position, truth, visible = position + factor * shift, [*truth, label], [*visible, factor * seen]
-    table = clean.assign(**dict(zip(MEASURED, (position + noise(kind, len(clean), rng)).T, strict=True)))
+    table = clean.assign(**dict(zip(MEASURED_COLUMNS, (position + noise(kind, len(clean), rng)).T, strict=True)))
     missing = ""
     if kind == "missing column":
         missing = list(COLUMNS)[number % 4]

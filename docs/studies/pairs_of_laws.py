@@ -12,7 +12,7 @@ from counterpart_pairs import Bench, Pair, approach, named, progress
 
 from casadical.blind_check.mujoco_physics import Hidden
 from casadical.blind_check.mujoco_physics.plant import motion, move, slide
-from casadical.blind_check.mujoco_physics.stops import Stops, only
+from casadical.blind_check.mujoco_physics.stops import Stops, in_column
 from casadical.core.basics import Array
 from casadical.effects import (
     CrossCoupling,
@@ -90,7 +90,7 @@ class Misread(Disturbance):
     by: Array
 
     def misread(self, stops: Stops) -> Array:  # noqa: ARG002
-        return only(self.joint, self.by)
+        return in_column(self.joint, self.by)
 
 
 def derived(b: Bench, name: str) -> dict[str, Array]:
@@ -143,7 +143,7 @@ class Given(Disturbance):
     law: Callable[[Any], Array]
 
     def twist(self, state: Any) -> Array:
-        return only(self.joint, self.law(state))
+        return in_column(self.joint, self.law(state))
 
 
 def inner_friction(b: Bench) -> Pair:

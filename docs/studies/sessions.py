@@ -14,7 +14,7 @@ from foreign_effects import FOREIGN, draw_foreign
 from casadical.blind_check import mujoco_physics
 from casadical.blind_check.mujoco_physics import Plant
 from casadical.blind_check.mujoco_physics.plant import random_vector
-from casadical.blind_check.mujoco_physics.stops import Stops, only
+from casadical.blind_check.mujoco_physics.stops import Stops, in_column
 from casadical.core.basics import Array
 
 REPEATABILITY_URAD = 4.0
@@ -28,7 +28,7 @@ class Belt(Disturbance):
 
     def misread(self, stops: Stops) -> Array:
         q = stops.q[:, self.joint - 2] - np.median(stops.q[:, self.joint - 2])
-        return only(self.joint, 1e-4 * np.sign(q) * np.maximum(np.abs(q) - 0.5, 0.0))
+        return in_column(self.joint, 1e-4 * np.sign(q) * np.maximum(np.abs(q) - 0.5, 0.0))
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class RememberedFriction(Disturbance):
         for move in np.diff(stops.q[:, self.joint - 1], prepend=0.0):
             state = np.sign(move) + (state - np.sign(move)) * np.exp(-np.abs(move) / 0.35)
             found.append(-1e-4 * state)
-        return only(self.joint, np.array(found))
+        return in_column(self.joint, np.array(found))
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class LateSettling(Disturbance):
     joint: int
 
     def misread(self, stops: Stops) -> Array:
-        return only(self.joint, -1e-4 * np.diff(stops.q[:, self.joint - 1], prepend=0.0))
+        return in_column(self.joint, -1e-4 * np.diff(stops.q[:, self.joint - 1], prepend=0.0))
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class Scatter(Disturbance):
     size: float = 40e-6
 
     def misread(self, stops: Stops) -> Array:
-        return only(self.joint, self.size * np.random.default_rng(self.seed).standard_normal(len(stops)))
+        return in_column(self.joint, self.size * np.random.default_rng(self.seed).standard_normal(len(stops)))
 
 
 OWN = {"belt": Belt, "remembered_friction": RememberedFriction, "late_settling": LateSettling, "foot": SlippedFoot}

@@ -12,7 +12,7 @@ import pytest
 from checks import ROOT, Here, N
 
 from casadical.blind_check import mujoco_physics, recording
-from casadical.blind_check.generation import UNSEEN, campaign_of, make, unabsorbed_rms
+from casadical.blind_check.generation import UNSEEN_POSES, campaign_of, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.blind_check.recording import draw_plans, in_shares
@@ -118,7 +118,7 @@ def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
     for name, secret in key.campaigns.items():
         seen, unseen = (pd.read_csv(small.folder / f"{name}{end}.csv") for end in ("", ".unseen"))
         assert len(seen) == secret.poses
-        assert len(unseen) == UNSEEN == len(secret.measured_mm) == len(secret.true_mm)
+        assert len(unseen) == UNSEEN_POSES == len(secret.measured_mm) == len(secret.true_mm)
         assert not set(seen["pose"]) & set(unseen["pose"])
         assert unseen["pose"].between(seen["pose"].min(), seen["pose"].max()).all()  # nothing is predicted beyond
         assert set(seen) - set(unseen) == {"x_mm", "y_mm", "z_mm"}

@@ -12,7 +12,7 @@ import pytest
 from checks import ROOT, Here
 from typer.testing import CliRunner
 
-from casadical.blind_check.generation import UNSEEN, campaign_of, with_poses_between
+from casadical.blind_check.generation import UNSEEN_POSES, campaign_of, with_poses_between
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant, campaign, draw_effect, positions
 from casadical.blind_check.mujoco_physics.cause import placed, reflector, settle
 from casadical.blind_check.mujoco_physics.draw import impossible
@@ -211,7 +211,7 @@ def test_given_poses_are_measured_in_their_order_with_what_was_logged_of_them(ga
     np.testing.assert_allclose(np.diff(table["time_s"]), 60.0)
     assert unseen["temperature_degC"].between(28.0, 28.6).all()
     assert not [name for name in table if name.startswith("approach")]
-    assert len(made.secret.measured_mm) == UNSEEN
+    assert len(made.secret.measured_mm) == UNSEEN_POSES
     at = float(made.secret.hidden[0].about.rpartition("at_s ")[2])  # within the time of the table
     assert table["time_s"].quantile(0.25) < at < table["time_s"].quantile(0.75)
     logged = campaign_of(subject, replace(plan, missing=None)).seen

@@ -1,4 +1,4 @@
-"""Campaigns of a robot in the engine, with what is hidden in it."""
+"""Simulated campaigns of a robot with hidden effects in MuJoCo."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -21,17 +21,21 @@ from casadical.core.basics import InputError
 def campaign(
     plant: Plant, hidden: Sequence[Hidden | Cause], n: int, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
-    """As `simulate` of the robot as built ``plant``. Raises InputError for unusable arguments, and without MuJoCo."""
+    """Return the table of a simulated campaign of the robot as built ``plant``; see `simulate`.
+
+    Raises InputError for unusable arguments, and without MuJoCo.
+    """
     return simulate(plant, partial(positions, plant, hidden), causes(hidden, plant.n), n, seed, **options)
 
 
 def measure(
     plant: Plant, hidden: Sequence[Hidden | Cause], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
-    """Measure given poses: the table ``readings`` with the positions of the reflector.
+    """Return the table ``readings`` with simulated positions of the reflector at its poses.
 
-    What `readings` does not have (time, temperature, payload, approach) is constant. Raises InputError where a reading
-    is missing.
+    Quantities that `readings` lacks are constant (temperature, payload, approach), the time grows
+    by 30 s.
+    Raises InputError where a reading is missing.
     """
     n, columns = len(readings), columns_of_readings(plant)
     missing = [name for name in columns if name not in readings]
@@ -47,9 +51,10 @@ def measure(
 
 
 def positions(plant: Plant, hidden: Sequence[Hidden | Cause], stops: Stops, jitter: Array | float = 0.0) -> Array:
-    """Where the tracker sees the reflector without noise, (n, 3) [m]; ``jitter`` (n, joints) adds to the readings.
+    """Return the reflector's positions as the tracker sees them without noise, shape (n, 3) [m].
 
-    Raises ConvergenceError where the engine finds no rest.
+    jitter : added to the readings, shape (n, joints)
+    Raises ConvergenceError where the engine finds no equilibrium.
     """
     acting = causes(hidden, plant.n)
     built = mechanism(plant)

@@ -1,4 +1,4 @@
-"""Causes in the drives that do not depend on load: gears, encoders, belts, bevels, zeros."""
+"""Hidden causes in the drives that do not depend on load: gears, encoders, belts, bevels, zeros."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Causes by load in the joints: play, friction, hardening, springs, hoses, cables, rubber."""
+"""Hidden causes that depend on load in the joints: play, friction, springs, cables, rubber."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.cause import acts, rated_torque, settle
 from casadical.blind_check.mujoco_physics.mechanism import Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
-from casadical.blind_check.mujoco_physics.robot import SLOW, spring
+from casadical.blind_check.mujoco_physics.robot import SETTLING_TIME_S, spring
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 
@@ -21,7 +21,7 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
     """
     name, stiffness = f"joint{joint}", float(plant.stiffness[joint - 1])
     k = 0.1 * stiffness
-    play = Joint(f"play{joint}", limits=(-size, size), inertia=k * SLOW**2, damping=k * SLOW)
+    play = Joint(f"play{joint}", limits=(-size, size), inertia=k * SETTLING_TIME_S**2, damping=k * SETTLING_TIME_S)
     rub = Shaft(f"bearing{joint}", {name: 1.0, play.name: 1.0}, friction=friction * size * stiffness)
     mechanism = mechanism.with_joints(name, mechanism.joint(name), play)
     return replace(mechanism, shafts=(*mechanism.shafts, rub), travels=True)
@@ -82,7 +82,7 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
 
 
 def greatest_torque(lever: float, post: float, rest: float) -> float:
-    """Greatest torque per stiffness of a balancing spring over all angles between post and lug [m^2]."""
+    """Return the greatest torque per stiffness of a balancing spring over all angles [m^2]."""
     angle = np.linspace(0, np.pi, 181)
     length = lever * np.sqrt(1 + post**2 - 2 * post * np.cos(angle))
     return float(np.max(post * lever**2 * np.sin(angle) * (1 - rest / length)))
@@ -136,7 +136,10 @@ def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_
 
 
 def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:
-    """The mechanism with a mark on ``link``, given where it is (3,) [m] in the base at zero readings."""
+    """Return the mechanism with a named point on ``link``.
+
+    home : the point in the base at zero readings, shape (3,) [m]
+    """
     body, frame = mechanism.body(f"link{link}"), plant.home[link - 1]
     there = frame[:3, :3].T @ (np.asarray(home) - frame[:3, 3])
     return mechanism.with_body(replace(body, marks={**body.marks, name: there}))

@@ -1,4 +1,4 @@
-"""Causes in the measurement: a frame that creeps, a reflector that moves, wrong points, wrong distances."""
+"""Hidden causes in the measurement: a creeping frame, a moved reflector, outliers, offsets."""
 
 import numpy as np
 

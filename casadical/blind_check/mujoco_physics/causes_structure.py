@@ -1,4 +1,4 @@
-"""Causes in the structure: links and pedestal that bend, grow, wobble, are loose, or carry another load."""
+"""Hidden causes in the structure: bending, growing or loose links; wrong payloads."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from casadical.blind_check.mujoco_physics.cause import Vector, acts, length_of, 
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide
-from casadical.blind_check.mujoco_physics.robot import SLOW, spring, springs
+from casadical.blind_check.mujoco_physics.robot import SETTLING_TIME_S, spring, springs
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 
@@ -165,8 +165,8 @@ def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -
     """
     weight = plant.weight * plant.payload_kg
     k = weight / size
-    heavy = 10 * k * SLOW**2  # for what sticks in the engine creeps the less
-    sticking = {"friction": grip * weight, "inertia": heavy, "damping": k * SLOW, "keeps": True}
+    heavy = 10 * k * SETTLING_TIME_S**2  # for what sticks in the engine creeps the less
+    sticking = {"friction": grip * weight, "inertia": heavy, "damping": k * SETTLING_TIME_S, "keeps": True}
     slides = springs("plate", 0.0, size, "xy", kind="slide", **sticking)
     return replace(mechanism.with_body(replace(mechanism.body("tool"), joints=slides)), travels=True)
 

@@ -1,4 +1,4 @@
-"""Hidden effects drawn at random, with the sizes that real robots have."""
+"""Random hidden effects, with the sizes that they have in real robots."""
 
 from typing import Any
 
@@ -9,9 +9,12 @@ from casadical.blind_check.mujoco_physics.hidden import LISTED, UNLISTED, Hidden
 from casadical.blind_check.mujoco_physics.plant import Plant, random_vector
 from casadical.core.basics import InputError
 
+# Mean time between two poses of a campaign [s].
 SECONDS_A_POSE = 30.0
-_LOADED = ("backlash", "nonlinear_stiffness", "rubber_coupling")  # visible only where there is torque
-_ANY = (
+# Effects that are visible only in joints with torque.
+_EFFECTS_UNDER_LOAD = ("backlash", "nonlinear_stiffness", "rubber_coupling")
+# Effects that any revolute joint may have.
+_EFFECTS_OF_ANY_JOINT = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
     *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
     *("tight_cable", "lost_bits"),
@@ -19,23 +22,30 @@ _ANY = (
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
-    """One effect by its name, its joint and sizes at random. Raises InputError for an unknown name."""
+    """Return one effect by its name, with random joint and sizes.
+
+    poses : number of poses of the campaign, by which times are drawn
+    Raises InputError for an unknown name.
+    """
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint: int | None = None
-    if effect in _LOADED:
+    if effect in _EFFECTS_UNDER_LOAD:
         torque = rated_torque(plant) * np.isin(np.arange(1, plant.n + 1), plant.turning)
         joint = int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
     elif effect == "joint_coupling":
         joint = int(rng.integers(plant.n - 2, plant.n + 1))
-    elif effect in _ANY:
+    elif effect in _EFFECTS_OF_ANY_JOINT:
         joint = plant.turning[int(rng.integers(len(plant.turning)))]
     usual = float(np.exp(rng.normal(0.2, 0.4)))
     return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, SECONDS_A_POSE * poses))
 
 
 def impossible(plant: Plant) -> dict[str, str]:
-    """Effects that a robot cannot have, and why not; of a six-axis robot with payload on its feet there is none."""
+    """Return effects that a robot cannot have, and why not.
+
+    For a six-axis robot with payload on its feet there is none.
+    """
     n, last, down = plant.n, range(plant.n - 2, plant.n + 1), plant.base[:3, :3].T @ plant.gravity / plant.weight
     bar, arm = plant.four_bar, plant.centres[2] - plant.centres[1] if n > 2 else np.zeros(3)
     torque, full = largest_torque(plant)[np.array(plant.turning) - 1], stretched_moments(plant, 0)[1]
@@ -43,7 +53,7 @@ def impossible(plant: Plant) -> dict[str, str]:
     reasons = {
         "it has no payload": (plant.payload_kg <= 0, ("payload_error", "loose_flange", "tool_slip", "loose_cargo")),
         "its payload's mass centre lies in the flange": (not plant.payload_com.any(), ("loose_flange",)),
-        "no revolute joint carries weight": (torque.max() < 1e-3 * full, _LOADED),
+        "no revolute joint carries weight": (torque.max() < 1e-3 * full, _EFFECTS_UNDER_LOAD),
         "it has no revolute wrist of three joints": (
             n < 4 or not set(last) <= set(plant.turning) or (bar is not None and bar.driven in last),
             ("joint_coupling",),
@@ -63,7 +73,7 @@ def impossible(plant: Plant) -> dict[str, str]:
 
 
 def _links(plant: Plant) -> list[int]:
-    """Links that may bend or crack: the second and the third, where they have some length and carry some weight."""
+    """Return links that may bend or crack: 2 and 3, if they have length and carry weight."""
     least = 1e-3 * stretched_moments(plant, 0)[1]
     long = [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
     return [k for k in long if stretched_moments(plant, k)[0] > least]
@@ -72,7 +82,7 @@ def _links(plant: Plant) -> list[int]:
 def _size(
     plant: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
 ) -> dict[str, Any]:
-    """Everything but the joint, ``usual`` times as large as it is on most robots."""
+    """Return all sizes of an effect; they are ``usual`` times those of most robots."""
 
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
@@ -81,8 +91,8 @@ def _size(
     middle = float(np.round(rng.uniform(0.3, 0.7) * lasts_s))
     own, links = (joint or 1) - 1, _links(plant) or [2]
     inside = between(*plant.ranges[own])
-    # A joint as good as rigid, below 10 urad at the rated torque, would hold its load by a small share of what winds
-    # it by the play.
+    # In a nearly rigid joint, below 10 urad at the rated torque, friction in proportion to the
+    # torque that winds it by the play would hold the load; it is therefore reduced.
     given = float(rated_torque(plant)[own] / plant.stiffness[own]) if effect == "backlash" else 1.0
     rub = given / (60e-6 * usual) if given < 1e-5 else 1.0
     source = plant.n - 1 if joint == plant.n - 2 else (joint or 5) - 1
@@ -139,14 +149,14 @@ def _size(
     }
     if effect in sizes:
         return sizes[effect]
-    # These are drawn separately, so that the sizes of the others stay the same for the same seed.
+    # These are drawn after the others, whose sizes thus stay the same for the same seed.
     added: dict[str, dict[str, Any]] = {
         "loose_cargo": {"size": 80e-6 * usual},
         "tight_cable": {"size": 100e-6 * usual, "free": between(0.2, 0.6)},
         "lost_bits": {"size": 100e-6 * usual, "at_rad": inside},
         "rubber_coupling": {"size": 120e-6 * usual, "lag_minutes": between(0.7, 4.0)},
     }
-    # A tracker stands out of the robot's reach, at eye level or lower.
+    # A tracker stands outside of the robot's reach, at eye level or lower.
     away = plant.reach * between(1.3, 2.0)
     stand = away * float(np.cos(angle)), away * float(np.sin(angle)), between(0.0, 1.5)
     return (added | {"range_offset": {"size": 150e-6 * usual * sign, "stand_m": stand}})[effect]

@@ -1,10 +1,10 @@
 """Equilibrium of a mechanism in MuJoCo, found by a simulation until it is at rest.
 
-Time is slowed down: the joints' own inertia and damping (``robot.spring``) make every joint come to rest in a second
-or so, whatever its stiffness, so that steps of 20 ms suffice. The equilibrium of
-weights, springs, loops, stops and dry friction depends on neither.
+The simulation is not in real time: the joints' inertia and damping (``robot.spring``) are chosen so
+that every joint comes to rest in a second or so, whatever its stiffness, and steps of 20 ms
+suffice. The equilibrium of weights, springs, loops, stops and dry friction depends on neither.
 
-MJCF, the XML of MuJoCo, of a mechanism.
+The mechanism is translated to MJCF, the XML format of MuJoCo.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -19,30 +19,39 @@ from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism
 from casadical.blind_check.mujoco_physics.plant import Array
 from casadical.core.basics import ConvergenceError, optional
 
-STEP = 0.02  # s, of the integrator
-HARD = "0.9999 0.9999 0.001 0.5 2"  # the hardest impedance that MuJoCo has, at every violation
+# Time step of the integrator [s].
+TIME_STEP_S = 0.02
+# MuJoCo's solimp parameters for constraints that are as hard as possible at every violation.
+HARDEST_IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
 
 def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> str:
-    """The mechanism in MuJoCo's XML: world = the measuring frame.
+    """Return the mechanism in MuJoCo's XML; its world is the measuring frame.
 
-    The loop is an equality constraint between sites, motors the rests of joint springs (``qpos_spring`` and
-    ``tendon_lengthspring``, which the model keeps at ``ref``). The body ``tracker`` stands at the world's origin, and
-    a sensor gives the site ``reflector`` in its frame.
+    The loop is an equality constraint between sites, motors are the rest positions of joint springs
+    (``qpos_spring`` and ``tendon_lengthspring``, which the model keeps at ``ref``). The body
+    ``tracker`` stands at the world's origin, and a sensor gives the site ``reflector`` in its
+    frame.
     """
-    stiff = f"{2 * STEP!r} 1"
-    # The solver's tolerance is in units of the mean inertia, which is large here: any but 0 would end it too early.
+    stiff = f"{2 * TIME_STEP_S!r} 1"
+    # The solver's tolerance is in units of the mean inertia, which is large here, so any tolerance
+    # above 0 would end it too early.
     root = ET.Element("mujoco", model="robot")
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     option = ET.SubElement(
-        root, "option", timestep=repr(STEP), integrator="implicitfast", gravity=numbers(*gravity), tolerance="0"
+        root, "option", timestep=repr(TIME_STEP_S), integrator="implicitfast", gravity=numbers(*gravity), tolerance="0"
     )
     ET.SubElement(option, "flag", contact="disable")
     default = ET.SubElement(root, "default")
-    hard = {"solreflimit": stiff, "solimplimit": HARD, "solreffriction": stiff, "solimpfriction": HARD}
+    hard = {
+        "solreflimit": stiff,
+        "solimplimit": HARDEST_IMPEDANCE,
+        "solreffriction": stiff,
+        "solimpfriction": HARDEST_IMPEDANCE,
+    }
     ET.SubElement(default, "joint", hard)
     ET.SubElement(default, "tendon", hard)
-    ET.SubElement(default, "equality", solref=stiff, solimp=HARD)
+    ET.SubElement(default, "equality", solref=stiff, solimp=HARDEST_IMPEDANCE)
     world = ET.SubElement(root, "worldbody")
     ET.SubElement(world, "body", name="tracker")
     nodes = {"world": world}
@@ -61,16 +70,17 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
 
 
 def numbers(*values: float) -> str:
-    """Numbers as MJCF writes them, to the last bit."""
+    """Return numbers as MJCF writes them, exact to the last bit."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def quaternion(R: Array) -> Array:
-    """Unit quaternion (4,), scalar first, of the rotation matrix ``R`` (3, 3)."""
+    """Return the unit quaternion (4,), scalar first, of the rotation matrix ``R`` (3, 3)."""
     return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
 def _body(parent: ET.Element, body: Body) -> ET.Element:
+    """Add a body with its joints and sites to the XML, and return its element."""
     place = {"pos": numbers(*body.place[:3, 3]), "quat": numbers(*quaternion(body.place[:3, :3]))}
     node = ET.SubElement(parent, "body", {"name": body.name, **place})
     mass = max(body.mass, 1e-6) if body.joints else body.mass  # the engine moves no body without mass
@@ -92,6 +102,7 @@ def _body(parent: ET.Element, body: Body) -> ET.Element:
 
 
 def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
+    """Add cords and shafts to the XML as tendons."""
     for cord in mechanism.cords:
         node = ET.SubElement(parent, "spatial", name=cord.name, stiffness=numbers(cord.stiffness))
         node.set("springlength", numbers(*cord.rest))
@@ -109,9 +120,12 @@ def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
 
 @dataclass(frozen=True)
 class Setting:
-    """A body or a mark that is at one pose not as it was built: shifted (3,) [m] or turned (3,) [rad].
+    """A deviation of a body or a named point from the built mechanism at one pose.
 
-    Bodies are shifted and turned in their parent's frame, before their joints; marks in their body's frame.
+    kind : shift or turn of a body, in its parent's frame and before its joints; mark: shift of a
+        named point in its body's frame
+    name : of the body or point
+    value : shape (3,) [m] or [rad]
     """
 
     kind: Literal["shift", "turn", "mark"]
@@ -121,9 +135,13 @@ class Setting:
 
 @dataclass(frozen=True)
 class Stop:
-    """What the robot does at one pose; start : coordinates of joints to start from; settings : what is not as built.
+    """State of the robot at one pose.
 
-    motors : where they stop [rad or m]; approach : of -1 and 1, from which side they come, shapes (joints,)
+    motors : where they stop, shape (joints,) [rad or m]
+    approach : -1 or 1, from which side they come, shape (joints,)
+    start : coordinates of joints at which the search for the equilibrium starts
+    payload_kg : declared
+    settings : deviations from the built mechanism
     """
 
     motors: Array
@@ -134,9 +152,10 @@ class Stop:
 
 
 class Engine:
-    """A mechanism, effects included, compiled by MuJoCo, that can be brought to rest at one pose after the other.
+    """A mechanism, effects included, compiled by MuJoCo, that is brought to rest at poses.
 
-    gravity : in the measuring frame [m/s^2]. Raises InputError: MuJoCo is missing.
+    gravity : in the measuring frame [m/s^2]
+    Raises InputError: MuJoCo is missing.
     """
 
     def __init__(self, mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> None:
@@ -161,7 +180,10 @@ class Engine:
         self._built = {name: getattr(m, name).copy() for name in names}
 
     def rest(self, stop: Stop) -> Array:
-        """The reflector as the tracker sees it at rest. Raises ConvergenceError: no rest within some thousand steps."""
+        """Return the reflector's position as the tracker sees it in equilibrium, shape (3,) [m].
+
+        Raises ConvergenceError: no rest within some thousand steps.
+        """
         self._arrange(stop)
         if self.mechanism.travels:
             self._travel(stop)
@@ -172,10 +194,11 @@ class Engine:
         return np.array(self.data.sensor("measured").data)
 
     def coordinate(self, joint: str) -> float:
-        """The coordinate of a joint now."""
+        """Return the current coordinate of a joint."""
         return float(self.data.qpos[self._row[joint]])
 
     def _arrange(self, stop: Stop) -> None:
+        """Reset the model and apply a pose's settings, payload and start."""
         m, d = self.model, self.data
         kept = d.qpos[self._keeps].copy()
         self.mujoco.mj_resetData(m, d)
@@ -193,6 +216,7 @@ class Engine:
         d.qpos[self._keeps] = kept
 
     def _set(self, setting: Setting) -> None:
+        """Apply one setting to the model."""
         m = self.model
         if setting.kind == "mark":
             m.site_pos[m.site(setting.name).id] += setting.value
@@ -206,13 +230,14 @@ class Engine:
                 self.mujoco.mju_mulQuat(m.body_quat[m.body(setting.name).id], quat, before)
 
     def _drive(self, motors: Array) -> None:
+        """Set the rest positions of the joint springs."""
         for row, motor in self._motors:
             self.model.qpos_spring[row] = motors[motor]
         for shaft, motor, slack in self._shafts:
             self.model.tendon_lengthspring[shaft] = motors[motor] - slack, motors[motor] + slack
 
     def _travel(self, stop: Stop) -> None:
-        """Find the rest beside the pose without friction, then move to the pose with it and wait."""
+        """Find the equilibrium near the pose without friction, then move to it with friction."""
         m = self.model
         back = stop.motors - 1.5e-3 * stop.approach  # rad or m that every joint moves before it stops
         m.dof_frictionloss[self._moves] = m.tendon_frictionloss[:] = 0.0
@@ -229,7 +254,10 @@ class Engine:
         self._until_still(creep=2e-7)  # what friction holds creeps in the engine
 
     def _until_still(self, creep: float = 2e-9) -> None:
-        """Step until nothing moves faster than ``creep`` [rad/s or m/s]; the way left is a tenth of it in rad or m."""
+        """Step until nothing moves faster than ``creep`` [rad/s or m/s].
+
+        The remaining way is about a tenth of that number [rad or m].
+        """
         for _ in range(0, 1500, 10):
             self.mujoco.mj_step(self.model, self.data, 10)
             if np.abs(self.data.qvel).max() < creep:

@@ -1,4 +1,4 @@
-"""The four-bar loop by the intersection of two circles, and its lever arms from the force in the coupler."""
+"""Four-bar loop: closed by intersecting two circles, with lever arms by the coupler's force."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,11 @@ from casadical.core.basics import InputError
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """In the plane of the link before, from its axis: points (n, 2) [m], and the driven link's angle (n,) [rad]."""
+    """A closed loop in the plane of the link before, from its axis.
+
+    crank_end, coupler_end, pivot : points, shape (n, 2) [m]
+    passive : angle of the driven link, shape (n,) [rad]
+    """
 
     crank_end: Array
     coupler_end: Array
@@ -19,38 +23,53 @@ class ClosedLoop:
 
     @property
     def lever(self) -> Array:
-        """Crank torque for a unit torque on the driven link, shape (n,): the coupler's force is along itself."""
+        """The crank torque for a unit torque on the driven link, shape (n,).
+
+        It follows from the coupler's force, which is along the coupler.
+        """
         along = self.crank_end - self.coupler_end
         return _cross(self.crank_end, along) / _cross(self.coupler_end - self.pivot, along)
 
 
 def pivot(plant: Plant) -> Array:
-    """The driven joint in the plane of the link before, shape (2,) [m], seen from that link's axis and x axis."""
+    """Return the driven joint in the plane of the link before, shape (2,) [m].
+
+    It is seen from that link's axis and x axis.
+    """
     k = _bar(plant).driven - 1
     R, p = plant.home[k - 1, :3, :3], plant.home[k, :3, 3] - plant.home[k - 1, :3, 3]
     return np.asarray((R.T @ p)[:2])
 
 
 def crank_end(bar: FourBar, crank: Array) -> Array:
-    """End of the crank (n, 2) [m] in the plane of the link before; ``crank`` (n,) as of `crank_angle` [rad]."""
+    """Return the end of the crank in the plane of the link before, shape (n, 2) [m].
+
+    crank : shape (n,) as of `crank_angle` [rad]
+    """
     angle = crank + bar.crank_zero_rad
     return bar.crank_m * np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def crank_angle(plant: Plant, angles: Array) -> Array:
-    """Angle (n,) [rad] of the crank in the link before, at those of the motors, (n, joints)."""
+    """Return the angle of the crank in the link before, (n,) [rad], at motor angles (n, joints)."""
     k = _bar(plant).driven - 1
     return np.asarray(angles[:, k] - angles[:, k - 1])
 
 
 def crank_distance(plant: Plant, q: Array) -> Array:
-    """Distance (n,) [m] between the crank's end and the driven joint at the readings ``q`` (n, joints) [rad]."""
+    """Return the distance of the crank's end from the driven joint, shape (n,) [m].
+
+    q : readings, shape (n, joints) [rad]"""
     bar = _bar(plant)
     return np.asarray(np.linalg.norm(crank_end(bar, crank_angle(plant, q)) - pivot(plant), axis=-1))
 
 
 def unfolded(plant: Plant) -> tuple[float, float] | None:
-    """Crank distances [m] that stay a quarter of the rocker away from the folded and the stretched loop."""
+    """Return limits of the crank distance [m] that keep the loop away from its singular poses.
+
+    They are a quarter of the rocker away from the folded and the stretched loop; None without a
+    loop.
+    """
     bar = plant.four_bar
     if bar is None:
         return None
@@ -59,7 +78,10 @@ def unfolded(plant: Plant) -> tuple[float, float] | None:
 
 
 def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
-    """Close the loop, not crossed, at crank angles (n,) [rad]. Raises InputError at the first pose where it is open."""
+    """Return the loop, not crossed, at crank angles (n,) [rad].
+
+    Raises InputError at the first pose where it cannot be closed.
+    """
     bar, P, C = _bar(plant), pivot(plant), crank_end(_bar(plant), crank)
     reach = C - P
     d = np.linalg.norm(reach, axis=-1)
@@ -80,10 +102,12 @@ def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
 
 
 def _bar(plant: Plant) -> FourBar:
+    """Return the robot's four-bar. Raises InputError if there is none."""
     if plant.four_bar is None:
         raise InputError(f"robot {plant.name!r} has no four-bar")
     return plant.four_bar
 
 
 def _cross(a: Array, b: Array) -> Array:
+    """Return the cross product of plane vectors."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -36,12 +36,18 @@ UNLISTED: Mapping[str, Kind] = _by_name(
 
 
 def sizes_in_words(sizes: Mapping[str, Any]) -> str:
+    """Return the sizes of an effect as text."""
     return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """One hidden effect: its name, the joint it sits in (1-based, None: none), everything else about it [SI]."""
+    """One hidden effect.
+
+    effect : its name
+    joint : of the effect, 1-based; None if it belongs to none
+    size : its sizes by name [SI]
+    """
 
     effect: str
     joint: int | None
@@ -49,15 +55,20 @@ class Hidden:
 
     @property
     def about(self) -> str:
+        """The sizes as text."""
         return sizes_in_words(self.size)
 
     @property
     def label(self) -> str:
+        """The name, or name@joint."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 
 def cause(hidden: Hidden, joints: int = 6) -> Cause:
-    """What a hidden effect does in the engine. Raises InputError when its name, joint or sizes are not those of one."""
+    """Return the cause by which a hidden effect acts in the engine.
+
+    Raises InputError when its name, joint or sizes are not those of an effect.
+    """
     kind = {**LISTED, **UNLISTED}.get(hidden.effect)
     if kind is None:
         raise InputError(f"effect {hidden.effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
@@ -75,9 +86,9 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
 
 
 def causes(hidden: Sequence[Hidden | Cause], joints: int = 6) -> list[Cause]:
-    """Return what hidden effects do in the engine, in the order in which they are built in.
+    """Return the causes by which hidden effects act in the engine, in the order of building.
 
-    A `Cause` that is no effect by name, but written for one campaign, is taken as it is.
+    A `Cause` that is no effect by name, but written for one campaign, is taken unchanged.
     """
     acting = (h if isinstance(h, Cause) else cause(h, joints) for h in hidden)
     return sorted(acting, key=lambda c: c.kind.name == "joint_coupling")

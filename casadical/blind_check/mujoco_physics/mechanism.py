@@ -1,4 +1,4 @@
-"""A mechanism in the terms of a physics engine: bodies, joints, a loop, cords."""
+"""Mechanism in the terms of a physics engine: bodies, joints, a loop, cords and shafts."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -8,22 +8,28 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.plant import Array
 
-X, Y, Z, ORIGIN = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)
+X = (1.0, 0.0, 0.0)
+Y = (0.0, 1.0, 0.0)
+Z = (0.0, 0.0, 1.0)
+ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class Joint:
-    """A hinge or a slide of a body in its parent; the joints of one body act in this order, the first at the parent.
+    """A hinge or a slide of a body in its parent.
+
+    The joints of one body act in their order, the first at the parent.
 
     name : unique in the mechanism
     kind, axis, at : hinge or slide, its direction and a point on it [m], in the body's frame
-    ref : coordinate [rad or m] at which the body is where its ``place`` says
-    stiffness, hardening : spring torque ``stiffness x + hardening x^3`` [N m, N] at the deflection ``x`` from its rest
-    motor : 1-based number of the motor whose angle is the spring's rest; without one the rest is 0
-    friction, rubbing : dry friction [N m, N], and what each unit of the spring's torque adds to it
-    limits : coordinates at which hard stops are, or None
+    ref : coordinate at which the body is at its ``place`` [rad or m]
+    stiffness, hardening : spring torque ``stiffness x + hardening x^3`` [N m, N] at the deflection
+        ``x`` from its rest
+    motor : 1-based number of the motor whose angle is the spring's rest; None: the rest is 0
+    friction, rubbing : dry friction [N m, N], and its increase per unit of the spring's torque
+    limits : coordinates of hard stops, or None
     inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N s/m]
-    keeps : the coordinate at one pose is where the motion to the next begins
+    keeps : whether the coordinate at one pose is where the motion to the next begins
     """
 
     name: str
@@ -44,9 +50,15 @@ class Joint:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body: its ``place`` (4, 4) in its parent, mass [kg], mass centre and named points ``marks`` (3,) [m].
+    """A rigid body; without joints it is fixed to its parent.
 
-    Without joints it is fixed to its parent. ``gyration`` [m] is its radius of gyration about the mass centre.
+    name, parent : of the body
+    place : in its parent, shape (4, 4) [m]
+    joints : by which it moves
+    mass : [kg]
+    com : mass centre in the body's frame, shape (3,) [m]
+    gyration : radius of gyration about the mass centre [m]
+    marks : named points in the body's frame, shape (3,) [m]
     """
 
     name: str
@@ -61,7 +73,11 @@ class Body:
 
 @dataclass(frozen=True)
 class Cord:
-    """A spring between two marks: no force while its length [m] is within ``rest``, then ``stiffness`` [N/m]."""
+    """A spring between two named points.
+
+    There is no force while its length is within ``rest`` [m]; beyond, the stiffness is
+    ``stiffness`` [N/m].
+    """
 
     name: str
     first: str
@@ -88,11 +104,13 @@ class Shaft:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """Bodies, parents before their children, and what connects them besides their joints.
+    """Bodies, parents before their children, and what connects them apart from their joints.
 
-    loop : two marks that are one ball joint, which closes a chain of bodies
-    cords : springs between two bodies; shafts : couplings between joints
-    travels : whether where it rests depends on where it comes from, as by friction and play
+    bodies : of the mechanism
+    loop : two named points that form a ball joint, which closes a chain of bodies
+    cords : springs between two bodies
+    shafts : couplings between joints
+    travels : whether the equilibrium depends on the motion before it, as with friction and play
     payload_factor : true over declared mass of the payload
     """
 
@@ -104,26 +122,32 @@ class Mechanism:
     payload_factor: float = 1.0
 
     def body(self, name: str) -> Body:
+        """Return the body of this name."""
         return next(b for b in self.bodies if b.name == name)
 
     def holder(self, joint: str) -> Body:
-        """The body that has the joint of that name."""
+        """Return the body that has the joint of this name."""
         return next(b for b in self.bodies if any(j.name == joint for j in b.joints))
 
     def joint(self, name: str) -> Joint:
+        """Return the joint of this name."""
         return next(j for j in self.holder(name).joints if j.name == name)
 
     def with_body(self, changed: Body) -> Self:
+        """Return the mechanism with a changed body in place of the one of its name."""
         return replace(self, bodies=tuple(changed if b.name == changed.name else b for b in self.bodies))
 
     def with_joints(self, name: str, *joints: Joint) -> Self:
-        """The same with these joints in the place of the one of that name, in the same body."""
+        """Return the mechanism with these joints in place of the one of that name."""
         body = self.holder(name)
         kept = [[j] if j.name != name else joints for j in body.joints]
         return self.with_body(replace(body, joints=tuple(j for some in kept for j in some)))
 
     def with_body_after(self, name: str, new: Body) -> Self:
-        """The same with ``new`` on the body ``name`` and everything that this one carried on ``new``, where it was."""
+        """Return the mechanism with ``new`` between the body ``name`` and all that it carried.
+
+        Nothing is moved by that.
+        """
         bodies: list[Body] = []
         for body in self.bodies:
             if body.parent == name:

@@ -1,11 +1,11 @@
-"""A robot as built: its axes, masses and reflector when every reading is zero, and how it departs from its drawing.
+"""A robot as built: axes, masses and reflector at zero readings, and its random building errors.
 
-The nominal robot comes from plain numbers (modified DH rows, masses, stiffness, an optional four-bar); from there on
-there are no DH parameters, only frames at zero readings and the axes about which the bodies turn or along which they
-slide.
+The nominal robot comes from plain numbers (modified DH rows, masses, stiffness, an optional
+four-bar); after that there are no DH parameters, only frames at zero readings and the axes about
+which the bodies turn or along which they slide.
 
-Motions are homogeneous matrices, for one pose or for n at once: they move points from where they were to where they
-are, both seen from one frame, ``move(G, x)``.
+Motions are homogeneous matrices, for one pose or for n at once: they move points from where they
+were to where they are, both in one frame, ``move(G, x)``.
 """
 
 from collections.abc import Mapping, Sequence
@@ -23,14 +23,14 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def rotation(rotvec: Array) -> Array:
-    """Rotation matrices, shape (..., 3, 3), that turn about ``rotvec`` (..., 3) by its length [rad]."""
+    """Return rotation matrices (..., 3, 3) about ``rotvec`` (..., 3) by its length [rad]."""
     shape = np.shape(rotvec)
     R = Rotation.from_rotvec(np.reshape(rotvec, (-1, 3))).as_matrix()
     return np.asarray(R.reshape(*shape[:-1], 3, 3))
 
 
 def motion(rotvec: Array, shift: Array, about: Array) -> Array:
-    """Motions (..., 4, 4): turn about the point ``about`` by ``rotvec`` [rad], then shift [m]."""
+    """Return motions (..., 4, 4): a rotation by ``rotvec`` [rad] about a point, a shift [m]."""
     R = rotation(rotvec)
     G = np.zeros((*R.shape[:-2], 4, 4))
     G[..., :3, :3] = R
@@ -40,33 +40,35 @@ def motion(rotvec: Array, shift: Array, about: Array) -> Array:
 
 
 def turn(axis: Array, point: Array, angle: Array) -> Array:
-    """Motions (n, 4, 4) about the line through ``point`` along the unit vector ``axis`` by ``angle`` (n,) [rad]."""
+    """Return motions (n, 4, 4) by ``angle`` (n,) [rad] about a line.
+
+    axis : unit vector; point : on the line [m]"""
     rotvec = np.asarray(angle, float)[..., None] * axis
     return motion(rotvec, np.zeros(3), point)
 
 
 def slide(shift: Array) -> Array:
-    """Motions (..., 4, 4) that only shift by ``shift`` (..., 3) [m]."""
+    """Return motions (..., 4, 4) that only shift, by ``shift`` (..., 3) [m]."""
     return motion(np.zeros_like(np.asarray(shift, float)), shift, np.zeros(3))
 
 
 def move(G: Array, x: Array) -> Array:
-    """Where the points ``x`` (..., 3) are after the motions ``G`` (..., 4, 4)."""
+    """Return the points ``x`` (..., 3) after the motions ``G`` (..., 4, 4)."""
     return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], x) + G[..., :3, 3])
 
 
-def point(G: Array, v: Array) -> Array:
-    """The directions ``v`` (..., 3) after the motions ``G``."""
+def rotated(G: Array, v: Array) -> Array:
+    """Return the directions ``v`` (..., 3) after the motions ``G``."""
     return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], v))
 
 
 def back(G: Array, v: Array) -> Array:
-    """The directions ``v`` (..., 3) brought back to before the motions ``G``."""
+    """Return the directions ``v`` (..., 3) before the motions ``G`` (the inverse rotation)."""
     return np.asarray(np.einsum("...ji,...j->...i", G[..., :3, :3], v))
 
 
 def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float, float]:
-    """A vector of the length, in any direction with equal probability."""
+    """Return a vector of this length in a random direction, uniformly distributed."""
     direction = rng.standard_normal(3)
     x, y, z = (float(c) for c in length * direction / np.linalg.norm(direction))
     return x, y, z
@@ -74,12 +76,12 @@ def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float
 
 @dataclass(frozen=True)
 class FourBar:
-    """A planar loop that drives a joint: ground bar = the link before it, crank on that link's axis, coupler, rocker.
+    """A planar loop that drives a joint: ground bar (the link before it), crank, coupler, rocker.
 
-    crank_m, coupler_m, rocker_m : length [m]
+    crank_m, coupler_m, rocker_m : lengths [m]
     crank_zero_rad : added to the reading of the driven joint [rad]
-    passive_offset_rad : added to the rocker's direction in the link before, which gives the angle of the driven link
-        [rad]
+    passive_offset_rad : added to the rocker's direction in the link before, which gives the angle
+        of the driven link [rad]
     driven : joint that it drives, 1-based; its crank turns about the axis of the joint before
     """
 
@@ -93,7 +95,7 @@ class FourBar:
 
 @dataclass(frozen=True)
 class Plant(Shown):
-    """A robot of n axes at zero readings, in SI units.
+    """A robot of n axes, described at zero readings, in SI units.
 
     home : Array, shape (n, 4, 4) [m]: frame of every link in the robot's base at zero readings; joint i turns about its
         z axis, or slides along it
@@ -130,7 +132,10 @@ class Plant(Shown):
 
     @classmethod
     def from_dict(cls, robot: Mapping[str, Any]) -> Self:
-        """The nominal robot of a mapping as in data/campaigns/robots. Raises InputError: a key or a shape is wrong."""
+        """Return the nominal robot of a mapping as in data/campaigns/robots.
+
+        Raises InputError: a key or a shape is wrong.
+        """
         keys = [
             "name",
             "modified_dh",
@@ -172,46 +177,54 @@ class Plant(Shown):
 
     @property
     def n(self) -> int:
+        """The number of joints."""
         return len(self.home)
 
     @property
     def turning(self) -> list[int]:
+        """The revolute joints, 1-based."""
         return [j for j in range(1, self.n + 1) if j not in self.slides]
 
     @property
     def weight(self) -> float:
-        """Acceleration by gravity [m/s^2]."""
+        """The magnitude of gravity [m/s^2]."""
         return float(np.hypot(np.hypot(self.gravity[0], self.gravity[1]), self.gravity[2]))
 
     @property
     def axes(self) -> Array:
-        """Directions of the joint axes at zero readings, shape (n, 3) [unit vectors], in the robot's base."""
+        """The unit vectors of the joint axes at zero readings in the robot's base, shape (n, 3)."""
         return self.home[:, :3, 2]
 
     @property
     def centres(self) -> Array:
-        """A point on every joint axis at zero readings, shape (n, 3) [m], in the robot's base."""
+        """A point on every joint axis at zero readings in the robot's base, shape (n, 3) [m]."""
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
-        """Points of a link frame (1-based), shape (..., 3) [m], in the robot's base at zero readings."""
+        """Return points of a link's frame in the robot's base at zero readings, shape (..., 3) [m].
+
+        link : 1-based; x : in the link's frame, shape (..., 3) [m]
+        """
         return np.asarray(x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3])
 
     @property
     def stations(self) -> Array:
-        """Base origin, the joint centres and the reflector at zero readings, shape (n + 2, 3) [m]: the links' ends."""
+        """The ends of the links at zero readings, shape (n + 2, 3) [m].
+
+        They are the base's origin, the joint centres and the reflector."""
         return np.vstack([np.zeros(3), self.centres, self.at_home(self.n, self.reflector)])
 
     @property
     def reach(self) -> float:
-        """Length of all links together [m]."""
+        """The length of all links together [m]."""
         return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=-1).sum())
 
 
 def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]]) -> Array:
-    """Frames (n, 4, 4) [m] at zero readings of modified rows alpha, a, beta, b, theta, d [rad, m].
+    """Return the frames at zero readings of modified DH rows, shape (n, 4, 4) [m].
 
-    A row is Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta) Trans_z(d).
+    rows : alpha, a, beta, b, theta, d [rad, m], each of which is
+        Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta) Trans_z(d)
     """
     T, frames, (x, y, z), nowhere = np.eye(4), [], np.eye(3), np.zeros(3)
     for alpha, a, beta, b, theta, d in rows:
@@ -230,6 +243,7 @@ def _radians(degrees: Any) -> float:
 
 
 def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
+    """Return an array of a mapping after a check of its shape. Raises InputError."""
     table = np.array(robot[key], float)
     if table.shape != shape or not np.isfinite(table).all():
         raise InputError(f"robot: {key} has shape {table.shape}; it must be finite numbers of shape {shape}")
@@ -238,9 +252,11 @@ def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True)
 class Building:
-    """Which of its errors a robot has: those that its model leaves open.
+    """Which building errors a robot has: those that its model leaves open.
 
-    base_shift, base_turn : of the base in the measuring frame, first link included; reflector : of its place
+    base_shift, base_turn : whether the base is shifted and turned in the measuring frame, first
+        link included
+    reflector : whether the reflector is displaced
     mass_spread : standard deviation of the logarithm of the links' masses
     """
 
@@ -261,11 +277,13 @@ def perturb(
     stiffness_spread: float = 0.4,
     building: Building = Building(),
 ) -> Plant:
-    """The robot with generic errors: all six of every link, not only those that DH rows name; all drawn from the seed.
+    """Return the robot with random building errors: all six of every link.
 
-    length_mm, angle_mrad : one sigma of each coordinate [mm] and angle [mrad] of a link's error; lengths of bars, too
-    base : greatest shift [m] and turn [deg] of the robot's base against the measuring frame
-    tool_mm : one sigma of each coordinate of the reflector's error [mm]
+    seed : of all errors
+    length_mm, angle_mrad : standard deviation of each coordinate [mm] and angle [mrad] of a link's
+        error, and of lengths of bars
+    base : greatest shift [m] and rotation [deg] of the robot's base in the measuring frame
+    tool_mm : standard deviation of each coordinate of the reflector's error [mm]
     stiffness_spread : standard deviation of the logarithm of the joint stiffnesses
     building : which errors it has; by default all but those of the masses
     """
@@ -292,7 +310,9 @@ def perturb(
 
 
 def home_with_errors(plant: Plant, wrong: Array) -> Array:
-    """Frames at zero readings when each link ends in a frame that is ``wrong`` (n, 4, 4) in its own axes."""
+    """Return the frames at zero readings if each link has an error at its end.
+
+    wrong : errors in the links' own axes, shape (n, 4, 4)"""
     before, frame, frames = np.eye(4), np.eye(4), []
     for nominal, error in zip(plant.home, wrong, strict=True):
         frame = frame @ np.linalg.solve(before, nominal) @ error
@@ -302,6 +322,6 @@ def home_with_errors(plant: Plant, wrong: Array) -> Array:
 
 
 def _in_ball(rng: np.random.Generator) -> Array:
-    """A point drawn evenly from the unit ball."""
+    """Return a random point, uniformly distributed in the unit ball."""
     direction = rng.standard_normal(3)
     return np.asarray(direction / np.linalg.norm(direction) * rng.random() ** (1 / 3))

@@ -1,4 +1,4 @@
-"""The mechanism of a robot as built: links on springs, a four-bar of real bodies, the payload as a body."""
+"""Mechanism of a robot as built: links on springs, four-bar and payload as bodies."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,15 +9,18 @@ from casadical.blind_check.mujoco_physics.fourbar import close_loop, crank_angle
 from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanism, X, Y, Z
 from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
 
-SLOW = 0.1  # s: every spring joint alone would come to rest with this time constant
+# Time constant with which every spring joint alone comes to rest in the simulation [s].
+SETTLING_TIME_S = 0.1
 
 
 def mechanism(plant: Plant) -> Mechanism:
-    """Bodies ``pedestal``, ``link1`` .., ``tool``, ``payload``; joints ``joint1`` ...
+    """Return the mechanism of a robot as built.
+
+    Bodies are ``pedestal``, ``link1`` .., ``tool`` and ``payload``, joints are ``joint1`` ..
 
     A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and
-    ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball joint on link 3. It is
-    drawn in the middle of the joint ranges.
+    ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball
+    joint on link 3. The mechanism is described in the middle of the joint ranges.
     """
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]
@@ -41,7 +44,12 @@ def mechanism(plant: Plant) -> Mechanism:
 
 
 def start(plant: Plant, angles: Array) -> dict[str, float]:
-    """Where to start to look for the rest at the motor angles (joints,): coordinates of all joints but the small."""
+    """Return joint coordinates at which the search for the equilibrium starts.
+
+    angles : of the motors, shape (joints,) [rad or m]
+
+    The small joints of effects are left out.
+    """
     first = {f"joint{i + 1}": float(angles[i]) for i in range(plant.n)}
     if plant.four_bar is not None:
         loop = close_loop(plant, crank_angle(plant, angles[None]))
@@ -50,28 +58,33 @@ def start(plant: Plant, angles: Array) -> dict[str, float]:
 
 
 def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **more: object) -> Joint:
-    """A joint on a spring, with the inertia and damping that let it come to rest in ``SLOW``, whatever its stiffness.
+    """Return a joint on a spring that comes to rest in ``SETTLING_TIME_S``, whatever its stiffness.
 
-    A spring that hardens takes the inertia of one of the stiffness ``inertia_of``, between its softest and its hardest.
-    Inertia and damping do not change the equilibrium.
+    Its inertia and damping are chosen for that; they do not change the equilibrium. For a spring
+    that hardens they are those of the stiffness ``inertia_of``, between its softest and its
+    hardest.
     """
     k = float(stiffness if inertia_of is None else inertia_of)
-    joint = Joint(name, stiffness=float(stiffness), inertia=k * SLOW**2, damping=2 * k * SLOW)
+    joint = Joint(name, stiffness=float(stiffness), inertia=k * SETTLING_TIME_S**2, damping=2 * k * SETTLING_TIME_S)
     return replace(joint, **more)  # type: ignore[arg-type]
 
 
 def springs(name: str, stiffness: float, limit: float, axes: str, **more: Any) -> tuple[Joint, ...]:
-    """A joint on a spring for each of the axes ("xy", say), within +-limit [rad or m]; more : as of `spring`."""
+    """Return a joint on a spring for each of the axes ("xy", say), within +-limit [rad or m].
+
+    more : as of `spring`
+    """
     limits, along = (-limit, limit), {"x": X, "y": Y, "z": Z}
     return tuple(spring(f"{name}_{c}", stiffness, axis=along[c], limits=limits, **more) for c in axes)
 
 
 def free(name: str, like: float, **more: object) -> Joint:
-    """A joint without a spring among springs of the stiffness ``like``."""
-    return replace(Joint(name, inertia=0.1 * float(like) * SLOW**2), **more)  # type: ignore[arg-type]
+    """Return a joint without a spring, with an inertia for springs of stiffness ``like``."""
+    return replace(Joint(name, inertia=0.1 * float(like) * SETTLING_TIME_S**2), **more)  # type: ignore[arg-type]
 
 
 def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) -> Mechanism:
+    """Return the mechanism with crank and coupler of a four-bar."""
     d = bar.driven
     k, before = plant.stiffness[d - 1], np.eye(4) if d == 2 else plant.home[d - 3]
     axis = np.linalg.solve(before, plant.home[d - 2])
@@ -92,7 +105,7 @@ def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) 
 
 
 def _coupler(plant: Plant, angles: Array) -> float:
-    """Angle [rad] of the coupler in the crank."""
+    """Return the angle of the coupler in the crank [rad]."""
     crank = crank_angle(plant, angles[None])
     loop = close_loop(plant, crank)
     x, y = (loop.coupler_end - loop.crank_end)[0]
@@ -100,6 +113,6 @@ def _coupler(plant: Plant, angles: Array) -> float:
 
 
 def _moved(place: Array, joint: Joint) -> Array:
-    """Where a body is when its joint is at its reference."""
+    """Return the place of a body when its joint is at its reference."""
     up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
     return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, np.zeros(3), by)))

@@ -1,4 +1,4 @@
-"""The circumstances of n measured poses: readings, time, warmth, payload, approach; and how they are drawn."""
+"""Circumstances of measured poses (readings, time, temperature, payload, approach)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,13 +13,13 @@ from casadical.core.basics import InputError
 
 @dataclass(frozen=True)
 class Stops:
-    """What is known of n poses when the robot has stopped.
+    """The circumstances of n poses at which the robot has stopped.
 
-    q : array (n, joints), readings [rad or m]
-    time_s : array (n,), since the start
-    warmth_K : array (n,), the arm's surface over its temperature at time 0
-    payload_kg : array (n,), declared
-    approach : array (n, joints) of -1 and 1, each joint's last motion before it stopped
+    q : readings, shape (n, joints) [rad or m]
+    time_s : since the start, shape (n,) [s]
+    warmth_K : temperature of the arm's surface above that at time 0, shape (n,) [K]
+    payload_kg : declared, shape (n,) [kg]
+    approach : -1 or 1, each joint's last motion before it stopped, shape (n, joints)
     """
 
     q: Array
@@ -32,7 +32,7 @@ class Stops:
         return len(self.q)
 
     def warmth_after(self, lag_minutes: float) -> Array:
-        """Warmth (n,) [K] of a part that follows the surface with a lag: heat flows in proportion to the difference."""
+        """Return the temperature rise of a part that lags behind the surface, shape (n,) [K]."""
         steps = np.diff(self.time_s, prepend=0.0)
         share = -np.expm1(-steps / (60.0 * lag_minutes))
         part, followed = 0.0, np.empty(len(self))
@@ -43,13 +43,19 @@ class Stops:
 
     @property
     def progress(self) -> Array:
-        """Share of the campaign that is over, shape (n,), from 0 to 1."""
+        """The share of the campaign that is over, shape (n,), from 0 to 1."""
         return np.arange(len(self)) / max(len(self) - 1, 1)
 
 
 @dataclass(frozen=True)
 class Warmup:
-    """The arm's temperature at the start [degC], its rise [K], time constant [min], and one sigma of its sensor [K]."""
+    """Warm-up of the arm.
+
+    start_degC : temperature at the start [degC]
+    rise_K : temperature rise in the end [K]
+    minutes : time constant [min]
+    sensor_K : standard deviation of the temperature sensor [K]
+    """
 
     start_degC: float = 20.0
     rise_K: float = 7.0
@@ -57,15 +63,16 @@ class Warmup:
     sensor_K: float = 0.05
 
     def course(self, time_s: Array) -> Array:
-        """Warmth (n,) [K] at times (n,) [s] since the start."""
+        """Return the temperature rise, shape (n,) [K], at times (n,) [s] since the start."""
         return np.asarray(-self.rise_K * np.expm1(-np.asarray(time_s, float) / (60.0 * self.minutes)))
 
 
 def draw_poses(
     plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
 ) -> Array:
-    """Readings (n, joints) [rad or m], uniform in ``ranges`` (joints, 2), the loop within its distance limits.
+    """Return random readings, shape (n, joints) [rad or m], uniform in ``ranges`` (joints, 2).
 
+    crank_distance_m : limits within which the four-bar stays [m]
     Raises InputError when hardly any pose in the ranges keeps the limits.
     """
     kept = np.empty((0, plant.n))
@@ -89,7 +96,11 @@ def draw_stops(
     warmup: Warmup,
     approach: Literal["chance", "motion"] = "chance",
 ) -> Stops:
-    """Circumstances of the readings ``q`` (n, joints): 20 to 40 s a pose, payloads in blocks, approaches."""
+    """Return random circumstances of the readings ``q`` (n, joints) [rad or m].
+
+    A pose takes 20 to 40 s; payloads come in blocks; approaches are random, or follow from the
+    order of poses.
+    """
     n = len(q)
     time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))
     came = np.random.default_rng(seeds[1]).choice([-1.0, 1.0], q.shape)
@@ -100,8 +111,8 @@ def draw_stops(
     return Stops(q, time, warmup.course(time), np.asarray(payload_states, float)[turn], came)
 
 
-def only(joint: int, values: Array, joints: int = 6) -> Array:
-    """Zeros (n, joints) with ``values`` (n,) in the column of ``joint`` (1-based)."""
+def in_column(joint: int, values: Array, joints: int = 6) -> Array:
+    """Return zeros, shape (n, joints), with ``values`` (n,) in the column of a joint."""
     columns = np.zeros((len(values), joints))
     columns[:, joint - 1] = values
     return columns

@@ -1,6 +1,7 @@
-"""A campaign as a table: poses, their circumstances, and what an instrument would have recorded.
+"""Table of a simulated campaign: poses, circumstances, and recorded positions.
 
-A physics says where the reflector is; what is drawn, rounded and written does not depend on it.
+A physics gives the positions of the reflector; random draws, rounding and columns are independent
+of it.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,23 +16,28 @@ from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import InputError
 
-MEASURED, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
+# Measured positions, and those without noise, in the measuring frame [mm].
+MEASURED_COLUMNS = ["x_mm", "y_mm", "z_mm"]
+TRUE_COLUMNS = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
 def approaches(joints: int) -> list[str]:
+    """Return the names of the columns of approach directions."""
     return [f"approach{j}" for j in range(1, joints + 1)]
 
 
 def readings(plant: Plant) -> list[str]:
+    """Return the names of the columns of readings."""
     return [f"q{j}_mm" if j in plant.slides else f"q{j}_deg" for j in range(1, plant.n + 1)]
 
 
 def _per_joint(plant: Plant, turns: Array, slides: Array) -> Array:
+    """Return values for revolute joints from one array and for prismatic ones from the other."""
     return np.where([j in plant.slides for j in range(1, plant.n + 1)], slides, turns)
 
 
 def in_si(plant: Plant, shown: Array) -> Array:
-    """Readings (n, joints) [deg or mm] of the columns [rad or m]."""
+    """Return readings (n, joints), given in [deg or mm], in [rad or m]."""
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
@@ -70,18 +76,19 @@ def simulate(
     seed: int,
     **options: Unpack[Options],
 ) -> pd.DataFrame:
-    """Measure ``n`` poses of a robot, in a table rounded like a real one; the same seed gives the same table.
+    """Return the table of n simulated measured poses, rounded like a real one.
 
-    Poses, circumstances and noise do not depend on the effects: the same campaign without them is their absence.
+    The same seed gives the same table. Poses, circumstances and noise do not depend on the effects,
+    so that the same campaign can be simulated without them.
 
     Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
 
     plant : the robot as built
-    positions : function that returns where the reflector is, shape (n, 3) [m], at n stops with errors, shape
-        (n, joints) [rad or m], of the joints
-    instruments : effects, for what they do to the measured positions
+    positions : function that returns the reflector's positions, shape (n, 3) [m], at n stops with
+        errors of the joints, shape (n, joints) [rad or m]
+    instruments : effects that act on the measured positions
     n : number of poses
-    seed : what everything drawn follows from
+    seed : of all random draws
     """
     warmup = options.get("warmup") or Warmup()
     noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
@@ -120,14 +127,17 @@ def simulate(
     table["payload_kg"] = stops.payload_kg
     table[approaches(plant.n)] = stops.approach.astype(int)
     table[readings(plant)] = q_deg
-    table[MEASURED] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
+    table[MEASURED_COLUMNS] = np.round(1e3 * xyz + noise.normal(0, noise_mm, (n, 3)), 4)
     if options.get("truth"):
-        table[TRUE] = np.round(1e3 * positions(stops, 0.0), 6)
+        table[TRUE_COLUMNS] = np.round(1e3 * positions(stops, 0.0), 6)
     return table
 
 
 def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:
-    """The stops with the circumstances that a table has; the warmth that it lacks is that of the times."""
+    """Return the stops with the circumstances that a table has.
+
+    A temperature that the table lacks follows from its times.
+    """
 
     def column(name: str, drawn: Array) -> Array:
         return given[name].to_numpy(float) if name in given else drawn

@@ -225,7 +225,7 @@ class LmRun:
         return begin_batch(self.task, weights, self.samples, self.ridges)
 
     def _next_ridge(self) -> None:
-        """Score the current ridge on held-out poses and begin the next one or the final training."""
+        """Score the current ridge on held-out poses and begin the next or the final training."""
         self.scores.append(self._held_out())
         best = int(np.argmin(self.scores))
         self.level, self.inner = self.level + 1, 0

@@ -16,8 +16,10 @@ from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
 
-SAGE_STATE_FILE, SAGE_CONTROL_FILE = "state_motor.csv", "control.csv"
-# Files of a folder of SAGE, and columns of LeRobot's datasets with their channels.
+# Files of a folder of SAGE with the measured states and with the commands.
+SAGE_STATE_FILE = "state_motor.csv"
+SAGE_CONTROL_FILE = "control.csv"
+# Columns of LeRobot's datasets with their channels.
 LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
 BAG_SUFFIXES = (".db3", ".mcap", ".bag")
 _COMMANDED_TOPIC_WORDS = ("command", "desired", "target", "reference", "goal", "leader", "action")
