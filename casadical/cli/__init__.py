@@ -1,5 +1,6 @@
 """The command line: casadical COMMAND PROBLEM_DIR.
- Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than before; 5 no longer
+
+Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than before; 5 no longer
 valid; 70 a bug in casadical.
 """
 
@@ -14,10 +15,10 @@ from casadical.core.subprocesses import one_thread
 
 
 def main() -> None:
-    """Run the command line; a user's mistake ends in a message and an exit code, never in a traceback."""
+    """Run the command line; user errors end in a message and an exit code, never in a traceback."""
     one_thread()
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):  # letters that the terminal's encoding has not are shown by their codes
+        if isinstance(stream, TextIOWrapper):  # characters that the encoding lacks are escaped
             stream.reconfigure(errors="backslashreplace")
     why: object
     try:

@@ -20,8 +20,8 @@ from casadical.cli.terminal import (
 )
 from casadical.core.basics import InputError, shown
 
-# Slips hide targets, and targets slips: one is repaired after the other.
-REPAIRS = 3
+# Number of repairs in a row: a slip may hide another one or a target, which shows after its repair.
+MAX_REPAIRS = 3
 
 
 def check(
@@ -64,7 +64,7 @@ def check(
             raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
         with working(quiet, "reading", name, CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
-        for _ in range(REPAIRS if repair else 0):
+        for _ in range(MAX_REPAIRS if repair else 0):
             text = repaired(checks[-1])
             if not text:
                 console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")
@@ -135,7 +135,7 @@ def calibrate(
     from casadical.project import calibration as work
 
     console = wrapped(quiet)
-    known = o.carried(prior, prior_effects, frozen)
+    known = o.carried_prior(prior, prior_effects, frozen)
     done: list[work.Calibration] = []
     texts: dict[Path, Any] = {}
     given = o.problems_of(problems)

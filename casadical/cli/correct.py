@@ -25,7 +25,7 @@ Pose = Annotated[
     ),
 ]
 
-# What a folder or a file of the robot has, and a program of each kind.
+# Parameters that only one kind of robot, or of program, has.
 MODEL_OPTIONS = {
     "a robot file": ["nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange"],
     "a folder, which was exported with it": ("trust",),

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign, LogDiagnosis
 
 
-# Options that only one kind of table has.
-MODES = {
+# Parameters that only one kind of table has.
+MODE_OPTIONS = {
     "joint logs": ("reference", "drive"),
     "measured poses": (
         "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
@@ -117,14 +117,14 @@ def diagnose(
     )
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
-    o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODES)
+    o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)
     if logs:
         _diagnose_logs(logs, out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
     console = wrapped(quiet)
-    given = read_campaigns(problem, campaigns, o.carried(prior, prior_effects, frozen), together=together)
+    given = read_campaigns(problem, campaigns, o.carried_prior(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
         console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
     options = Options(
@@ -148,29 +148,29 @@ def diagnose(
                 show("the robot with its causes")
                 texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
         answers.append(answer)
-        texts |= _printed(answer, details, file, console)
+        texts |= _print_diagnosis(answer, details, file, console)
     if report_file:
         texts[report_file] = _report(answers, quiet)
     keep(
         with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
         console,
     )
-    _suggested(answers, problem, campaigns or (), list(texts) if out else None, details, console)
+    _suggest_next(answers, problem, campaigns or (), list(texts) if out else None, details, console)
 
 
 def _report(answers: Sequence[CampaignDiagnosis], quiet: bool) -> str:
-    """The pages of all campaigns, each with what a simulator says of its poses."""
+    """Return the pages of all campaigns as HTML, each with a replay of its poses."""
     from casadical.export.mjcf.replay import replay_blocks
 
     with working(quiet, "writing the report"):
         return html([answer.page([*replay_blocks(answer.diagnosis)]) for answer in answers])
 
 
-def _suggested(
+def _suggest_next(
     answers: Sequence[CampaignDiagnosis], problem: Path, campaigns: Sequence[Path],
     written: Sequence[Path] | None, details: bool, console: Console,
 ) -> None:  # fmt: skip
-    """The next command, and how to learn more; written : files of --out, none without it."""
+    """Print the next command, and how to see more; written : files of --out, None without it."""
     if len(answers) > 1:
         tables = [a.campaign.tables[0] for a in answers]
         suggest(console, "to learn what changed between them", "compare", problem, *tables)
@@ -190,6 +190,7 @@ def _diagnose_logs(
     campaign: LogCampaign, out: Path | None, report_file: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
+    """Diagnose joint logs one by one, replay their poses, and write what was asked for."""
     console = wrapped(quiet)
     answers: list[LogDiagnosis] = []
     texts: dict[Path, str] = {}
@@ -227,8 +228,8 @@ def _diagnose_logs(
         suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 
-def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
-    """Print a diagnosis; the file of its next poses, where there are any to measure."""
+def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
+    """Print a diagnosis, and return the file of its next poses, if there are any to measure."""
     tell(console, *found.detailed() if details else found.brief())
     if found.searched:
         tell(console, *found.searched.blocks())
@@ -242,7 +243,7 @@ def _printed(found: CampaignDiagnosis, details: bool, file: Path | None, console
 
 
 def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path]) -> Words:
-    """What to do with what was found: keep it, or measure poses that tell more where they would."""
+    """Return the next command: to keep what was found, or to measure poses that decide more."""
     from casadical.diagnosis.statements import MIN_DECISION_GAIN, gain_of
 
     d, poses, typed = found.diagnosis, found.details.poses, sys.argv[1:]

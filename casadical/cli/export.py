@@ -16,7 +16,7 @@ from casadical.cli.terminal import (
     working,
 )
 
-# What each product has beside the options of all.
+# Parameters that only some products have.
 PRODUCT_OPTIONS = {
     "--what command": [
         *("nominal", "compensator", "steps", "correct", "payload", "tool", "leave_out"),

@@ -1,4 +1,4 @@
-"""The commands `casadical compare` and `casadical fleet`: what changed in one robot, and all of many robots."""
+"""The commands `casadical compare` and `casadical fleet`: changes of one robot, and many robots."""
 
 import sys
 from pathlib import Path

@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
-# How often a source is looked at, and after how long it is said that nothing comes [s].
-PAUSE, SILENT = 0.2, 180.0
-# Options of some modes alone.
-SOURCES = {"--simulate": ("every",), "readings that are measured": ()}
-SHOWN = {"the page": ("host", "port"), "--no-page": ()}
+# Time between two looks at the source of readings [s].
+POLL_INTERVAL_S = 0.2
+# Time without a reading after which a message is printed [s].
+MAX_SILENCE_S = 180.0
+# Parameters that only one source, or only one output, has.
+SOURCE_OPTIONS = {"--simulate": ("every",), "readings that are measured": ()}
+OUTPUT_OPTIONS = {"the page": ("host", "port"), "--no-page": ()}
 
 
 def measure(
@@ -87,8 +89,8 @@ def measure(
     from casadical.project.live.view import summary
 
     console = plain(quiet)
-    refuse_of_others(context, [*SOURCES][not simulate], SOURCES)
-    refuse_of_others(context, [*SHOWN][no_page], SHOWN)
+    refuse_of_others(context, [*SOURCE_OPTIONS][not simulate], SOURCE_OPTIONS)
+    refuse_of_others(context, [*OUTPUT_OPTIONS][no_page], OUTPUT_OPTIONS)
     move = None
     if program:
         from casadical.export.controller.programs.program import language_named
@@ -100,7 +102,7 @@ def measure(
         raise InputError(f"{shown(follow)}: is what this command writes itself; name what the instrument writes")
     source: Source | None = source_of(follow, sys.stdin.buffer) if follow else None
     target = None if target_mm is None else 1e-3 * target_mm
-    load_toml(folder / "problem.toml")  # which is missed before anything is written beside it
+    load_toml(folder / "problem.toml")  # a folder without it is refused before anything is written there
     with journal(folder) as (course, add):
         session = LiveSession(
             folder,
@@ -114,7 +116,7 @@ def measure(
         if course.readings:
             console.print(f"goes on after {len(course.readings)} readings that {folder} holds")
         played = SimulatedSource(session.robot, session.next_pose, simulate or 0, len(course.readings))
-        source, pause = (played, every) if simulate else (source, PAUSE)
+        source, pause = (played, every) if simulate else (source, POLL_INTERVAL_S)
         if no_page and source is not None:
             with suppress(KeyboardInterrupt):
                 _follow(session, source, console, pause)
@@ -132,7 +134,7 @@ def measure(
 
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:
-    """Take what comes, until the source ends."""
+    """Take readings from a source, and print an answer to each, until the source ends."""
     from casadical.project.live.view import answer, outlook
 
     last = time.monotonic()
@@ -149,9 +151,9 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
             console.print("\n".join(f"   {line}" for line in outlook(session.state())))
         if ended:
             return
-        if numbers or pause > SILENT:
+        if numbers or pause > MAX_SILENCE_S:
             last = time.monotonic()
-        elif time.monotonic() - last > SILENT:
-            console.print(f"no reading for {SILENT / 60:.0f} minutes: does {source.words} still grow?")
+        elif time.monotonic() - last > MAX_SILENCE_S:
+            console.print(f"no reading for {MAX_SILENCE_S / 60:.0f} minutes: does {source.words} still grow?")
             last = time.monotonic()
         time.sleep(pause)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 
 EXAMPLE = "an example (--example, or no robot)"
-# What each kind of robot has.
-ROBOTS = {
+# Parameters that only one kind of robot has.
+ROBOT_OPTIONS = {
     EXAMPLE: ("example",),
     "--urdf": ("urdf", "base_link", "tip_link", "data"),
     "--dh": ("dh", "convention", "data"),
@@ -69,7 +69,7 @@ def new(
     """
     from casadical.project.new import new_problem
 
-    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOTS)
+    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOT_OPTIONS)
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:
@@ -100,7 +100,7 @@ def new(
 
 
 def _ask(question: "Question") -> str:
-    """The answer that is typed. Raises InputError where nobody answers."""
+    """Return the choice that the user types. Raises InputError where nobody answers."""
     choices = list(question.choices)
     for k, words in enumerate(choices, 1):
         echo(f"  {k}: {words}", err=True)

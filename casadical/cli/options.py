@@ -1,4 +1,4 @@
-"""Arguments and options that several commands have, in the same words."""
+"""Arguments and options that several commands share, in the same words."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
@@ -32,8 +32,11 @@ DriveFile = Annotated[
 ]
 
 
-def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
-    """The words that a function or a constant of a module has; listed : by commas, of which the last is completed."""
+def _completion_of(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
+    """Return a function that completes words of a module's function or constant in the shell.
+
+    listed : whether the option is a list by commas, of which the last word is completed
+    """
 
     def complete(incomplete: str) -> list[str]:
         known = getattr(import_module(f"casadical.{module}"), name)
@@ -44,11 +47,11 @@ def _offered(module: str, name: str, *, listed: bool = False) -> Callable[[str],
     return complete
 
 
-methods = _offered("project.problem_file", "all_methods")  # --method
-losses = _offered("identification.residuals", "ALL_LOSSES")  # --loss
-languages = _offered("export.c.write", "CONTROLLER_LANGUAGES", listed=True)  # export c --language
-forms = _offered("export.model_file", "MODEL_FORMS")  # export model --to
-effects = _offered("project.diagnosis", "all_effects", listed=True)  # --effects
+methods = _completion_of("project.problem_file", "all_methods")  # --method
+losses = _completion_of("identification.residuals", "ALL_LOSSES")  # --loss
+languages = _completion_of("export.c.write", "CONTROLLER_LANGUAGES", listed=True)  # export c --language
+forms = _completion_of("export.model_file", "MODEL_FORMS")  # export model --to
+effects = _completion_of("project.diagnosis", "all_effects", listed=True)  # --effects
 
 Nominal = Annotated[
     Path | None,
@@ -117,7 +120,7 @@ Json = Annotated[
 
 
 def _with_report(path: Path | None) -> Path | None:
-    """Raises InputError before the work where a report cannot be written."""
+    """Return the path after a check that a report can be written. Raises InputError."""
     if path:
         from casadical.core.telling.page import require
 
@@ -137,7 +140,7 @@ Report = Annotated[
 
 
 def robot_of(path: Path) -> Path:
-    """The robot file that counts in a folder of results; anything else as it is."""
+    """Return the robot file that counts in a folder of results, or any other path unchanged."""
     if (path / "result.json").is_file() and not (path / "problem.toml").exists():
         from casadical.project.problem_file import result_in
 
@@ -207,7 +210,11 @@ Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is th
 
 
 def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
-    """Raises InputError for what is for other modes; modes : parameters that not all have, by mode in words."""
+    """Check that no parameter of another mode was given. Raises InputError.
+
+    mode : the one that runs, in words
+    modes : parameters that only some modes have, by mode in words
+    """
     for parameter in context.command.params:
         theirs = [other for other, names in modes.items() if parameter.name in names]
         source = context.get_parameter_source(parameter.name or "")
@@ -220,18 +227,22 @@ def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[s
 
 
 def refuse_taken(out: Path, overwrite: bool) -> None:
+    """Check that a file is new or may be overwritten. Raises InputError."""
     if out.exists() and not overwrite:
         raise InputError(f"{out} is there already; give another file, or --overwrite")
 
 
 def need(given: object, other: object, words: str) -> None:
-    """Raises InputError of these words where something was given that says nothing without another option."""
+    """Check that an option is not given without another one that it needs. Raises InputError.
+
+    words : of the message
+    """
     if given and not other:
         raise InputError(words)
 
 
 def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
-    """Problem folders and robot files with the tables after each, by the names of their results.
+    """Return problem folders and robot files with the tables after each, by result names.
 
     Raises InputError.
     """
@@ -254,8 +265,8 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
     return by_name
 
 
-def carried(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
-    """What puts the prior of these options into a robot. Raises InputError."""
+def carried_prior(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
+    """Return what puts the prior of these options into a robot. Raises InputError."""
     from casadical.project.problem import carried_from, nothing_carried
 
     if prior is None:

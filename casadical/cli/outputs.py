@@ -1,4 +1,8 @@
-"""What a command will write is checked before it works: no input, no foreign file, no name twice, no other writer."""
+"""Protection of files: a command's outputs are checked and claimed before it works.
+
+An output must be no input, no file of others, no name that is given twice, and nothing that another
+command writes at the same time.
+"""
 
 import json
 import sys
@@ -14,28 +18,32 @@ from casadical.core.basics import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
 
-# Parameters of commands that name outputs; every other path is an input.
-_OUTPUTS = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
-# Names in a folder of outputs, so that no other output and no input may have them.
-_SET = (
+# Parameters of commands that name outputs; every other path parameter is an input.
+_OUTPUT_PARAMETERS = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
+# Patterns of file names in a folder of outputs, which no other output and no input may have.
+_OUTPUT_FILE_PATTERNS = (
     "result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json", "manifest.json",
     "diagnosis.json", "diagnosis.txt", "discovery.json", "discovery.txt", "*.effect.toml",
 )  # fmt: skip
-# Of each kind of JSON that `--json` writes, names by which it is known again.
-_OURS = (
+# Sets of keys by which each kind of JSON that `--json` writes is recognised.
+_JSON_SIGNATURES = (
     {"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}, {"folder", "files", "verified"},
     {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
     {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"}, {"robot", "fields", "readings"},
     {"certificate", "decision"}, {"dAP_mm", "poses"}, {"touches", "verdict"},
 )  # fmt: skip
-# Commands that leave out rows with a cell that is no number.
-LATER = ("verify", "compare", "measure")
-_MEASURED = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
+# Names of the commands that leave out rows with a cell that is no number.
+COMMANDS_THAT_DROP_ROWS = ("verify", "compare", "measure")
+# Columns by which a CSV is recognised as measurements, which are never overwritten.
+_POSITION_COLUMNS = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return a command that checks and claims what it will write before it works; also : names of further outputs."""
-    outputs = {*_OUTPUTS, *also}
+    """Return a command that checks and claims what it will write before it works.
+
+    also : names of further parameters that name outputs
+    """
+    outputs = {*_OUTPUT_PARAMETERS, *also}
     metavars = {n: getattr(p.default, "metavar", None) for n, p in signature(command).parameters.items()}
     folders = {name for name, metavar in metavars.items() if (metavar or "").startswith("DIR")}
 
@@ -54,7 +62,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
             except InputError as error:
                 from casadical.project.faults import every_fault
 
-                later = command.__name__ in LATER
+                later = command.__name__ in COMMANDS_THAT_DROP_ROWS
                 others = (given.get("room"), given.get("store"))
                 judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
@@ -63,7 +71,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:
-    """Raises InputError for a number, a text or a path that no option can mean."""
+    """Check that numbers, texts and paths of options are usable. Raises InputError."""
     for name, value in given.items():
         for one in value if isinstance(value, list) else [value]:
             fault = ""
@@ -82,10 +90,11 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
 
 
 def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
-    """Raises InputError for an output that would replace an input, another output, or a file that is not ours.
+    """Check that no output replaces an input, another output, or a file of others.
 
-    overwrite : whether files that are not ours may be replaced; None: the command has no such
-        option
+    Raises InputError.
+
+    overwrite : whether files of others may be replaced; None: the command has no such option
     """
     read = {real: path for path in inputs for real in _inputs(path)}
     taken: dict[Path, Path] = {}
@@ -115,10 +124,12 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
 
 
 def _of_a_set(name: str) -> bool:
-    return any(fnmatch(name, pattern) for pattern in _SET)
+    """Return whether a file name is among those of a folder of outputs."""
+    return any(fnmatch(name, pattern) for pattern in _OUTPUT_FILE_PATTERNS)
 
 
 def _real(path: Path, done: str = "written") -> Path:
+    """Return the real path of an output or input. Raises InputError."""
     try:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:
@@ -127,7 +138,7 @@ def _real(path: Path, done: str = "written") -> Path:
 
 
 def _inputs(path: Path) -> Iterator[Path]:
-    """An input's real path; of a folder the files that it is read from."""
+    """Yield the real path of an input; for a folder also the files that are read in it."""
     with suppress(OSError, ValueError, RuntimeError):
         real = real_path(path)
         yield real
@@ -153,6 +164,7 @@ def _inputs(path: Path) -> Iterator[Path]:
 
 
 def _texts(value: Any) -> Iterator[str]:
+    """Yield all texts in a nested value of a TOML file."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, dict | list):
@@ -161,7 +173,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
-    """Raises InputError for a file that is there and is no earlier output of casadical."""
+    """Check that an existing file is an earlier output of casadical. Raises InputError."""
     try:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
@@ -174,14 +186,15 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
 
 
 def _ours(path: Path, text: str) -> bool:
+    """Return whether a file was written by casadical, by its text."""
     if text.lstrip().startswith(("{", "[")):
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):
             return False
         tables = [data, *(data if isinstance(data, list) else data.values())]
-        return any(isinstance(t, dict) and any(names <= t.keys() for names in _OURS) for t in tables)
+        return any(isinstance(t, dict) and any(names <= t.keys() for names in _JSON_SIGNATURES) for t in tables)
     if path.suffix == ".csv":
         header = text.partition("\n")[0].strip().split(",")
-        return len(header) > 1 and not _MEASURED & set(header)
+        return len(header) > 1 and not _POSITION_COLUMNS & set(header)
     return "casadical" in text or text.startswith("\ufffdPNG")

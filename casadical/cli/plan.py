@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import PLAN, WIDE, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import PLAN, TABLE_WIDTH_WITHOUT_TERMINAL, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Words
 
@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from casadical.project.planning import Places
 
 
-CALIBRATION = "poses to calibrate with (--measured: those that there are)"
-MODES = {
-    CALIBRATION: (
+CALIBRATION_MODE = "poses to calibrate with (--measured: those that there are)"
+# Parameters of each mode of the command.
+MODE_OPTIONS = {
+    CALIBRATION_MODE: (
         "n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches",
         "repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires", "sockets", "places",
         "prior", "prior_effects", "known_places", "seed", "json_file",
@@ -143,7 +144,7 @@ def plan(
     from casadical.project.planning import circumstances_of, plan_problem
 
     given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
-    o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION), MODES)
+    o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION_MODE), MODE_OPTIONS)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
         return
@@ -154,7 +155,7 @@ def plan(
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
     chosen = partial(
-        plan_problem, problem, n, measured, o.carried(prior, prior_effects, frozen=False),
+        plan_problem, problem, n, measured, o.carried_prior(prior, prior_effects, frozen=False),
         effects=effects.split(",") if effects else (), room=room,
         circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats), noise_mm=noise_mm,
         joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm, order=order,
@@ -175,7 +176,11 @@ def _poses(
     chosen: Callable[..., Any], problem: Path, to: Path | None, measured: Path | None, prior: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """What poses to measure, or how many are enough; chosen : makes the plan, called with progress."""
+    """Print which poses to measure, or how many are enough.
+
+    chosen : function that makes the plan, called with a function that shows progress
+    to : file of the poses; None: only the number of poses is printed
+    """
     from casadical.project.planning import planned_with
 
     console = wrapped(quiet)
@@ -200,6 +205,7 @@ def _poses(
 
 
 def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
+    """Plan a test by ISO 9283, and write its poses."""
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
@@ -219,7 +225,7 @@ def _touches(
     seed: int,
     quiet: bool,
 ) -> None:
-    """The points to touch every day."""
+    """Choose the points to touch every day, and write them."""
     from casadical.fleet.touches import plan_touches
 
     console = wrapped(quiet)
@@ -240,10 +246,10 @@ def _isolability(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """What poses can show, before any data."""
+    """Print which effects given poses can show, before any data."""
     from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
 
-    console = wrapped(quiet, None if sys.stdout.isatty() else WIDE)
+    console = wrapped(quiet, None if sys.stdout.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL)
     answers = []
     for campaign in read_campaigns(problem, poses, readings_only=True):
         shows = isolability_of(campaign, effects_named(effects))
@@ -256,7 +262,7 @@ def _isolability(
 
 
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:
-    """What is planned for in place of positions.
+    """Return the wires or sockets to plan for in place of positions; None without these options.
 
     Raises InputError where the options contradict each other.
     """

@@ -1,4 +1,4 @@
-"""The command line as one tree: each command from its own module."""
+"""The command line as one tree of commands, each from its own module."""
 
 from typing import Annotated, Any
 
@@ -18,15 +18,15 @@ from casadical.cli.plan import plan
 from casadical.cli.verify import certificate, verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 
-# Outputs of commands beside those that have the same name everywhere.
-OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
+# Parameters that name outputs of single commands, in addition to those of all commands.
+ADDITIONAL_OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
 
 
 class RobotFirst(TyperGroup):
-    """A group whose first word may be a robot, for its command `robot`."""
+    """A command group whose first word may be a robot, which then goes to its command `robot`."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Put `robot` before a first word that is no command."""
+        """Insert the command `robot` before a first word that is no command."""
         own = bool(args) and args[0] not in (*self.commands, "--help", "-h")
         return super().parse_args(ctx, ["robot", *args] if own else args)
 
@@ -86,11 +86,11 @@ for command in (
     correct,
     certificate,
 ):
-    app.command()(guarded(command, also=OUTPUTS.get(command.__name__, ())))
+    app.command()(guarded(command, also=ADDITIONAL_OUTPUTS.get(command.__name__, ())))
 export_app.command("c")(guarded(export_c))
 export_app.command("model")(guarded(export_model))
-for of_round in (withheld_robot, withheld_make, withheld_predict, withheld_score):
-    name = of_round.__name__.removeprefix("withheld_")
-    withheld_app.command(name)(guarded(of_round, also=("key",) if name == "make" else ()))
+for withheld_command in (withheld_robot, withheld_make, withheld_predict, withheld_score):
+    name = withheld_command.__name__.removeprefix("withheld_")
+    withheld_app.command(name)(guarded(withheld_command, also=("key",) if name == "make" else ()))
 app.add_typer(export_app, name="export")
 app.add_typer(withheld_app, name="withheld")

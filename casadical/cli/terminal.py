@@ -1,4 +1,4 @@
-"""What all commands share on a terminal: exit codes, lines and JSON, and progress where a person watches."""
+"""Terminal output of all commands: exit codes, lines, tables, JSON files and progress."""
 
 import os
 import re
@@ -27,22 +27,32 @@ from casadical.core.files import json_text, write_together
 from casadical.core.telling.blocks import Block, Page, Table, next_step
 from casadical.core.telling.result import terminal
 
-# Rows that are named of a fault, and the width of a table that no terminal shows.
-NAMED, WIDE = 6, 120
-BAD_INPUT, NO_CONVERGENCE, WORSE, NOT_VALID, OUR_BUG = 2, 3, 4, 5, 70
+# Number of rows of a table that the message about a fault names.
+MAX_ROWS_NAMED = 6
+# Width of tables where the output is no terminal [characters].
+TABLE_WIDTH_WITHOUT_TERMINAL = 120
+# Exit codes of the commands.
+BAD_INPUT = 2
+NO_CONVERGENCE = 3
+WORSE = 4
+NOT_VALID = 5
+OUR_BUG = 70
 
 
 def refusal(error: object) -> None:
-    """Print why a command ends, to standard error: as wide as the terminal, several faults of tables as one table."""
+    """Print to standard error why a command ends, as wide as the terminal.
+
+    Several faults of tables are printed as one table.
+    """
     if isinstance(error, FaultsError) and len(error.faults) > 1:
         rows = [
-            (f.source, f"{', '.join(map(str, f.rows[:NAMED]))}{' ...' * (len(f.rows) > NAMED)}", f.column, f.value,
-             f.allowed or f.wrong, f.remedy)
+            (f.source, f"{', '.join(map(str, f.rows[:MAX_ROWS_NAMED]))}{' ...' * (len(f.rows) > MAX_ROWS_NAMED)}",
+             f.column, f.value, f.allowed or f.wrong, f.remedy)
             for f in error.faults[:MAX_FAULTS_SHOWN]
         ]  # fmt: skip
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
-        width = None if sys.stderr.isatty() else WIDE
+        width = None if sys.stderr.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
         left = max(0, MAX_FAULTS_SHOWN - len(error.faults))
         more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
@@ -58,22 +68,28 @@ def refusal(error: object) -> None:
 
 
 class _Console(Console):
-    """One that goes on silently where nobody reads any more, as after `| head`: files are still to be written."""
+    """A console that becomes silent when its pipe is closed, as after `| head`.
+
+    The command goes on, because its files are still to be written.
+    """
 
     def on_broken_pipe(self) -> None:
-        """What was to be printed goes nowhere from here on."""
+        """Discard all further output."""
         self.quiet = True
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, sys.stdout.fileno())
 
 
 def wrapped(quiet: bool, width: int | None = None) -> Console:
-    """A console for tables and sentences, as wide as the terminal; brackets in names are no markup."""
+    """Return a console for tables and sentences, as wide as the terminal, without markup."""
     return _Console(quiet=quiet, width=width, markup=False, emoji=False)
 
 
 def plain(quiet: bool) -> Console:
-    """A console for lines without colours; a terminal breaks them between words, a file has each whole."""
+    """Return a console for lines without colours.
+
+    A terminal breaks them between words; a file has each as one line.
+    """
     return _Console(quiet=quiet, soft_wrap=not sys.stdout.isatty(), highlight=False, markup=False, emoji=False)
 
 
@@ -82,7 +98,10 @@ def with_json(
     path: Path | None,
     figures: Mapping[str, Any] | Sequence[Mapping[str, Any]],
 ) -> dict[Path, Any]:
-    """Files, and among them the one of `--json`, if there is one; a list of one is written as its only entry."""
+    """Return files with that of `--json` added, if there is one.
+
+    A list of one entry is written as this entry.
+    """
     if path is None:
         return dict(texts)
     return {
@@ -92,8 +111,9 @@ def with_json(
 
 
 def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
-    """Write files, all or none, and print their names, of some with words about them.
+    """Write files, all or none, and print their names.
 
+    about : words on some of the files
     Raises InputError.
     """
     write_together(texts)
@@ -107,12 +127,15 @@ def tell(console: Console, *blocks: Block) -> None:
 
 
 def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:
-    """Print the one command to go on with; see `next_step`."""
+    """Print the command to continue with; see `next_step`."""
     tell(console, next_step(purpose, command, *arguments))
 
 
 def suggest_later(console: Console, robot: Path) -> None:
-    """Print what a robot file is for on a later day: to be verified, where its results say what was promised."""
+    """Print what a robot file is for on a later day.
+
+    It can be verified if its results contain a promised accuracy, else calibrated.
+    """
     if (robot.parent / "result.json").exists():
         suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
     else:
@@ -127,13 +150,14 @@ def print_written(path: Path | None, console: Console, about: str = "") -> None:
 
 
 def html(pages: Sequence[Page]) -> str:
-    """Pages of results as one HTML file, with the command as it was typed."""
+    """Return pages of results as one HTML file, with the command as it was typed."""
     from casadical.core.telling.page import html_of
 
     return html_of(pages, ["casadical", *sys.argv[1:]])
 
 
-# How a step's words begin -> the share of the whole work that is done when it begins, as a usual run takes its time.
+# Beginning of a step's words -> share of the work that is done when it begins, from typical run
+# times.
 Steps = Mapping[str, float]
 DIAGNOSIS: Steps = {
     "calibrating": 0.0, "signatures": 0.03, "what changed": 0.2, "cause 1": 0.25, "cause 2": 0.4, "cause 3": 0.5,
@@ -144,18 +168,23 @@ DIAGNOSIS: Steps = {
 }  # fmt: skip
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
-# After so many iterations half of a solve is taken as done: how many it needs is not known beforehand.
-ITERATIONS = 8.0
+# A solve counts as half done after so many iterations, because their number is not known
+# beforehand.
+HALF_DONE_ITERATIONS = 8.0
 _COUNT = re.compile(r"(\d+) of (\d+)")
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 
 @contextmanager
 def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) -> Iterator[Show]:
-    """Live progress of one piece of work; silent but on a terminal, and never on standard output.
+    """Yield a function that shows the progress of one piece of work, on a terminal only.
 
-    step : what is done first; name : of what. The function that it gives takes the next step's
-        name; `k of n` in it, and the place of its words among `steps`, say how far the work is.
+    Nothing is printed to standard output. The function takes the words of the next step; `k of n`
+    in them, and the place of the words among `steps`, show how far the work is.
+
+    step : words of the first step
+    name : of the thing that is worked on
+    steps : share of the work at which each step begins
     """
     console = Console(stderr=True)
     columns = (
@@ -176,28 +205,28 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
 
 
 def share(text: str, steps: Steps) -> float:
-    """How much of the work is done when a step of these words begins, from 0 to 1; 0 where nothing says."""
+    """Return the share of the work that is done when a step begins, 0 to 1; 0: unknown."""
     named = next((k for k, words in enumerate(steps) if text.startswith(words)), None)
     ends = [*steps.values(), 1.0]
     first, last = (0.0, 1.0) if named is None else (ends[named], ends[named + 1])
     if counted := _COUNT.search(text):
         done, count = int(counted[1]), int(counted[2])
         iteration = _ITERATION.search(text)
-        # What is counted is either done, as campaigns are, or begun, as solves are.
-        begun = int(iteration[1]) / (int(iteration[1]) + ITERATIONS) if iteration else 0.0
+        # A counted item is complete (a campaign), or has just begun (a solve with iterations).
+        begun = int(iteration[1]) / (int(iteration[1]) + HALF_DONE_ITERATIONS) if iteration else 0.0
         inner = (done - 1 + begun) / count if iteration or named is not None else done / count
         return first + (last - first) * min(inner, 1.0)
     return first if named is not None else 0.0
 
 
 class _ToGo(TextColumn):
-    """The time to go, as far as the share done and the time until now tell it."""
+    """The remaining time, extrapolated from the share done and the elapsed time."""
 
     def __init__(self) -> None:
         super().__init__("")
 
     def render(self, task: Task) -> Text:
-        """Nothing while too little is known."""
+        """Return the remaining time; empty as long as it cannot be estimated."""
         elapsed, done = task.elapsed or 0.0, task.completed if task.total else 0.0
         if not done or elapsed < 1:
             return Text("")

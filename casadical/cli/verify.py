@@ -1,4 +1,4 @@
-"""The commands `casadical verify` and `casadical certificate`: what is known of a calibrated robot."""
+"""The commands `casadical verify` and `casadical certificate`: acceptance of a calibrated robot."""
 
 import sys
 from dataclasses import replace
@@ -25,8 +25,9 @@ from casadical.core.basics import InputError
 if TYPE_CHECKING:
     from casadical.project.acceptance.acceptance import Acceptance
 
-# Each with what it has beside robot, tables and quiet; the first that is asked for counts.
-MODES = {
+# Parameters of each mode, in addition to robot, tables and quiet; the first mode that is given
+# counts.
+MODE_OPTIONS = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
     "--touches": (
         "touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed", "json_file",
@@ -125,7 +126,7 @@ def verify(
     bug in casadical.
     """
     given = (mujoco, touches, iso9283, True)
-    refuse_of_others(context, next(mode for mode, own in zip(MODES, given, strict=True) if own), MODES)
+    refuse_of_others(context, next(mode for mode, own in zip(MODE_OPTIONS, given, strict=True) if own), MODE_OPTIONS)
     if mujoco:
         _replay(robot, tables, effects, seed or 0, out, json_file, quiet)
         return
@@ -164,7 +165,7 @@ def _touched(
     robot: Path, tables: list[Path], asked: dict[str, Any], update: Path | None, chart: Path | None,
     report: Path | None, json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Judge the last of several days; asked : as of `touched`."""
+    """Judge the last of several days of touches; asked : arguments of `touched`."""
     from casadical.fleet.touches import touched
 
     console = wrapped(quiet)
@@ -187,6 +188,7 @@ def _replay(
     problem: Path, tables: list[Path] | None, effects: str | None, seed: int, out: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
+    """Replay measured poses of campaigns in MuJoCo."""
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
     from casadical.project.diagnosis import effects_named, read_campaigns

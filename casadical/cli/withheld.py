@@ -1,4 +1,4 @@
-"""The commands `casadical withheld ...`: the check of a robot of one's own, and a published round."""
+"""The commands `casadical withheld ...`: blind check of an own robot or a published round."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,13 +14,15 @@ if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest
 
 
-INTERRUPTED = 130
+# Exit code after Ctrl-C, as shells have it.
+EXIT_INTERRUPTED = 130
 
 Folder = Annotated[Path, Argument(metavar="DIR", help="Folder with the campaigns.")]
 Workers = Annotated[int | None, Option(min=1, max=1000, help="Processes; default: one a core.")]
 
 
 def _counted(show: Show) -> Callable[[str, int, int], None]:
+    """Return a function that shows the progress of campaigns."""
     return lambda name, done, count: show(f"{done} of {count} ({name})")
 
 
@@ -163,7 +165,7 @@ def withheld_predict(
             "casadical: interrupted; the answers so far are kept, the same command goes on from there",
             err=True,
         )
-        raise Exit(INTERRUPTED) from None
+        raise Exit(EXIT_INTERRUPTED) from None
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")

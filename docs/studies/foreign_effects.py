@@ -13,7 +13,7 @@ import numpy as np
 from acting import Disturbance, State
 
 from casadical.blind_check.mujoco_physics.fourbar import close_loop
-from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, point, random_vector, slide
+from casadical.blind_check.mujoco_physics.plant import Array, Plant, back, motion, move, random_vector, rotated, slide
 from casadical.blind_check.mujoco_physics.stops import Stops, in_column
 
 Direction = tuple[float, float, float]
@@ -296,7 +296,7 @@ class SloshingTank(Disturbance):
     def torque(self, state: State) -> Array:
         flange, along = state.bodies[6], np.asarray(self.towards)
         down = -flange[:, 2, :3]
-        run = point(flange, self.size * (down - (down @ along)[:, None] * along))
+        run = rotated(flange, self.size * (down - (down @ along)[:, None] * along))
         about = np.cross(run, 9.81 * state.stops.payload_kg[:, None] * _DOWN)
         tau = np.stack([np.sum(state.axis(joint)[0] * about, -1) for joint in range(1, 7)], -1)
         if state.plant.four_bar is not None:
