@@ -61,11 +61,11 @@ class CsvTable(ProgramLanguage):
         return csv_text(rows).encode()
 
     def matrix(self, values: Array) -> NoReturn:
-        """Raise InputError, as a table holds no poses."""
+        """Refuse a pose, as a table holds none. Raises InputError."""
         raise InputError(f"a CSV holds {self.pose}")
 
     def values(self, T: Array, like: Array) -> NoReturn:
-        """Raise InputError, as a table holds no poses."""
+        """Refuse a pose, as a table holds none. Raises InputError."""
         raise InputError(f"a CSV holds {self.pose}")
 
 
