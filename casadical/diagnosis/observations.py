@@ -169,7 +169,7 @@ def row_slices(sets: Sequence[Measurements]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def separated(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
+def with_joint_conditions(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
     """Return the sets with the conditions of the joint table m.
 
     An additional reading at a stop has its own condition where there is one (see
@@ -252,7 +252,7 @@ def observe(
     values : parameters of the base model, shape (P,) [SI]
     """
     robot, where = identification.given, identification.unknown_points
-    sets = separated(sets, m, stops)
+    sets = with_joint_conditions(sets, m, stops)
     parts = [_observe_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
     layout, ends = _layout(stops, sets), max(part.ends for part in parts)
     S = _seam_jacobian(parts, layout, ends)
