@@ -124,7 +124,7 @@ class Dynamics:
 
     @cached_property
     def rotors(self) -> Array:
-        """Rotor inertias reflected to the joints, declared or estimated, shape (n,) [kg m^2 or kg]."""
+        """Rotor inertias at the joints, declared or estimated, shape (n,) [kg m^2 or kg]."""
         drive = self.robot.drive
         if drive and (stated := drive.inertia_at_joint(self.robot.n)) is not None:
             return np.asarray(stated)
@@ -138,7 +138,7 @@ class Dynamics:
 
     @cached_property
     def sigma(self) -> Array:
-        """Prior standard deviation of each coordinate, shape (11 n,) [1 or m], by the robot file."""
+        """Prior sigma of each coordinate by the robot file, shape (11 n,) [1 or m]."""
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
         for joint in self.robot.joints:

@@ -1,6 +1,7 @@
-"""Tables of a robot file of version 2: [[effect]], [learnt], [[covariance]] and [remaining]; all in SI.
+"""Tables of effects and knowledge in files: [[effect]], [learnt], [[covariance]], [remaining].
 
-Effect files have the first three alone, to be put into any robot or be a candidate.
+They belong to robot files of version 2; values are in SI. Effect files have the first three alone,
+to be put into any robot or to be a candidate.
 """
 
 import math
@@ -25,17 +26,19 @@ from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 
-# Of a covariance: enough for correlations of 1 - 1e-9, and a quarter less text than all.
-DIGITS = 12
-# Of a value, behind the first digit of its standard error: those behind these are a processor's rounding.
+# Significant digits of a covariance: enough for correlations of 1 - 1e-9, with a quarter less text
+# than all digits.
+COVARIANCE_DIGITS = 12
+# Digits of a value after the first digit of its standard error; further ones depend on the rounding
+# of the processor.
 KNOWN_DIGITS = 6
 
-# Of one effect: a curve of each joint, and more.
-MOST_PARAMETERS = 3000
+# Maximum number of parameters of one effect, more than those of an error curve for each joint.
+MAX_EFFECT_PARAMETERS = 3000
 
 
 class Value(TomlTable):
-    """A parameter of an effect."""
+    """Value of a parameter of an effect, with its unit and standard error."""
 
     value: float
     unit: str
@@ -51,11 +54,15 @@ class EffectTable(TomlTable):
     values: dict[str, Value] = Field(default={})
 
     def effect(self, own: Sequence[type[Effect]]) -> Effect:
-        """Raises InputError: no such effect or setting, a value that it does not have, or in another unit."""
+        """Return the effect; own : further classes.
+
+        Raises InputError: no such effect or setting, a value that it does not have, or in another
+        unit.
+        """
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
-        if len(sizes) > MOST_PARAMETERS:
-            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {MOST_PARAMETERS}")
+        if len(sizes) > MAX_EFFECT_PARAMETERS:
+            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {MAX_EFFECT_PARAMETERS}")
         if wrong := [name for name, (size, _) in sizes.items() if not (size > 0 and math.isfinite(size))]:
             raise InputError(f"settings: one sigma of {wrong[0]} is {sizes[wrong[0]][0]:g}; it must be above 0")
         for name, given in self.values.items():
@@ -69,7 +76,11 @@ class EffectTable(TomlTable):
 def effects_of(
     tables: Sequence[EffectTable], definitions: Sequence[Definition], own: Sequence[type[Effect]]
 ) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
-    """Effects, values and standard errors of their parameters; own : further classes. Raises InputError by key."""
+    """Return effects, and values and standard errors of their parameters.
+
+    own : further classes of effects
+    Raises InputError by key.
+    """
     kinds = (*own, *new_effects(definitions))
     effects, values, errors = [], {}, {}
     for k, table in enumerate(tables, 1):
@@ -84,13 +95,16 @@ def effects_of(
 
 
 class CovarianceTable(TomlTable):
-    """Lower triangle, row by row."""
+    """A covariance as its lower triangle, row by row."""
 
     names: list[str] = Field(min_length=1)
     lower: list[list[float]] = Field(min_length=1)
 
     def covariance(self) -> Covariance:
-        """Raises InputError for rows that make no triangle, and what `Covariance` raises."""
+        """Return the covariance of the table.
+
+        Raises InputError for rows that make no triangle, and what `Covariance` raises.
+        """
         k = len(self.names)
         if [len(row) for row in self.lower] != list(range(1, k + 1)):
             raise InputError(f"lower: rows of {[len(row) for row in self.lower]} numbers; of {k} names: 1 to {k}")
@@ -101,7 +115,7 @@ class CovarianceTable(TomlTable):
 
 
 class LearntTable(TomlTable):
-    """Where the values come from."""
+    """Origin of the values: campaign, number of poses, ranges of the data; see `Knowledge`."""
 
     campaign: str = ""
     poses: int = Field(default=0, ge=0)
@@ -111,7 +125,10 @@ class LearntTable(TomlTable):
     robots: int = Field(default=0, ge=0)
 
     def ranges(self, arm: Arm) -> Array:
-        """Of the joints' readings, shape (n, 2) [rad or m], or (0, 2). Raises InputError for other joints or units."""
+        """Return the ranges of the joints' readings, shape (n, 2) [rad or m].
+
+        The shape is (0, 2) without any. Raises InputError for other joints or units.
+        """
         factors = arm.reading_units
         if not self.readings:
             return np.zeros((0, 2))
@@ -123,7 +140,7 @@ class LearntTable(TomlTable):
 
 
 class RemainingTable(TomlTable):
-    """Of the errors that remain (see `RemainingErrors`)."""
+    """Remaining errors of a calibrated robot (see `RemainingErrors`)."""
 
     rest: float
     poses: int = Field(default=0, ge=0)
@@ -131,7 +148,10 @@ class RemainingTable(TomlTable):
     factor: list[list[float]] = Field(min_length=1)
 
     def errors(self) -> RemainingErrors:
-        """Raises InputError for rows of different lengths, and what `RemainingErrors` raises."""
+        """Return the remaining errors of the table.
+
+        Raises InputError for rows of different lengths, and what `RemainingErrors` raises.
+        """
         if len({len(row) for row in self.factor}) > 1:
             raise InputError(
                 f"remaining.factor: rows of {sorted({len(row) for row in self.factor})} numbers; all alike"
@@ -146,10 +166,11 @@ def knowledge_of(
     covariance: Sequence[CovarianceTable],
     errors: Mapping[str, float],
 ) -> Knowledge | None:
-    """What the tables say, None if they say nothing.
+    """Return the knowledge in the tables, None if they are empty.
 
     names : of the robot's parameters
-    errors : standard errors beside values, by parameter; one that is in no covariance makes a block of its own
+    errors : standard errors next to values, by parameter; one that is in no covariance makes a
+        block of its own
     Raises InputError by key.
     """
     parts = []
@@ -162,7 +183,7 @@ def knowledge_of(
                 raise InputError(f"covariance: no parameter {name!r}; there are {', '.join(names)}")
     known = {name: float(np.sqrt(v)) for c in parts for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
     for name, given in errors.items():
-        # A standard error and the variance of its parameter may differ by so much, relative.
+        # A standard error and the variance of its parameter agree within a relative 1e-6.
         if abs(known.setdefault(name, given) - given) > 1e-6 * given:
             raise InputError(
                 f"{name}: std_error = {given:.6g}, but its [[covariance]] says {known[name]:.6g}; leave one out"
@@ -183,7 +204,10 @@ def text_of(
     remaining: RemainingErrors | None = None,
     known_alone: bool = False,
 ) -> Iterator[str]:
-    """The tables of some effects of a robot as lines of TOML. known_alone : as of `to_toml`"""
+    """Yield the tables of some effects of a robot as lines of TOML.
+
+    known_alone : as of `to_toml`
+    """
     known = knowledge or Knowledge()
     for definition in defined_in_files(effects):
         yield from ("", "[[definition]]", *_entries(definition.model_dump(exclude_defaults=True)))
@@ -193,7 +217,7 @@ def text_of(
         yield from _learnt_lines(robot, knowledge)
     own = {p.name for e in effects for p in e.parameters()}
     for block in known.covariance:
-        # A standard error beside its value says the same.
+        # The variance of a single parameter is already written as std_error next to its value.
         if len(block.names) > 1 or block.names[0] not in own:
             yield from ("", "[[covariance]]", f"names = {_text(block.names)}", "lower = [")
             yield from (*(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
@@ -201,27 +225,28 @@ def text_of(
         rest = known_digits(remaining.rest, remaining.rest, KNOWN_DIGITS) if known_alone else remaining.rest
         numbers = {"rest": rest, "poses": remaining.poses, "names": remaining.names}
         yield from ("", "[remaining]", *_entries(numbers), "factor = [")
-        yield from (f"    {_text([float(f'{v:.{DIGITS}g}') for v in row])}," for row in remaining.factor)
+        yield from (f"    {_text([float(f'{v:.{COVARIANCE_DIGITS}g}') for v in row])}," for row in remaining.factor)
         yield "]"
 
 
 def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
-    """Lower triangle of a covariance, row by row."""
+    """Yield the lower triangle of a covariance, row by row."""
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
     least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
-    # Of a correlation, more than its least eigenvalue has zeros.
-    digits = 3 - math.floor(math.log10(max(least, 10.0**-DIGITS)))
+    # Correlations need more digits than their smallest eigenvalue has zeros.
+    digits = 3 - math.floor(math.log10(max(least, 10.0**-COVARIANCE_DIGITS)))
     for i, row in enumerate(block.matrix):
-        if known_alone and digits < DIGITS:
+        if known_alone and digits < COVARIANCE_DIGITS:
             yield [known_digits(v, s, max(digits, KNOWN_DIGITS)) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
         else:
-            yield [float(f"{v:.{DIGITS}g}") for v in row[: i + 1]]
+            yield [float(f"{v:.{COVARIANCE_DIGITS}g}") for v in row[: i + 1]]
 
 
 def _effect_lines(
     effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], known_alone: bool
 ) -> Iterator[str]:
+    """Yield the lines of one effect's table with its values."""
     yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():
         parameter = f"{effect.label}.{name}"
@@ -235,6 +260,7 @@ def _effect_lines(
 
 
 def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
+    """Yield the lines of the table [learnt]."""
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
     if knowledge.misfit > 1:
         yield f"misfit = {known_digits(knowledge.misfit, knowledge.misfit, KNOWN_DIGITS)!r}"
@@ -249,15 +275,17 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
 
 
 def _entries(table: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the entries of a table as lines of TOML."""
     return (f"{_key(key)} = {_text(value)}" for key, value in table.items())
 
 
 def _key(name: str) -> str:
+    """Return a key as TOML, quoted where necessary."""
     return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else _text(name)
 
 
 def _text(value: Any) -> str:
-    """A value as TOML; numbers shortest so that they read back to the last bit."""
+    """Return a value as TOML; numbers are the shortest that read back to the last bit."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int | float):
@@ -269,11 +297,13 @@ def _text(value: Any) -> str:
     return str(tomlkit.item(value).as_string())
 
 
-# Of the newest files that are read; from 2 on with effects and what is known of their values.
-VERSION = 2
+# Newest version of robot and effect files; from 2 on they have effects and their covariances.
+FILE_VERSION = 2
 
 
 class _EffectFile(DefinitionFile):
+    """The schema of an effect file."""
+
     written_by: str = ""
     robot: str = ""
     effect: list[EffectTable] = Field(default=[])
@@ -283,9 +313,10 @@ class _EffectFile(DefinitionFile):
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects and the values of their parameters [SI].
+    """Effects and the values of their parameters.
 
-    robot : name of that on which they were found; kinds : effects that the file defines
+    effects : of the file; values : parameter name -> value [SI]
+    robot : name of the robot on which they were found; kinds : effects that the file defines
     """
 
     effects: tuple[Effect, ...]
@@ -295,9 +326,12 @@ class Effects:
 
 
 def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effects:
-    """Effects from a file, and those that it defines; its formulas are parsed and never executed.
+    """Read an effect file, and the effects that it defines.
 
-    effects : classes of your own, as of `read_robot`. Raises InputError that names file, key and what is allowed.
+    Its formulas are parsed and never executed.
+
+    effects : classes of your own, as of `read_robot`
+    Raises InputError that names file, key and what is allowed.
     """
     path = Path(path)
     file = check(_EffectFile, load_toml(path), path.name)
@@ -309,10 +343,15 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, known_alone: bool = False) -> str:
-    """Some effects of a robot as the text of an effect file, with what is known of their values."""
+    """Return some effects of a robot as the text of an effect file.
+
+    Covariances of their values are included.
+
+    known_alone : as of `to_toml`
+    """
     names = {p.name for e in effects for p in e.parameters()}
     known = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
     lines = [f"# {line}" for line in comment.splitlines()]
-    lines += [f"casadical = {VERSION}", f'written_by = "casadical {__version__}"']
+    lines += [f"casadical = {FILE_VERSION}", f'written_by = "casadical {__version__}"']
     lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
     return "\n".join([*lines, *text_of(robot, effects, known, known_alone=known_alone), ""])

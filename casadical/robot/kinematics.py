@@ -89,7 +89,7 @@ def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple
 
 
 def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the variable of each row: the actuated one, or the result of its loop (paper, eq. 3)."""
+    """Return the variable of each row: the actuated one, or its loop's (paper, eq. 3)."""
     own = list(actuated)
     sides = assembly_sides(arm)
     for k in _from_base(arm):

@@ -1,8 +1,8 @@
-"""The symbolic model: chain, loops, gravity torques, compliance and effects composed into CasADi functions.
+"""The symbolic model of a robot: chain, loops, gravity torques, compliance and effects in CasADi.
 
-The deflection is added to the joint variables inside the kinematics, not through the linearised J dtheta of the
-paper's eq. 5. Torques are those at the pose after one deflection step: the remaining distance to equilibrium is of
-third order in the compliance.
+The deflection is added to the joint variables inside the kinematics, not through the linearised J
+dtheta of the paper's eq. 5. Torques are those at the pose after one deflection step: the remaining
+distance to equilibrium is of third order in the compliance.
 """
 
 from collections.abc import Mapping
@@ -26,8 +26,12 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 class Expressions:
     """Symbols and expressions that all robots of one structure share; see `Model`.
 
-    constants : what is no parameter and differs between robots of one structure (see `constants_of`)
-    loaded : the parameters at which gravity torques are taken, shape (P,); phi itself except for fixed loads
+    q, w, phi : readings, conditions, parameters; p, R, tau, margin : outputs
+    constants : numbers that are no parameters and differ between robots of one structure (see
+        `constants_of`)
+    loaded : parameters at which gravity torques are evaluated, shape (P,); phi itself except for
+        fixed loads
+    functions : cache of what `function` returns
     """
 
     q: ca.SX
@@ -42,7 +46,7 @@ class Expressions:
     functions: dict[tuple[str, ...], ca.Function] = field(default_factory=dict)
 
     def function(self, *outputs: str) -> ca.Function:
-        """model:(q, w, phi, constants, loaded)->outputs, made once."""
+        """Return the function (q, w, phi, constants, loaded) -> outputs, cached."""
         if outputs not in self.functions:
             inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "constants", "loaded")}
             results = [getattr(self, o) for o in outputs]
@@ -52,7 +56,10 @@ class Expressions:
 
     @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
     def mapped(self, *outputs: str) -> MappedFunction:
-        """The same over many poses, (q, w) of each, (phi, constants) shared; loads are those of phi."""
+        """Return the same over many poses: (q, w) of each, (phi, constants) shared.
+
+        Gravity torques are those at phi.
+        """
         of_pose, shared = ca.vertcat(self.q, self.w), ca.vertcat(self.phi, self.constants)
         results = self.function(*outputs).call([self.q, self.w, self.phi, self.constants, self.phi])
         return MappedFunction("model", of_pose, shared, results)
@@ -60,12 +67,14 @@ class Expressions:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The symbolic model of one robot; functions are made from it.
+    """The symbolic model of one robot, from which functions are made.
 
+    arm : the robot's parts
     q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
     tau : gravity torques (n,) [N m or N]; margin : of each loop
-    declared : values of the conditions where nothing was logged, shape (k,); constants : see `constants_of`
+    declared : values of the conditions where nothing was logged, shape (k,)
+    constants : see `constants_of`; shared : the expressions
     """
 
     arm: Arm
@@ -75,61 +84,76 @@ class Model:
 
     @property
     def q(self) -> ca.SX:
+        """Symbol of the joint readings, shape (n,) [rad or m]."""
         return self.shared.q
 
     @property
     def w(self) -> ca.SX:
+        """Symbol of the conditions, shape (k,)."""
         return self.shared.w
 
     @property
     def phi(self) -> ca.SX:
+        """Symbol of the parameters, shape (P,) [SI]."""
         return self.shared.phi
 
     @cached_property
     def p(self) -> ca.SX:
+        """Tool position in the measuring frame, shape (3,) [m]."""
         return self._expression("p")
 
     @cached_property
     def R(self) -> ca.SX:
+        """Tool orientation in the measuring frame, shape (3, 3)."""
         return self._expression("R")
 
     @cached_property
     def margin(self) -> ca.SX:
+        """Margin of each loop."""
         return self._expression("margin")
 
     def _expression(self, name: str) -> ca.SX:
+        """Return an output as an expression of q, w and phi."""
         return self.function(name, (name,))(self.q, self.w, self.phi)
 
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
-        """name:(q, w, phi)->outputs, out of p, R, tau, margin."""
+        """Return the function name:(q, w, phi)->outputs, out of p, R, tau, margin."""
         whole = self.shared.function(*outputs)
         results = whole.call([self.q, self.w, self.phi, ca.DM(self.constants), self.phi])
         return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
 
     def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
-        """name:(q, phi)->outputs, every logged condition at its declared value."""
+        """Return name:(q, phi)->outputs, with every condition at its declared value."""
         results = self.function(name, outputs).call([self.q, ca.DM(self.declared), self.phi])
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
-        """Outputs at many poses, one array each, poses side by side; q : (n, joints), w : (n, k), phi : (P,) [SI]."""
+        """Return the outputs at many poses, one array each, with the poses side by side.
+
+        q : shape (n, joints); w : shape (n, k); phi : shape (P,) [SI]
+        """
         points, shared = np.concatenate([q, w], axis=1).T, np.concatenate([phi, self.constants])
         return self.shared.mapped(*outputs)(points, shared)
 
 
 def constants_of(arm: Arm, torque_scale: Array) -> Array:
-    """Numbers of `Expressions.constants`: nominal frames and great torques, shape (24 + n,).
+    """Return the constants of the expressions: nominal frames and torque scales, shape (24 + n,).
 
-    The frames are T_M0 and T_nE, their upper three rows column by column. torque_scale : shape (n,) [N m or N], which
-    only effects look at
+    The frames are T_M0 and T_nE, their upper three rows column by column.
+
+    torque_scale : peak gravity torques, shape (n,) [N m or N], which only effects use
     """
     return np.concatenate([*(T[:3].ravel(order="F") for T in (arm.base.T, arm.tool.T)), torque_scale])
 
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """What a model is composed of; robots that differ only in numbers which enter as parameters or constants are equal.
+    """The parts of which a model is composed.
 
+    Robots with the same parts are equal, even if they differ in numbers that enter as parameters or
+    constants.
+
+    arm, parameters, effects : of a robot with this structure
     conditions : names of the logged columns that it uses
     """
 
@@ -140,6 +164,7 @@ class Structure:
 
     @cached_property
     def key(self) -> tuple[object, ...]:
+        """What two equal structures have in common."""
         arm = self.arm
         joints = tuple(
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
@@ -171,10 +196,11 @@ class Structure:
 
 @lru_cache(maxsize=64)
 def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
-    """The expressions of a structure, composed once for all robots that share it.
+    """Return the expressions of a structure, composed once for all robots that share it.
 
-    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last link also carries
-        its load farther out; the masses are not known well enough to tell the link from the tool by that.
+    fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last
+        link also carries its load farther out; the masses are not known well enough to distinguish
+        the link from the tool by that.
     """
     arm, effects, names = structure.arm, structure.effects, structure.parameters.names
     q = ca.SX.sym("q", arm.n)
@@ -207,7 +233,7 @@ def rigid_context(
     values: Mapping[str, Symbolic],
     base: Symbolic,
 ) -> Context:
-    """What an effect may look at before there are torques.
+    """Return what an effect may use before torques are known.
 
     torque_scale : shape (n,) [N m or N]; base : nominal T_M0, shape (4, 4) [m]
     """
@@ -217,7 +243,10 @@ def rigid_context(
 
 
 def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]) -> Symbolic:
-    """Gravity in the robot's base frame, shape (3,) [m/s^2]; of logged columns the direction counts."""
+    """Return gravity in the robot's base frame, shape (3,) [m/s^2].
+
+    Only the direction of logged columns is used.
+    """
     gravity = ca.DM(arm.gravity)
     if arm.gravity_frame == "logged":
         down = ca.vertcat(*(conditions[name] for name in GRAVITY_COLUMNS))
@@ -226,14 +255,20 @@ def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]
 
 
 def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
-    """T_M0, the robot's base in the measuring frame, from its nominal transform T; shapes (4, 4)."""
+    """Return T_M0, the robot's base in the measuring frame, shape (4, 4).
+
+    T : nominal transform, shape (4, 4)
+    """
     if arm.base.unknown == "none":
         return T
     return T @ small_frame(*(values.get(name, 0.0) for name in PLACEMENT_PARAMETERS["base"]))
 
 
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:
-    """Transforms whose product is T_0E: readings, effects and deflections through the chain, then flange and tool."""
+    """Return the transforms whose product is T_0E.
+
+    Readings, effects and deflections act through the chain, then come flange and tool.
+    """
     values = context.values
     moved = context.q + kinematics.deflections(arm, context.torque, values)
     for effect in effects:
@@ -245,7 +280,7 @@ def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: 
 
 
 def _tool(arm: Arm, nominal: Symbolic, values: kinematics.Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
-    """Transforms whose product is the tool frame in the flange, at the target that was measured."""
+    """Return the transforms whose product is the tool frame in the flange, at its target."""
     first = [values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz")]
     x, y, z = (
         v + sum(conditions[t.column] * (values[t.parameters[k]] - v) for t in arm.targets) for k, v in enumerate(first)

@@ -53,7 +53,7 @@ def parameters_of(
 
 
 def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
-    """Yield the parameters of effects, with their values; errors of estimated masses are guesses."""
+    """Yield the parameters of effects with their values; mass errors may be guesses."""
     for effect in effects:
         guess = arm.masses == "estimated" and isinstance(effect, (LinkMasses, PayloadError))
         for p in effect.parameters():

@@ -1,10 +1,10 @@
-"""The robot as an immutable object: modified DH rows (Craig) with Hayati's beta, loops, bodies, frames, compliances.
+"""The robot as an immutable object, and the knowledge about its values.
 
-Row i places frame i in frame i-1:  Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta + q) Trans_z(d).
-`beta` stands where neighbouring axes are nearly parallel (Hayati and Mirmirani 1985), `b` only in the first row, where
-the six numbers together place the robot in the measuring frame (paper, Table 1).
-
-Knowledge of a robot besides its values: covariances, the range of the data, the errors that remain.
+A robot has modified DH rows (Craig) with Hayati's beta, loops, bodies, frames and compliances. Row
+i places frame i in frame i-1: Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta + q)
+Trans_z(d). `beta` exists where neighbouring axes are nearly parallel (Hayati and Mirmirani 1985),
+`b` only in the first row, where the six numbers together place the robot in the measuring frame
+(paper, Table 1). Knowledge means covariances, the range of the data, and the remaining errors.
 """
 
 from __future__ import annotations
@@ -28,16 +28,17 @@ from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, constants_of, expressions
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
-# Parameters whose covariances are kept in one block; of more, those of each effect have their own.
-ONE_BLOCK = 120
-# What rounding may make of a least eigenvalue of zero, in correlations.
-ROUNDING = 1e-9
+# Maximum number of parameters in one covariance block; with more, each effect has its own block.
+MAX_BLOCK_PARAMETERS = 120
+# A smallest eigenvalue of a correlation matrix above minus this, times its size, counts as zero.
+EIGENVALUE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Covariance:
-    """Of parameters with these names, matrix of shape (k, k) [SI]; uncorrelated with all others.
+    """Covariance of some parameters, which are uncorrelated with all others.
 
+    names : of the parameters; matrix : shape (k, k) [SI]
     Raises InputError for a matrix that is not symmetric and positive semidefinite.
     """
 
@@ -56,16 +57,16 @@ class Covariance:
                 raise InputError(f"{some}: the variance of {name} is {variance:.6g}; it must be zero or more")
         scale = np.sqrt(np.diag(C))
         correlation = C / np.outer(*[np.where(scale > 0, scale, 1.0)] * 2)
-        if not np.allclose(correlation, correlation.T, rtol=0, atol=ROUNDING):
+        if not np.allclose(correlation, correlation.T, rtol=0, atol=EIGENVALUE_TOLERANCE):
             raise InputError(f"{some}: it is not symmetric")
         least = float(np.linalg.eigvalsh(correlation)[0]) if k else 0.0
-        if least < -ROUNDING * k:
+        if least < -EIGENVALUE_TOLERANCE * k:
             raise InputError(
                 f"{some}: the least eigenvalue of its correlations is {least:.3g}; a covariance has none below zero"
             )
 
     def only(self, names: Iterable[str]) -> Covariance:
-        """Of some of the parameters, the others unknown."""
+        """Return the covariance of some of the parameters."""
         wanted = set(names)
         which = [k for k, name in enumerate(self.names) if name in wanted]
         return Covariance(tuple(self.names[k] for k in which), self.matrix[np.ix_(which, which)])
@@ -73,16 +74,18 @@ class Covariance:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """How well a robot's values are known, and where they were learnt.
+    """How accurate a robot's values are, and from what they were learnt.
 
-    covariance : blocks, which share no parameter; campaign : name of the measurements; poses : how many were used
-    readings : least and greatest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where it is not known
+    covariance : blocks, which share no parameter
+    campaign : name of the measurements; poses : number of poses used
+    readings : least and greatest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where
+        it is unknown
     conditions : least and greatest value of logged and derived columns, by name
-    misfit : how many times greater the variances are, seen as what may differ in another campaign (see
+    misfit : factor on the variances for a comparison with another campaign (see
         `casadical.identification.misfit`)
-    robots : how many robots of one type it was learnt from: the values are theirs in common, the covariance is how they
-        differ; 0: from this very robot
-    Raises InputError for a parameter in two blocks and for ranges the wrong way round.
+    robots : number of robots of one type from which it was learnt: the values are their common
+        ones, the covariance is how they differ; 0: from this very robot
+    Raises InputError for a parameter in two blocks and for ranges in the wrong order.
     """
 
     covariance: tuple[Covariance, ...] = ()
@@ -113,13 +116,13 @@ class Knowledge:
         }
 
     def without(self, names: Iterable[str]) -> Knowledge:
-        """The same, nothing known of the covariance of these parameters."""
+        """Return the same without the covariance of some parameters."""
         gone = set(names)
         blocks = (block.only(set(block.names) - gone) for block in self.covariance)
         return replace(self, covariance=tuple(block for block in blocks if block.names))
 
     def joined(self, later: Knowledge) -> Knowledge:
-        """What a later campaign left of the covariance, learnt on the ranges of both."""
+        """Return a later campaign's covariance, with the ranges of both campaigns."""
         if not (len(self.readings) and len(later.readings)):
             return later
         both = np.stack([self.readings, later.readings])
@@ -134,13 +137,15 @@ class Knowledge:
 
 @dataclass(frozen=True, eq=False)
 class RemainingErrors:
-    """What the parameters of a calibrated robot may still be off, J(q) x at the measured point; x has the moment M.
+    """Remaining errors of a calibrated robot: J(q) x at the measured point, x with second moment M.
 
-    names : parameters of `doubted(robot)`; factor : root of their second moment M, shape (k, r) [SI], M = F F'
+    names : parameters of `with_joint_harmonics(robot)`
+    factor : root of their second moment M = F F', shape (k, r) [SI]
     rest : root mean square of the distance that no parameter explains [m]
-    poses : how many they were learnt from
+    poses : number of poses from which they were learnt
 
-    Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that do not fit.
+    Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that
+    do not fit.
     """
 
     names: tuple[str, ...]
@@ -157,39 +162,45 @@ class RemainingErrors:
 
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:
-    """A covariance, shape (k, k) [SI], as one block, or as one for each owner where that would be large.
+    """Return a covariance, shape (k, k) [SI], as one block, or as several if it is large.
+
+    These are one for each owner. A parameter without a variance (NaN, as at a bound) is left out.
 
     owners : of each parameter, the label of its effect, or "" of the base model
-    A parameter without a variance (NaN, as at a bound) is left out.
     """
     known = [k for k, variance in enumerate(np.diag(matrix)) if np.isfinite(variance)]
     parts = [known]
-    if len(known) > ONE_BLOCK:
+    if len(known) > MAX_BLOCK_PARAMETERS:
         parts = [list(part) for _, part in groupby(sorted(known, key=owners.__getitem__), key=owners.__getitem__)]
     symmetric = (matrix + matrix.T) / 2
     return tuple(Covariance(tuple(names[k] for k in p), symmetric[np.ix_(p, p)]) for p in parts if len(p))
 
 
-# Share of the greatest torque for which the smallest gear of a robot is made.
-SMALLEST_GEAR = 0.05
+# Lower limit of a joint's torque scale, as a share of the largest one of the robot: its smallest
+# gear is made for this.
+MIN_TORQUE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
-    name : as reports call it; joints : from the base to the flange; loops : closed ones that drive a joint
+    name : as reports call it; joints : from the base to the flange; loops : closed ones that drive
+        a joint
     base : base frame in the measuring frame; tool : measured point in the flange frame
     gravity : shape (3,) [m/s^2], given in the frame `gravity_frame`
     payload : declared load in the flange frame; None: none
-    widths : bounds and priors of groups of parameters; body_width : one sigma of declared masses and mass centres
-    tool_name : name of the measured point, where there are several; targets : further measured points on the flange
-    masses : whether the links' masses are known, or estimates that tell no stiffness
-    drive : what is known of the drives; sessions : what is found again in each session of a campaign
-    effects : what was added to the base model, see `with_effect`; effect_values : parameter name -> value [SI] of those
+    widths : bounds and priors of groups of parameters; body_width : one sigma of declared masses
+        and mass centres
+    tool_name : name of the measured point, where there are several; targets : further measured
+        points on the flange
+    masses : whether the links' masses are declared, or estimates that determine no stiffness
+    drive : data of the drives; sessions : what sessions of a campaign share
+    effects : what was added to the base model, see `with_effect`; effect_values : parameter name ->
+        value [SI] of those
     notes : what a reader of results must know (assumed masses, sources)
-    knowledge : how well the values are known, and on what range they were learnt
-    remaining : what these values may still be off
+    knowledge : accuracy of the values, and the range on which they were learnt
+    remaining : errors that these values may still have
     Raises InputError: parts that do not fit each other, with the joint and the value.
 
     Examples
@@ -227,7 +238,7 @@ class Robot(Shown, Arm):
             effect.refuse_joints(self)
 
     def _repr_html_(self) -> str:
-        """For a notebook: the DH table with the limits of each joint."""
+        """Return the DH table with the limits of each joint, for a notebook."""
         rows = []
         for i, (joint, (key, factor)) in enumerate(zip(self.joints, self.reading_units.items(), strict=True), 1):
             numbers = ("" if v is None else f"{v:.3f}" for v in dh_row(joint).values())
@@ -248,8 +259,8 @@ class Robot(Shown, Arm):
     def declared(self) -> Array:
         """Values of `conditions` where nothing was logged, shape (k,) [of the column].
 
-        The declared payload and gravity; progress 1, as the robot stands after its campaign; else zero: of several
-        tools the first.
+        Payload and gravity are the declared ones; progress is 1, as at the end of the campaign; all
+        else is zero, which for several tools means the first.
         """
         known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
         size = max(float(np.linalg.norm(self.gravity)), 1e-9)
@@ -263,17 +274,21 @@ class Robot(Shown, Arm):
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Names of the parameters that tables show: all but those of effects with a `summary` in their place."""
+        """Names of the parameters that tables show.
+
+        Effects with a `summary` in place of their parameters are left out.
+        """
         many = {effect.label for effect in self.effects if effect.summary}
         return tuple(p.name for p in self.parameters if p.group not in many)
 
     @cached_property
     def torque_scale(self) -> Array:
-        """Great gravity torques on each joint, shape (n,) [N m or N]: 95 % quantile over its range, full payload.
+        """Peak gravity torque of each joint, shape (n,) [N m or N].
 
-        At least a twentieth of the greatest of joints of the same kind, turning or sliding: a gear whose axis is
-        upright is made for the forces of motion. Where all axes are, the greatest is a twentieth of the weight they
-        turn, at the arm's reach: a base that leans a little loads them.
+        It is the 95 % quantile over the joints' range with full payload, and at least a twentieth
+        of the largest of joints of the same kind, revolute or prismatic: a gear with a vertical
+        axis is made for the forces of motion. Where all axes are vertical, the largest is a
+        twentieth of the weight they rotate, at the arm's reach: a slightly tilted base loads them.
         """
         lower, upper = self.limits
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
@@ -281,21 +296,22 @@ class Robot(Shown, Arm):
         turning = np.array([j.kind == "revolute" for j in self.joints])
         loads = [*(j.body for j in self.joints[turning.argmax() :]), self.payload]
         weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
-        for kind, least in ((turning, SMALLEST_GEAR * weight * self.reach), (~turning, 0.0)):  # N m and N
+        for kind, least in ((turning, MIN_TORQUE_SHARE * weight * self.reach), (~turning, 0.0)):  # N m and N
             if kind.any():
                 most = max(1e-9, least, float(np.nanmax(great[kind])))
-                great[kind] = np.maximum(great[kind], SMALLEST_GEAR * most)
+                great[kind] = np.maximum(great[kind], MIN_TORQUE_SHARE * most)
         return great
 
     def loads(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Gravity torques without effects as shares of the great ones, shape (n, joints).
+        """Return gravity torques without effects as shares of `torque_scale`, shape (n, joints).
 
-        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as declared
+        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
+            declared
         """
         return np.asarray(self._bare_torques(q, conditions).T / self.torque_scale)
 
     def _bare_torques(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Of the model without effects, shape (joints, n) [N m or N]."""
+        """Return gravity torques of the model without effects, shape (joints, n) [N m or N]."""
         bare = self.with_only(())
         w = np.tile(bare.declared, (len(q), 1))
         for k, name in enumerate(bare.conditions):
@@ -309,36 +325,45 @@ class Robot(Shown, Arm):
 
     @cached_property
     def structure(self) -> Structure:
-        """What the symbolic model is composed of."""
+        """The parts of which the symbolic model is composed."""
         return Structure(self, self.parameters, self.effects, self.conditions)
 
     @cached_property
     def constants(self) -> Array:
-        """Numbers of the model that are no parameters, shape (24 + n,) (see `constants_of`)."""
+        """Constants of the model, shape (24 + n,) (see `constants_of`)."""
         return constants_of(self, self.torque_scale if self.effects else np.zeros(self.n))
 
     @cached_property
     def position(self) -> ca.Function:
-        """position:(q[n] rad, phi)->(p[3] m) of the measured point in the measuring frame, declared payload."""
+        """Function position:(q[n] rad, phi)->(p[3] m), the measured point in the measuring frame.
+
+        The payload is the declared one.
+        """
         return self.model.at_declared("position", ("p",))
 
     @cached_property
     def pose(self) -> ca.Function:
-        """pose:(q[n] rad, phi)->(p[3] m, R[3x3]) of the tool frame in the measuring frame, declared payload."""
+        """Function pose:(q[n] rad, phi)->(p[3] m, R[3x3]), the tool frame in the measuring frame.
+
+        The payload is the declared one.
+        """
         return self.model.at_declared("pose", ("p", "R"))
 
     @cached_property
     def torque(self) -> ca.Function:
-        """torque:(q[n] rad, phi)->(tau[n] N m) of gravity on the actuated joints, declared payload."""
+        """Function torque:(q[n] rad, phi)->(tau[n] N m), gravity on the actuated joints.
+
+        The payload is the declared one.
+        """
         return self.model.at_declared("torque", ("tau",))
 
     def with_effect(self, *effects: Effect) -> Robot:
-        """A robot whose model holds these effects too."""
+        """Return a robot whose model has these effects too."""
         return replace(self, effects=(*self.effects, *effects))
 
     @property
     def effects_in_words(self) -> str:
-        """Every effect with its values, empty without effects."""
+        """Every effect with its values as text, empty without effects."""
         texts = []
         for effect in self.effects:
             sizes, values = effect.sizes(), effect.own_values(self.effect_values)
@@ -347,7 +372,7 @@ class Robot(Shown, Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """A robot whose model holds only these of its effects."""
+        """Return a robot whose model has only these of its effects."""
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
@@ -357,12 +382,14 @@ class Robot(Shown, Arm):
 
     @property
     def rigid(self) -> Robot:
-        """The robot without springs in its joints, and without what the file knows of its accuracy."""
+        """The robot with rigid joints, and without knowledge of its accuracy."""
         joints = tuple(replace(j, compliance=None) for j in self.joints)
         return replace(self, joints=joints, knowledge=None)
 
     def with_values(self, values: Mapping[str, float]) -> Robot:
-        """A robot whose nominal values are these, by parameter name [SI]; nothing is known of the new ones.
+        """Return a robot with other nominal values, by parameter name [SI].
+
+        It has no knowledge of the accuracy of the new values.
 
         Raises InputError: no such parameter, or a value that is not finite.
         """
@@ -394,9 +421,9 @@ class Robot(Shown, Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Parameters of this robot, shape (P,) [SI], that make it another one of its structure.
+        """Return the parameters of this robot with which it equals another one, shape (P,) [SI].
 
-        The other's base may stand elsewhere, and its tool may be turned.
+        The other one has the same structure; its base and tool frames may differ.
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))
@@ -410,17 +437,20 @@ class Robot(Shown, Arm):
 
 
 def in_file_units(part: object, **units: str) -> dict[str, float | None]:
-    """Fields of a part of a robot under keys with their units, mm or deg; None where a field is None."""
+    """Return fields of a part of a robot under keys with their units, mm or deg.
+
+    None where a field is None.
+    """
     factors = {"mm": 1e3, "deg": 180 / np.pi}
     given = ((f"{name}_{unit}", getattr(part, name), factors[unit]) for name, unit in units.items())
     return {key: None if value is None else float(factor * value) for key, value, factor in given}
 
 
 def dh_row(joint: Joint) -> dict[str, float | None]:
-    """A modified DH row in millimetres and degrees."""
+    """Return a modified DH row in millimetres and degrees."""
     return in_file_units(joint, alpha="deg", a="mm", beta="deg", b="mm", theta="deg", d="mm")
 
 
 def modified_dh(robot: Robot) -> list[dict[str, float | None]]:
-    """The modified DH table in millimetres and degrees, a dict per row."""
+    """Return the modified DH table in millimetres and degrees, a dict per row."""
     return [{"joint": i, **dh_row(joint)} for i, joint in enumerate(robot.joints, 1)]

@@ -1,4 +1,4 @@
-"""A robot as a TOML file: read and checked by `robot_schema`, written again after calibration."""
+"""Robot files in TOML: reading, checked by `robot_schema`, and writing."""
 
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -19,17 +19,18 @@ from casadical.core.statistics import known_digits
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
-from casadical.robot.effect_tables import VERSION, text_of
+from casadical.robot.effect_tables import FILE_VERSION, text_of
 from casadical.robot.robot import Robot, dh_row, in_file_units
 from casadical.robot.robot_schema import RobotFile, ToolTable
 
 
 def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
-    """A robot from its TOML file, with its effects and what is known of their values.
+    """Read a robot from its TOML file, with its effects and the accuracy of their values.
 
-    effects : classes of your own, besides those that are installed (see `casadical.effects.plugins`); a file runs no
-        other code
-    Raises InputError: a file that is no robot; it names the file, the key, the value and what is allowed.
+    effects : classes of your own, besides those that are installed (see
+        `casadical.effects.plugins`); a file runs no other code
+    Raises InputError: a file that is no robot; it names the file, the key, the value and what is
+    allowed.
 
     Examples
     --------
@@ -42,13 +43,17 @@ def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
 
 
 def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effect]] = ()) -> Robot:
-    """A robot from the tables of a TOML file; `source` names it in messages. Raises InputError."""
+    """Return a robot from the tables of a TOML file.
+
+    source : name of the file in messages
+    Raises InputError.
+    """
     version = data.get("casadical")
-    if isinstance(version, int) and version > VERSION:
+    if isinstance(version, int) and version > FILE_VERSION:
         raise InputError(
             f"{source}: casadical = {version}: a file of version {version}, written by "
             f"{data.get('written_by', 'a newer casadical')}; this is casadical {__version__}, which reads files up to "
-            f"version {VERSION}: install the newer one"
+            f"version {FILE_VERSION}: install the newer one"
         )
     file = check(RobotFile, _with_tools_apart(data), source)
     with errors_of(f"{source}: "):
@@ -56,7 +61,10 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
 
 
 def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Of several [[tool]] the first under `tool`, the others under a key of their own."""
+    """Return the tables with the first of several [[tool]] as `tool`.
+
+    The others have a key of their own.
+    """
     tools = data.get("tool")
     if not isinstance(tools, list) or not tools or not all(isinstance(t, dict) for t in tools):
         return data
@@ -65,9 +73,12 @@ def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
-    """The robot with these measured points in place of its tool, given in the tool's frame. Raises InputError.
+    """Return the robot with these measured points in place of its tool.
 
-    What is unknown of them is what was unknown of the tool, unless the first says so.
+    What is unknown of them is what was unknown of the tool, unless the first declares it.
+
+    tools : given in the tool's frame
+    Raises InputError.
     """
     first, *further = tools
     T = robot.tool.T
@@ -78,9 +89,9 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 
 
 def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequence[type[Effect]] = ()) -> None:
-    """Write a robot as TOML that `read_robot` reads again; the file appears whole or not at all.
+    """Write a robot as TOML that `read_robot` reads; the file appears complete or not at all.
 
-    path : file to write; one that is there is replaced
+    path : file to write; an existing one is replaced
     comment : text of the comment at the file's head
     effects : classes of your own, as of `read_robot`
     Raises InputError: an effect that is not installed, and so could not be read again.
@@ -95,12 +106,14 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
 
 
 def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, known_alone: bool = False) -> str:
-    """The robot as the text of a TOML file, in millimetres and degrees at full precision; effects in SI.
+    """Return the robot as the text of a TOML file, at full precision.
 
-    Sessions belong to their measurements: base and tool are those of the first one.
+    Units are mm and degrees, of effects SI. Sessions belong to their measurements: base and tool
+    are those of the first one. Without effects and knowledge the file is version 1.
 
-    effects and errors as of `write_robot` (Raises InputError). Without effects and such errors it is version 1.
-    known_alone : without the digits that a processor's rounding decides, so that a result is the same file everywhere
+    effects and errors as of `write_robot` (Raises InputError)
+    known_alone : whether digits are left out that depend on a processor's rounding, so that a
+        result is the same file everywhere
     """
     if any(isinstance(e, Session) for e in robot.effects):
         robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
@@ -127,30 +140,35 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "drive": robot.drive.table() if robot.drive else None,
         "width": _width_tables(robot),
         "joint": [_joint_table(joint) for joint in robot.joints],
-        "four_bar": [{"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **_BARS)} for f in robot.loops]
+        "four_bar": [
+            {"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **_FOUR_BAR_UNITS)} for f in robot.loops
+        ]
         or None,
     }
-    document.update({key: _known(key, v) if known_alone else v for key, v in tables.items() if v is not None})
+    document.update(
+        {key: _without_rounding_digits(key, v) if known_alone else v for key, v in tables.items() if v is not None}
+    )
     text = tomlkit.dumps(document)
     if more:
         known = robot.knowledge
-        if known:  # of parameters that it had before a change, nothing is kept
+        if known:  # parameters that the robot no longer has are left out
             known = known.without(set(known.std_errors) - set(robot.parameters.names))
         text = "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, known, robot.remaining, known_alone), ""])
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
 
 
-# Decimals of lengths [mm], angles [deg] and accelerations [m/s^2]; digits of stiffnesses.
+# Unit suffix of a key -> decimals of its values that do not depend on a processor's rounding:
+# lengths [mm], angles [deg], accelerations [m/s^2].
 _DECIMALS = {"_mm": 8, "_deg": 9, "_s2": 9}
 
 
-def _known(key: str, value: Any) -> Any:
-    """A value of the file without the digits that a processor's rounding decides."""
+def _without_rounding_digits(key: str, value: Any) -> Any:
+    """Return a value of the file without the digits that depend on a processor's rounding."""
     if isinstance(value, dict):
-        return {name: _known(name, inner) for name, inner in value.items()}
+        return {name: _without_rounding_digits(name, inner) for name, inner in value.items()}
     if isinstance(value, list):
-        return [_known(key, inner) for inner in value]
+        return [_without_rounding_digits(key, inner) for inner in value]
     if not isinstance(value, float):
         return value
     if key.startswith("stiffness"):
@@ -159,22 +177,23 @@ def _known(key: str, value: Any) -> Any:
 
 
 def _mm(values: Any) -> Any:
-    """Millimetres of metres, a number or a list."""
+    """Return metres as millimetres, a number or a list."""
     return (1e3 * np.asarray(values)).tolist()
 
 
 def _deg(values: Any) -> Any:
-    """Degrees of radians, a number or a list."""
+    """Return radians as degrees, a number or a list."""
     return np.rad2deg(values).tolist()
 
 
 def _frame_table(placement: Placement) -> dict[str, Any]:
+    """Return the table of a base or tool frame."""
     T = placement.T
     return {"xyz_mm": _mm(T[:3, 3]), "rpy_deg": _deg(to_rpy(T[:3, :3])), "unknown": placement.unknown}
 
 
 def _body_table(body: Body) -> dict[str, Any]:
-    """A mass, its centre and, where it is known, its inertia."""
+    """Return the table of a body: mass, its centre and, if known, its inertia."""
     table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": _mm(body.com)}
     if body.inertia is not None:
         table["inertia_kgm2"] = [float(v) for v in body.inertia[np.triu_indices(3)]]
@@ -182,6 +201,7 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
+    """Return the table of a joint."""
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
     table |= {key: value for key, value in dh_row(joint).items() if value is not None}
     table |= {"type": "prismatic"} if joint.kind == "prismatic" else {}
@@ -200,11 +220,12 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     return table
 
 
-_BARS = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
+# Keys of a four-bar with their units in a file.
+_FOUR_BAR_UNITS = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:
-    """Widths that are not the usual ones, by group."""
+    """Return the widths that are not the default ones, by group."""
     of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
     units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
     groups = {group: in_file_units(w, **units) for group, w in robot.widths.items() if w != WIDTHS[group]}

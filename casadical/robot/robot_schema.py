@@ -1,7 +1,7 @@
-"""What a robot file may hold, key by key with its unit, and the robot that it means.
+"""The schema of a robot file, key by key with its unit, and the robot that a file describes.
 
-Lengths, angles and masses carry their unit in the key (`a_mm`, `alpha_deg`, `mass_kg`); millimetres or metres, degrees
-or radians are taken by name. See docs/robot-file.md for every key.
+Lengths, angles and masses have their unit in the key (`a_mm`, `alpha_deg`, `mass_kg`); millimetres
+or metres, degrees or radians are chosen by name. See docs/robot-file.md for every key.
 """
 
 from __future__ import annotations
@@ -40,51 +40,66 @@ from casadical.robot.kinematics import assembly_sides
 from casadical.robot.remaining_errors import refuse_other
 from casadical.robot.robot import Robot
 
-# Rows of a robot file.
-MOST_JOINTS = 100
-# Size of gravity [m/s2]: mm/s2 are none of it.
-MOST_GRAVITY = 30.0
-# Twists of a right and a straight angle in radians, read as degrees, to so much [rad].
-TWISTS, NEAR_TWIST = np.deg2rad([np.pi / 2, np.pi]), np.deg2rad(1e-3)
+# Maximum number of rows and of loops in a robot file.
+MAX_JOINTS = 100
+# Maximum magnitude of gravity [m/s^2]; larger values are in another unit, such as mm/s^2.
+MAX_GRAVITY = 30.0
+# The twists [rad] that result when a right or a straight angle in radians is read as degrees.
+TWISTS_READ_AS_DEGREES = np.deg2rad([np.pi / 2, np.pi])
+# Tolerance of this test [rad].
+TWIST_TOLERANCE = np.deg2rad(1e-3)
 
+# A positive length.
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 
 
 def _stiff(value: float | None) -> float | None:
+    """Return the stiffness; refuse values below 1. Raises ValueError."""
     if value is not None and value < 1:
         raise ValueError("must be at least 1; leave it out for a joint of unknown stiffness")
     return value
 
 
+# A stiffness [N m/rad or N/m].
 Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
-Spelt = Annotated[str, AfterValidator(partial(unicodedata.normalize, "NFC"))]  # as a table's names are
+# A name in Unicode's composed form, as the names of a table are.
+Spelt = Annotated[str, AfterValidator(partial(unicodedata.normalize, "NFC"))]
+# Half of a length interval, or a prior width, positive.
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
+# Half of an angle interval, or a prior width, positive.
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
 class _Body(TomlTable):
+    """A body or payload in a file."""
+
     mass_kg: float = Field(ge=0, le=1e6)
     com: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
     inertia_kgm2: Annotated[list[float] | None, Field(min_length=6, max_length=6)] = None
 
     @model_validator(mode="after")
     def _possible(self) -> _Body:
+        """Refuse moments of inertia that no body has."""
         if self.inertia_kgm2 is not None and not parts.possible_inertia(_moments(self.inertia_kgm2)):
             allowed = "ixx, ixy, ixz, iyy, iyz, izz, no principal moment greater than the other two together"
             raise FaultError("inertia_kgm2", f"no body has such moments; allowed: {allowed}")
         return self
 
     def body(self) -> parts.Body:
+        """Return the body of the table."""
         inertia = None if self.inertia_kgm2 is None else _moments(self.inertia_kgm2)
         return parts.Body(self.mass_kg, np.array(self.com), inertia)
 
 
 def _moments(six: list[float]) -> Array:
+    """Return the inertia matrix of the six numbers ixx, ixy, ixz, iyy, iyz, izz."""
     xx, xy, xz, yy, yz, zz = six
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 class _Joint(TomlTable):
+    """A joint with its row in a file."""
+
     alpha: Angle = 0.0
     a: Length = 0.0
     theta: Angle = 0.0
@@ -104,7 +119,7 @@ class _Joint(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _pairs(cls, data: Any) -> Any:
-        """Pairs are arrays in TOML, and a factor may be whole."""
+        """Convert pairs, which are arrays in TOML, and factors that are whole numbers."""
 
         def pair(given: Any) -> Any:
             if not isinstance(given, list) or len(given) != 2:
@@ -118,7 +133,7 @@ class _Joint(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _own_units(cls, data: Any) -> Any:
-        """A revolute joint's range and stiffness are angular, a prismatic one's are not."""
+        """Refuse angular keys for a prismatic joint, and the reverse."""
         if not isinstance(data, dict):
             return data
         kind = data.get("type", "revolute")
@@ -132,6 +147,7 @@ class _Joint(TomlTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> _Joint:
+        """Refuse keys that contradict each other."""
         if self.limits and self.limits[0] >= self.limits[1]:
             raise FaultError("limits", "the lower one must come first")
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -142,6 +158,7 @@ class _Joint(TomlTable):
         return self
 
     def joint(self) -> parts.Joint:
+        """Return the joint of the table."""
         default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
         lower, upper = self.limits or default
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -164,21 +181,26 @@ class _Joint(TomlTable):
 
 
 class _Frame(TomlTable):
+    """A base or tool frame in a file."""
+
     xyz: Annotated[Triple, LENGTH] = Field(default=[0.0, 0.0, 0.0])
     rpy: Annotated[Triple, ANGLE] = Field(default=[0.0, 0.0, 0.0])
     unknown: Literal["none", "position", "pose"] = "none"
 
     def placement(self) -> parts.Placement:
+        """Return the placement of the table."""
         return parts.Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
 class ToolTable(_Frame):
-    """One of several [[tool]]."""
+    """One of several [[tool]] tables."""
 
     name: Spelt = ""
 
 
 class _FourBar(TomlTable):
+    """A four-bar in a file."""
+
     driven: int
     carrier: int
     crank: Bar
@@ -188,18 +210,23 @@ class _FourBar(TomlTable):
 
 
 class _Gravity(TomlTable):
+    """Gravity in a file."""
+
     frame: Literal["measuring", "base", "logged"] = "measuring"
     vector_m_per_s2: Triple = Field(default=[0.0, 0.0, -STANDARD_GRAVITY])
 
     @model_validator(mode="after")
     def _possible(self) -> _Gravity:
-        if np.linalg.norm(self.vector_m_per_s2) > MOST_GRAVITY:
-            allowed = f"at most {MOST_GRAVITY:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
+        """Refuse gravity that is too large, as in another unit."""
+        if np.linalg.norm(self.vector_m_per_s2) > MAX_GRAVITY:
+            allowed = f"at most {MAX_GRAVITY:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
             raise FaultError("vector_m_per_s2", f"no planet has that; allowed: {allowed}")
         return self
 
 
 class _Width(TomlTable):
+    """Bounds and priors of one group of parameters in a file."""
+
     length_bound: HalfLength = None
     angle_bound: HalfAngle = None
     length_prior: HalfLength = None
@@ -207,11 +234,15 @@ class _Width(TomlTable):
 
 
 class _BodyWidth(TomlTable):
+    """Prior widths of masses and mass centres in a file."""
+
     mass_share: float = Field(default=parts.BodyWidth().share, ge=0)
     com: Annotated[float, LENGTH, Field(ge=0)] = parts.BodyWidth().centre
 
 
 class _Widths(TomlTable):
+    """Bounds and priors of all groups in a file."""
+
     base: _Width = _Width()
     geometry: _Width = _Width()
     loop: _Width = _Width()
@@ -220,11 +251,14 @@ class _Widths(TomlTable):
     body: _BodyWidth = _BodyWidth()
 
     def widths(self) -> dict[str, parts.Width]:
+        """Return the widths of all groups, the default ones where none are given."""
         given = {group: getattr(self, group).model_dump(exclude_none=True) for group in parts.WIDTHS}
         return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
 
 
 class RobotFile(TomlTable):
+    """The schema of a robot file."""
+
     casadical: Annotated[Literal[1, 2], WHOLE_NUMBER]
     written_by: str = ""
     name: str = Field(min_length=1)
@@ -237,8 +271,8 @@ class RobotFile(TomlTable):
     further_tool: list[ToolTable] = Field(default=[], max_length=MAX_ITEMS)
     gravity: _Gravity = _Gravity()
     payload: _Body | None = None
-    joint: list[_Joint] = Field(min_length=1, max_length=MOST_JOINTS)
-    four_bar: list[_FourBar] = Field(default=[], max_length=MOST_JOINTS)
+    joint: list[_Joint] = Field(min_length=1, max_length=MAX_JOINTS)
+    four_bar: list[_FourBar] = Field(default=[], max_length=MAX_JOINTS)
     drive: Drive | None = None
     width: _Widths = _Widths()
     definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
@@ -249,6 +283,7 @@ class RobotFile(TomlTable):
 
     @model_validator(mode="after")
     def _rows(self) -> RobotFile:
+        """Refuse keys that contradict each other across tables."""
         for key in ("definition", "effect", "learnt", "covariance", "remaining"):
             if self.casadical == 1 and key in self.model_fields_set:
                 raise FaultError(key, "belongs to files of version 2; write casadical = 2")
@@ -263,14 +298,21 @@ class RobotFile(TomlTable):
         for i in (i for i, row in enumerate(self.joint) if names.count(row.name) > 1):
             raise FaultError(("joint", i, "name"), "another joint has this name; each needs one of its own")
         twists = np.array([abs(row.alpha) for row in self.joint])
-        in_radians = np.flatnonzero((np.abs(twists[:, None] - TWISTS) < NEAR_TWIST).any(axis=1))
-        if len(in_radians) > 1 and (twists < TWISTS[1] + NEAR_TWIST).all():  # of one alone it may be chance
+        in_radians = np.flatnonzero((np.abs(twists[:, None] - TWISTS_READ_AS_DEGREES) < TWIST_TOLERANCE).any(axis=1))
+        if (
+            len(in_radians) > 1 and (twists < TWISTS_READ_AS_DEGREES[1] + TWIST_TOLERANCE).all()
+        ):  # a single one may be a coincidence
             raise FaultError(("joint", int(in_radians[0]), "alpha"), "looks like radians; write them as alpha_rad")
         if self.drive:
             self.drive.refuse_other(len(self.joint))
         return self
 
     def robot(self, own: Sequence[type[Effect]]) -> Robot:
+        """Return the robot that the file describes.
+
+        own : further classes of effects
+        Raises InputError.
+        """
         joints = [row.joint() for row in self.joint]
         tool = self.tool.placement()
         points = [np.array(further.xyz) for further in self.further_tool]
@@ -308,16 +350,19 @@ class RobotFile(TomlTable):
         robot = replace(robot, knowledge=known, remaining=remaining)
         if effects:
             _refuse_undefined(robot)
-        assembly_sides(robot)  # raises InputError of a loop that does not close
+        assembly_sides(robot)  # raises InputError for a loop that does not close
         refuse_far(robot)
         return robot
 
 
 def refuse_far(robot: Robot) -> None:
-    """Raises InputError for a mass centre that no link of the arm can have, as one of metres for millimetres."""
+    """Refuse a mass centre that no link of the arm can have, as one of metres for millimetres.
+
+    Raises InputError.
+    """
     for i, joint in enumerate(robot.joints, 1):
         away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
-        # Beyond twice the arm's reach a mass centre may be so far from its joint [m].
+        # A mass centre may be 1 m farther from its joint than twice the arm's reach.
         if away > (most := 2 * robot.reach + 1.0):
             raise InputError(
                 f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that reaches "
@@ -326,7 +371,10 @@ def refuse_far(robot: Robot) -> None:
 
 
 def _refuse_undefined(robot: Robot) -> None:
-    """Raises InputError for effects whose settings and values give no position at some readings."""
+    """Refuse effects whose settings and values give no position at some readings.
+
+    Raises InputError.
+    """
     lower, upper = robot.limits
     for share in (0.37, 0.71):
         q = lower + share * (upper - lower)
@@ -340,10 +388,11 @@ def _refuse_undefined(robot: Robot) -> None:
 
 
 def _from_standard(rows: list[parts.Joint]) -> tuple[list[parts.Joint], Array]:
-    """Modified rows for standard ones, and the transform that the last a and alpha leave behind the last joint.
+    """Return modified rows for standard ones, and the transform left after the last joint.
 
-    Mass centres of bodies, given in the standard frames, are moved along.
-    Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
+    It is that of the last row's a and alpha. Mass centres of bodies, given in the standard frames,
+    are transformed too. Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and
+    alpha are the next modified row's.
     """
     shifted = [parts.Joint(), *rows[:-1]]
     tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]

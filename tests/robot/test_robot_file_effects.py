@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import extended_candidates
 from casadical.effects import Backlash, Effect, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
-from casadical.robot.robot import ONE_BLOCK, Covariance, Knowledge, blocks
+from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, blocks
 from casadical.robot.robot_file import robot_from, to_toml
 
 # What reads distances or full poses has columns of its own, of where it measures to.
@@ -152,7 +152,7 @@ def test_large_covariances_are_kept_effect_by_effect() -> None:
     C = A @ A.T
     C[5] = C[:, 5] = np.nan  # a parameter at its bound
     first, second = blocks(names, [n[0] for n in names], C)
-    assert len(names) > ONE_BLOCK
+    assert len(names) > MAX_BLOCK_PARAMETERS
     assert first.names == tuple(n for n in names[:70] if n != "a.5")
     assert second.names == tuple(names[70:])
     small = blocks(names[:9], [n[0] for n in names[:9]], np.eye(9))

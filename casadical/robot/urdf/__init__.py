@@ -1,4 +1,4 @@
-"""URDF: a robot read, a calibrated robot written back into its file, and a new file of a robot that came from none."""
+"""URDF files: reading a robot, writing a calibrated one back, and writing a new file."""
 
 from casadical.robot.urdf.reading import read_urdf as read_urdf
 from casadical.robot.urdf.writing import calibrated_urdf_text as calibrated_urdf_text

@@ -1,4 +1,4 @@
-"""A serial robot from a URDF, with its masses: the same object that a robot file gives."""
+"""Reading a serial robot with its masses from a URDF, as from a robot file."""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
-from casadical.robot.robot_schema import MOST_JOINTS, refuse_far
+from casadical.robot.robot_schema import MAX_JOINTS, refuse_far
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 _FULL_TURN = 2 * np.pi
@@ -19,12 +19,16 @@ _FULL_TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class UrdfChain:
-    """The moving joints between two links of a URDF, in its own terms and in ours.
+    """The moving joints between two links of a URDF, as in the file and in modified DH form.
 
-    moving : the joints (yourdfpy's) from base to tip; fixed_tip : the fixed joint above the tip, if there is one
+    name : of the robot; base_link, tip_link : ends of the chain
+    moving : the moving joints (yourdfpy's) from base to tip
+    fixed_tip : the fixed joint before the tip, None if there is none
     frames : of every link on the base, at zero readings, in the base link's frame, each (4, 4) [m]
     dh : the same chain in modified DH form
-    bodies : of the moving links; up : the root link's z axis in the base link's frame, shape (3,)
+    bodies : of the moving links
+    up : the root link's z axis in the base link's frame, shape (3,)
+    notes : assumptions that a user must know
     """
 
     name: str
@@ -42,18 +46,19 @@ class UrdfChain:
 def read_urdf(
     path: str | Path, base_link: str | None = None, tip_link: str | None = None, *, compliant: Collection[int] = ()
 ) -> Robot:
-    """A robot from a URDF file.
+    """Read a robot from a URDF file.
 
-    The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link (its position
-    unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg. Down is -z of the file's root
-    link. Links on fixed joints, and side branches at zero reading, count as mass of the link that carries them.
+    The measuring frame is nominally the base link (its true pose unknown), the tool is the tip link
+    (its position unknown). Joints keep their zero, sign and range; a continuous one gets +-360 deg.
+    Down is -z of the file's root link. Links on fixed joints, and side branches at zero reading,
+    count as mass of the link that carries them.
 
     base_link : first end of the chain; None: the root
     tip_link : last end of the chain; None: the only end that moves
-    compliant : joints (1-based, counted from the base link) whose drives give under load; their compliance, of which a
-        URDF says nothing, starts at zero
-    Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain, no moving joint, a
-        joint that floats, or has no axis or no range.
+    compliant : joints (1-based, counted from the base link) whose drives are compliant; a URDF has
+        no compliance, so that its nominal value is zero
+    Raises InputError: no parser installed, no file, malformed XML, no such link, a branching chain,
+    no moving joint, a joint that floats, or has no axis or no range.
 
     Examples
     --------
@@ -87,7 +92,7 @@ def read_urdf(
 
 
 def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfChain:
-    """The chain between two links of a URDF file. Raises InputError as `read_urdf` does."""
+    """Return the chain between two links of a URDF file. Raises InputError as `read_urdf` does."""
     urdf = parse_urdf(path)
     tree = Tree(urdf, str(path))
     base = tree.link(base_link, "base_link") if base_link else tree.root
@@ -96,9 +101,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     moving = tuple(j for j in joints if j.type != "fixed")
     if not moving:
         raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
-    if len(moving) > MOST_JOINTS:
+    if len(moving) > MAX_JOINTS:
         raise InputError(
-            f"{path}: {len(moving)} joints move between {base!r} and {tip!r}; allowed: up to {MOST_JOINTS}; "
+            f"{path}: {len(moving)} joints move between {base!r} and {tip!r}; allowed: up to {MAX_JOINTS}; "
             "name other links"
         )
     own = {j.name for j in moving}
@@ -124,8 +129,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     if odd := [k.name for k in massive if np.any(k.inertial.inertia) and _inertia(k) is None]:
         notes.append(f"no body has the inertia of {', '.join(odd)}: it is taken as unknown")
     turning = [j for j in moving if j.type == "revolute" and j.limit]
-    # A revolute joint's range that ends between them [rad] looks like one in degrees: greater ones
-    # stand for none.
+    # A range of a revolute joint that ends between 25 and 720 rad is probably in degrees; larger
+    # ones mean that there is no limit.
     if wide := [j.name for j in turning if 25.0 < max(map(abs, _range(j, str(path)))) <= 720.0]:
         notes.append(f"the range of {', '.join(wide)} looks like degrees, and is read as radians, as a URDF has them")
     if not any(bodies):
@@ -145,6 +150,7 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
 
 
 def _refuse_unusable(joint: Any, source: str) -> None:
+    """Refuse a joint of another type or without an axis. Raises InputError."""
     name = f"{source}: joint {joint.name!r}"
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
@@ -153,7 +159,10 @@ def _refuse_unusable(joint: Any, source: str) -> None:
 
 
 def _coupling(joint: Any, names: list[str]) -> Coupling | None:
-    """Of a joint that mimics another one of the chain; one that mimics a joint elsewhere has a reading of its own."""
+    """Return the coupling of a joint that mimics another one of the chain, else None.
+
+    One that mimics a joint elsewhere has its own reading.
+    """
     if joint.mimic is None or joint.mimic.joint not in names:
         return None
     times, plus = joint.mimic.multiplier, joint.mimic.offset
@@ -162,7 +171,7 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
 
 
 def _range(joint: Any, source: str) -> tuple[float, float]:
-    """Ends of a joint's range [rad or m]. Raises InputError where it has none."""
+    """Return the limits of a joint [rad or m]. Raises InputError where it has none."""
     if joint.type == "continuous":
         return -_FULL_TURN, _FULL_TURN
     lower, upper = (float(getattr(joint.limit, side, None) or 0.0) for side in ("lower", "upper"))
@@ -177,7 +186,10 @@ def _range(joint: Any, source: str) -> tuple[float, float]:
 def _bodies(
     urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], movers: dict[str, int]
 ) -> tuple[Body | None, ...]:
-    """Mass, mass centre and inertia of what each joint moves and the next does not, in our link frames."""
+    """Return the body that each joint moves and the next does not, in the link's frame.
+
+    None where it has no mass.
+    """
     parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
     for link in urdf.links:
         mass = link.inertial.mass if link.inertial and link.name in frames else None
@@ -193,7 +205,10 @@ def _bodies(
 
 
 def _inertia(link: Any) -> Array | None:
-    """A link's moments about its mass centre, shape (3, 3) [kg m^2]; None where the file states none that can be."""
+    """Return a link's moments about its mass centre, shape (3, 3) [kg m^2].
+
+    None where the file has none that are possible.
+    """
     stated = link.inertial.inertia
     if stated is None or not np.any(stated) or not np.isfinite(stated).all() or not possible_inertia(stated):
         return None

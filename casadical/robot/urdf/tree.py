@@ -1,4 +1,4 @@
-"""Links and joints of a URDF file as a tree; every fault is an InputError that names the file."""
+"""Links and joints of a URDF file as a tree; every fault is an InputError with the file's name."""
 
 from collections.abc import Collection, Iterator
 from io import BytesIO
@@ -12,10 +12,10 @@ from casadical.core.basics import Array, InputError, optional, shown
 from casadical.core.reading import MAX_ITEMS, foreign, read_xml
 from casadical.core.schema import LENGTH
 
-# Levels of elements: of links of links in a MuJoCo model, say.
-DEEPEST_XML = 200
-# Attributes that hold numbers, of elements of a link or a joint; the greatest angle of a frame [rad].
-_NUMBERS = (
+# Maximum depth of nested elements, as of links in links of a MuJoCo model.
+MAX_XML_DEPTH = 200
+# Elements of a link or a joint with their attributes that are numbers.
+_NUMERIC_ATTRIBUTES = (
     ("origin", "xyz"),
     ("origin", "rpy"),
     ("mass", "value"),
@@ -27,24 +27,29 @@ _NUMBERS = (
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
-    """The file's XML. Raises InputError where it is not well-formed, or its root element is another one."""
+    """Return the file's XML.
+
+    Raises InputError where it is not well-formed, or its root element is another one.
+    """
     data = read_xml(path)
     with foreign(f"{path}: malformed XML"):
         document = minidom.parseString(data)
         element = document.documentElement
         assert element is not None
         row: list[minidom.Node] = [element]
-        for _ in range(DEEPEST_XML):
+        for _ in range(MAX_XML_DEPTH):
             row = [child for node in row for child in node.childNodes]
         if row:
-            raise ValueError(f"nested more than {DEEPEST_XML} levels deep")
+            raise ValueError(f"nested more than {MAX_XML_DEPTH} levels deep")
     if element.tagName != root:
         raise InputError(f"{path}: the root element is <{element.tagName}>, not <{root}>")
     return document
 
 
 def parse_urdf(path: Path) -> Any:
-    """The robot as yourdfpy reads it. It repairs broken XML silently, so the XML is checked first.
+    """Return the robot as yourdfpy reads it.
+
+    As yourdfpy repairs broken XML silently, the XML is checked first.
 
     Raises InputError: yourdfpy is not installed, the XML is malformed, or it is no URDF.
     """
@@ -59,9 +64,12 @@ def parse_urdf(path: Path) -> Any:
 
 
 def _refuse_odd(document: minidom.Document, path: str) -> None:
-    """Raises InputError for attributes that are no numbers, or none that can be meant, with their link or joint."""
+    """Refuse attributes that are no numbers, or implausible ones, with their link or joint.
+
+    Raises InputError.
+    """
     for owner in [*document.getElementsByTagName("link"), *document.getElementsByTagName("joint")]:
-        for tag, key in _NUMBERS:
+        for tag, key in _NUMERIC_ATTRIBUTES:
             for text in (e.getAttribute(key) for e in owner.getElementsByTagName(tag) if e.hasAttribute(key)):
                 place = f"{owner.tagName} {owner.getAttribute('name')!r}"
                 where = f"{path}: {place}: {key} = {shown(repr(text))} of its <{tag}>"
@@ -81,9 +89,15 @@ def _refuse_odd(document: minidom.Document, path: str) -> None:
 
 
 class Tree:
-    """Links by name, the joint above each (yourdfpy's) and the joints below."""
+    """The tree of links.
+
+    source : the file, for messages; names : of the links
+    above : link -> the joint (yourdfpy's) of which it is the child; below : link -> the joints on
+        it
+    """
 
     def __init__(self, urdf: Any, source: str) -> None:
+        """Build the tree. Raises InputError for what is none."""
         self.source = source
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
@@ -100,7 +114,7 @@ class Tree:
             self._attach(j)
         for name in self.names:
             link = name
-            for _ in self.names:  # a ring above it is told of its own links
+            for _ in self.names:  # a ring above it is reported for its own links
                 if link not in self.above:
                     break
                 link = self.above[link].parent
@@ -108,6 +122,7 @@ class Tree:
                     raise InputError(f"{source}: link {name!r} is below itself; a URDF is a tree")
 
     def _attach(self, j: Any) -> None:
+        """Add a joint. Raises InputError for unknown links and a second parent."""
         for end in (j.parent, j.child):
             if end not in self.below:
                 raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
@@ -130,13 +145,13 @@ class Tree:
         return roots[0]
 
     def link(self, name: str, role: str) -> str:
-        """The name, if it is a link. Raises InputError otherwise."""
+        """Return the name if it is a link. Raises InputError otherwise."""
         if name not in self.below:
             raise InputError(f"{self.source}: {role} {name!r} is not there; links: {', '.join(self.names)}")
         return name
 
     def path(self, base: str, tip: str) -> list[Any]:
-        """Joints from base to tip. Raises InputError where the tip is not below the base."""
+        """Return the joints from base to tip. Raises InputError where no chain connects them."""
         joints: list[Any] = []
         link: str = tip
         while link != base:
@@ -147,10 +162,11 @@ class Tree:
         return joints[::-1]
 
     def only_end(self, base: str) -> str:
-        """The end of the tree that a joint moves, or the link on which a gripper is; the base where no joint moves.
+        """Return the only end of the tree that a joint moves, or the link with the gripper.
 
-        A gripper is what begins at one link, on more moving joints than each of its fingers has. Raises InputError for
-        several ends otherwise.
+        Where no joint moves it is the base. A gripper branches at one link, with more moving joints
+        before it than in each of its fingers.
+        Raises InputError for several ends otherwise.
         """
         ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
         if len(ends) < 2:
@@ -166,6 +182,7 @@ class Tree:
         return str(common[-1].child)
 
     def _walk(self, link: str, moved: bool) -> Iterator[tuple[str, bool]]:
+        """Yield the links on a link, and whether a moving joint carries each."""
         waiting = [(link, moved)]
         while waiting:
             link, moved = waiting.pop()
@@ -173,7 +190,11 @@ class Tree:
             waiting += [(j.child, moved or j.type != "fixed") for j in reversed(self.below[link])]
 
     def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
-        """Frames at zero readings of all links on the base, in its frame, and how many of the joints move each."""
+        """Return the frames of all links on the base at zero readings, and their numbers of movers.
+
+        Frames are in that of the base, each (4, 4) [m]; the numbers are of the joints in `moving`
+        that move each link.
+        """
         frames, movers = {base: np.eye(4)}, {base: 0}
         waiting = [base]
         while waiting:
@@ -185,7 +206,7 @@ class Tree:
         return frames, movers
 
     def frame_of(self, link: str) -> Array:
-        """A link's frame in that of the link at the top, at zero readings, shape (4, 4)."""
+        """Return a link's frame in the root link's at zero readings, shape (4, 4) [m]."""
         T = np.eye(4)
         while link in self.above:
             T = self.origin(self.above[link]) @ T
@@ -193,7 +214,10 @@ class Tree:
         return T
 
     def origin(self, item: Any) -> Array:
-        """Transform of a joint or an inertial, shape (4, 4). Raises InputError if it is not finite."""
+        """Return the transform of a joint or an inertial, shape (4, 4) [m].
+
+        Raises InputError if it is not finite.
+        """
         if item.origin is None:
             return np.eye(4)
         if not np.isfinite(item.origin).all():

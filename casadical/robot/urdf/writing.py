@@ -1,4 +1,4 @@
-"""URDFs written: a calibrated robot back into its own, and a new one of a robot that came from none."""
+"""Writing URDFs: a calibrated robot into its own file, and a new file for any robot."""
 
 import re
 from pathlib import Path
@@ -15,11 +15,14 @@ from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain
 from casadical.robot.urdf.tree import parse_xml
 
-UNCHANGED = 1e-13  # m or rad: an origin nearer than this to its old value keeps its text
-# Of a new file.
-TIP = "measured"
-# A URDF asks for them; they say nothing here.
-EFFORT, VELOCITY = "1e4", "10"
+# An origin that changes by less [m or rad] keeps its text.
+UNCHANGED_TOLERANCE = 1e-13
+# Name of the measured link in a new file.
+MEASURED_LINK = "measured"
+# Placeholder for the effort limit [N m or N] that a URDF requires.
+EFFORT_LIMIT = "1e4"
+# Placeholder for the velocity limit [rad/s or m/s] that a URDF requires.
+VELOCITY_LIMIT = "10"
 
 
 def calibrated_urdf_text(
@@ -31,15 +34,20 @@ def calibrated_urdf_text(
     base: Literal["robot", "measuring"] = "robot",
     measured_link: str | None = None,
 ) -> str:
-    """The text of the URDF `path_in` with the calibrated geometry.
+    """Return the text of the URDF `path_in` with the calibrated geometry.
 
-    From base link to measured point the new file's kinematics are those of the calibrated robot without compliance and
-    effects, for which a URDF has no place: a comment in the file says so. Who uses the file without adding the
-    deflections does better with a robot identified as rigid (method KM), whose geometry takes up part of them. Meshes,
-    inertias and limits stay as they are; every link keeps its place against its own joint's axis.
+    From base link to measured point the new file's kinematics are those of the calibrated robot
+    without compliance and effects, for which a URDF has no place: a comment in the file says so.
+    Users of the file who do not add the deflections get better accuracy from a robot identified as
+    rigid (method KM), whose geometry compensates part of them. Meshes, inertias and limits are
+    unchanged; every link keeps its pose relative to its own joint's axis.
 
-    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved where no fixed joint
-        can take it, a taken name; and what `read_urdf` raises.
+    robot_before : as read from the file; robot_calibrated : to be written
+    base_link, tip_link : as of `read_urdf`
+    base : what the base link is: the robot's base or the measuring frame
+    measured_link : name of a new link at the measured point; None: the tip link is moved there
+    Raises InputError: another robot than that of the file, a closed loop, a tool that has moved
+    where no fixed joint can take it, a taken name; and what `read_urdf` raises.
     """
     path_in = Path(path_in)
     chain = read_chain(path_in, base_link, tip_link)
@@ -64,13 +72,14 @@ def calibrated_urdf_text(
 
 
 def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: str) -> None:
+    """Refuse robots that are not that of the file. Raises InputError."""
     if after.loops:
         raise InputError(f"{source}: {after.name!r} has a closed loop, a URDF is a tree; write it with write_robot")
     for robot in (before, after):
         if robot.n != len(chain.moving):
             raise InputError(f"{source}: {len(chain.moving)} joints in the chain, {robot.n} in robot {robot.name!r}")
     for i, (row, joint) in enumerate(zip(chain.dh.rows, before.joints, strict=True), 1):
-        # m or rad
+        # The tolerance is in m or rad.
         if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=1e-9):
             raise InputError(
                 f"{source}: row {i} of robot_before is not that of the file between {chain.base_link!r} and "
@@ -79,13 +88,15 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
 
 
 def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Array]:
-    """New origin of every moving joint, shape (4, 4), by name.
+    """Return the new origin of every moving joint, shape (4, 4) [m], by name.
 
-    A URDF link stands at C_k in our frame k, before and after; between two links lie the row and, in front of the
-    joint, the fixed joints. foot : frame 0 in the base link, shape (4, 4)
+    A URDF link is at C_k in our frame k, before and after; between two links are the row and,
+    before the joint, the fixed joints.
+
+    foot : frame 0 in the base link, shape (4, 4) [m]
     """
     origins = {}
-    behind, link = foot, chain.base_link  # behind: our frame k-1, seen from the URDF link k-1
+    behind, link = foot, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
     for row, joint, T in zip(robot.joints, chain.moving, chain.dh.frames, strict=True):
         C = np.linalg.inv(T) @ chain.frames[joint.child]
         fixed = np.linalg.inv(chain.frames[link]) @ chain.frames[joint.parent]
@@ -95,7 +106,8 @@ def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Arr
 
 
 def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source: str) -> None:
-    if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED):
+    """Set the origin of the fixed joint at the tip to the tool. Raises InputError without one."""
+    if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED_TOLERANCE):
         return
     if chain.fixed_tip is None:
         raise InputError(
@@ -107,16 +119,21 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
 
 
 def _children(element: minidom.Element, tag: str) -> list[minidom.Element]:
+    """Return the child elements with a tag."""
     return [c for c in element.childNodes if isinstance(c, minidom.Element) and c.tagName == tag]
 
 
 def _root(document: minidom.Document) -> minidom.Element:
+    """Return the root element."""
     assert document.documentElement is not None
     return document.documentElement
 
 
 def _part(document: minidom.Document, joint: str, tag: str) -> minidom.Element:
-    """An element of a joint, made where there is none: an origin as the first, others as the last."""
+    """Return an element of a joint, created if there is none.
+
+    A new origin is the first child, others are the last.
+    """
     element = next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == joint)
     if parts := _children(element, tag):
         return parts[0]
@@ -126,23 +143,26 @@ def _part(document: minidom.Document, joint: str, tag: str) -> minidom.Element:
 
 
 def _write_frame(origin: minidom.Element, T: Array) -> None:
+    """Write T, shape (4, 4) [m], as xyz and rpy where they have changed."""
     xyz, rpy = (np.array([float(v) for v in (origin.getAttribute(k) or "0 0 0").split()]) for k in ("xyz", "rpy"))
-    if np.abs(T[:3, 3] - xyz).max() > UNCHANGED:
+    if np.abs(T[:3, 3] - xyz).max() > UNCHANGED_TOLERANCE:
         origin.setAttribute("xyz", _text(T[:3, 3]))
-    if np.abs(T[:3, :3] - from_rpy(rpy)).max() > UNCHANGED:
+    if np.abs(T[:3, :3] - from_rpy(rpy)).max() > UNCHANGED_TOLERANCE:
         origin.setAttribute("rpy", _text(to_rpy(T[:3, :3])))
 
 
 def _text(values: Array) -> str:
+    """Return numbers as text with full precision."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def _comment_text(text: str) -> str:
-    """Without two dashes side by side, which are not allowed in a comment."""
+    """Return the text without two adjacent dashes, which a comment must not contain."""
     return re.sub("-(?=-)", "- ", text)
 
 
 def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> None:
+    """Add a link on a fixed joint with the origin T. Raises InputError for a taken name."""
     root = _root(document)
     joint_name = f"{name}_joint"
     taken = {e.getAttribute("name") for tag in ("link", "joint") for e in _children(root, tag)}
@@ -165,6 +185,7 @@ def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> N
 
 
 def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
+    """Add a comment on what the file does and does not contain."""
     foot = "the robot's foot" if base == "robot" else "the measuring frame"
     text = (
         f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the "
@@ -184,9 +205,10 @@ def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: s
 
 
 def new_urdf(robot: Robot) -> str:
-    """The text of a URDF: base_link is the robot's base frame, the joints are joint1 .. jointN.
+    """Return the text of a URDF of any robot without loops.
 
-    Where the base stands in the measuring frame, compliances and effects have no place in a URDF: a comment says so.
+    base_link is the robot's base frame, the joints are joint1 .. jointN. The base's pose in the
+    measuring frame, compliances and effects have no place in a URDF: a comment says so.
 
     robot : calibrated or nominal
     Raises InputError: a robot with a closed loop.
@@ -212,18 +234,18 @@ def new_urdf(robot: Robot) -> str:
         joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ends = {"lower": repr(float(row.lower)), "upper": repr(float(row.upper))}
-        ET.SubElement(joint, "limit", {**ends, "effort": EFFORT, "velocity": VELOCITY})
+        ET.SubElement(joint, "limit", {**ends, "effort": EFFORT_LIMIT, "velocity": VELOCITY_LIMIT})
         if dynamics := _dynamics(robot, i):
             ET.SubElement(joint, "dynamics", dynamics)
         parent = f"link{i}"
-    ET.SubElement(root, "link", name=TIP)
-    _joint(root, f"{TIP}_joint", "fixed", parent, TIP, robot.tool.T)
+    ET.SubElement(root, "link", name=MEASURED_LINK)
+    _joint(root, f"{MEASURED_LINK}_joint", "fixed", parent, MEASURED_LINK, robot.tool.T)
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
 def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
-    """Damping and dry friction of a joint [N m s/rad, N m], as far as [drive] knows them."""
+    """Return damping and dry friction of a joint [N m s/rad, N m], if [drive] has them."""
     if robot.drive is None:
         return {}
     known = {name: robot.drive.of_joints(name, robot.n) for name in ("damping", "friction")}
@@ -231,6 +253,7 @@ def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
 
 
 def _about(robot: Robot) -> str:
+    """Return the comment of a new file."""
     springs = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     guessed = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.body and j.body.inertia is None]
     lines = [f"Written by casadical: geometry{', masses and inertias' if any(j.body for j in robot.joints) else ''}."]
@@ -243,6 +266,7 @@ def _about(robot: Robot) -> str:
 
 
 def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, T: Array) -> ET.Element:
+    """Add a joint with the origin T, shape (4, 4) [m], and return its element."""
     joint = ET.SubElement(root, "joint", name=name, type=kind)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
