@@ -7,34 +7,35 @@ from dataclasses import dataclass
 class Settings:
     """Thresholds of the search for causes and of its verdict; probabilities unless said otherwise.
 
-    max_p_nothing : something is there if "nothing" is less probable than this, however many poses
-        there are: the noise is that of restricted likelihood. Of 30,000 draws of noise alone, 15 to
-        200 poses (docs/studies/false_alarms.py with seeds 178), .4 % are below, .2 to .6 % at each
-        number of poses.
-    max_p_nothing_further : the same for a further cause, once one was found
-    min_claim : a cause is claimed alone from this probability on: of claims, 98 in 100 are to be
-        right, effects on no list included
-    max_bootstrap_p : with a bootstrap, something is there if noise alone looks as much like it this
-        often at most
-    outlier_distance, inlier_distance : squared Mahalanobis distance of three coordinates beyond
-        which a pose is an outlier, and below which it is none
-    min_set : named causes are no explanation if exactly these are less probable than all sets that
-        differ by one together, and the remainder is no mere flaw of an equation. Of 139 campaigns
-        of docs/studies/open_world.py (seeds "develop 2") 9 of 11 such sets were wrong or
-        incomplete; without the second condition 11 of 15; of those above 0.5 5 of 49.
-    min_further : a further cause is accepted from this probability on, among those that are there
-    max_causes : most causes of a diagnosis
-    ambiguous_share, max_ambiguous, min_ambiguous : causes that the data cannot distinguish have
-        this probability together, are at most so many, and none is less probable than the last
-    partitions : of the poses into fifths, over which held-out errors are averaged
-    min_explained, max_unexplained : explaining less than this share of what could be explained is
-        no explanation, where something else is seen or more than the second share of the gap is
-        left
-    max_flaw : a flaw of a listed effect's equation leaves less than this share of its evidence: no
-        such remainder was found in 44 right claims of mismatched truth; loose anchors and hoses
-        leave 0.08 and 0.11 (seeds 77)
-    max_block_ratio : causes with which blocks of time left out are predicted worse by this factor
-        explain nothing
+    max_p_nothing : a first cause is detected if the probability of "nothing" is below this, at any
+        number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of pure
+        noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are below, 0.2
+        to 0.6 % at each number of poses.
+    max_p_nothing_further : the same for an additional cause, once one was found
+    min_claim : a cause is claimed alone from this probability on; 98 of 100 claims are to be right,
+        including campaigns with unlisted effects
+    max_bootstrap_p : with a bootstrap, a cause is detected if its p-value is at most this
+    outlier_distance : squared Mahalanobis distance of three coordinates beyond which a pose is an
+        outlier; inlier_distance : distance below which an outlier becomes an inlier again
+    min_set : the named causes are no explanation if the set of exactly these has a smaller
+        probability among all sets that differ by one cause, and the remaining error is more than a
+        flaw of an equation. Of 139 campaigns of docs/studies/open_world.py (seeds "develop 2") 9 of
+        11 such sets were wrong or incomplete; without the second condition 11 of 15; of the sets
+        above 0.5 5 of 49.
+    min_further : an additional cause is accepted from this probability on, given that there is one
+    max_causes : largest number of causes of a diagnosis
+    ambiguous_share : probability of all causes together that the data cannot distinguish
+    max_ambiguous : largest number of such causes; min_ambiguous : smallest probability of each
+    partitions : number of partitions of the poses into fifths over which held-out errors are
+        averaged
+    min_explained : the causes are no explanation if they close a smaller share of the gap above the
+        noise floor and an additional cause is detected, or the unexplained share of the gap exceeds
+        max_unexplained
+    max_flaw : evidence of the remaining error over that of the causes below which it may be a flaw
+        of a listed effect's equation: none was larger in 44 right claims of mismatched truth; loose
+        anchors and hoses leave 0.08 and 0.11 (seeds 77)
+    max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
+        them above which the causes are no explanation
     """
 
     max_p_nothing: float = 0.1
