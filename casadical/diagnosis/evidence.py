@@ -32,29 +32,32 @@ WIDE_SIGMA_GRID_M = SIGMA_GRID_M[0] * (SIGMA_GRID_M[-1] / SIGMA_GRID_M[0]) ** (
 # Ratios of joint repeatability to the instrument's sigma at which likelihoods are evaluated
 # [rad/m].
 RHO_GRID = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
-# Grid of the ratio of an effect's parameters' standard deviation to their typical size; its prior
-# weights.
+# Grid of kappa, the ratio of the standard deviation of an effect's parameters to their typical
+# size.
 KAPPA_GRID = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
+# Prior probability of each point of `KAPPA_GRID`.
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 # Name of the noise component that the joints add (see `NoiseModel`).
 REPEATABILITY = "repeatability"
 
-# The logarithm of true over declared sigma has a Student's t prior with this scale and these
-# degrees of freedom: a declaration that is wrong by a factor of three costs 4 nats and is overruled
-# by a few dozen measured numbers.
+# Scale of the Student's t prior of the logarithm of true over declared sigma: a declaration that is
+# wrong by a factor of three costs 4 nats and is overruled by a few dozen measured numbers.
 LOG_SD_OF_DECLARED = 0.2
+# Degrees of freedom of this Student's t prior: heavy tails for a wrong declaration.
 DECLARED_SIGMA_FREEDOM = 2.0
 # The same scale where sigma is taken as half the largest error that a data sheet states: the margin
 # that makers leave differs.
 LOG_SD_OF_DATA_SHEET = 0.5
 
-# A base direction counts as determined by the data if they carry this many times the information of
-# its prior; its prior standard deviation is then multiplied by the factor.
+# A direction of the base parameters counts as determined if the data carry at least this many times
+# the information of its prior.
 MIN_INFORMATION_RATIO = 100.0
+# Factor on the prior standard deviation of a base direction that the data determine.
 DETERMINED_PRIOR_FACTOR = 100.0
-# Three-point Gauss-Hermite rule for the logarithm of a table's noise over its assumed value: outer
-# nodes in standard deviations, and the weight of each.
+# Outer node, in standard deviations, of the three-point Gauss-Hermite rule that integrates over the
+# logarithm of a table's noise ratio.
 HERMITE_NODE = 3.0**0.5
+# Weight of each outer node of this rule.
 HERMITE_WEIGHT = 1 / 6
 
 

@@ -31,10 +31,11 @@ HEAVY_TAILS = "noise with heavy tails"
 AR_COEFFICIENTS = (0.4, 0.6, 0.8, 0.9)
 # The best coefficient is refined by this step to both sides before causes are searched under it.
 AR_COEFFICIENT_STEP = 0.07
-# Heavy tails: prior share of poses with larger noise, the factor of their noise, and the number of
-# rounds in which these poses are identified.
+# Prior share of the poses whose noise is larger, in the model of heavy tails.
 TAIL_SHARE = 0.05
+# Factor on the noise of the poses in the tails.
 TAIL_NOISE_FACTOR = 4.0
+# Number of rounds in which the poses in the tails are identified.
 MAX_TAIL_ROUNDS = 3
 # Repeatability error of a noisy joint over that of the other joints.
 NOISY_JOINT_FACTOR = 8.0

@@ -45,8 +45,9 @@ MAX_SIZE_ROUNDS = 8
 SIZE_TOLERANCE = 0.05
 # A part keeps its size if the data determine fewer parameters of it.
 MIN_DETERMINED_PARAMETERS = 1.0
-# Bounds of the factor on a part's size.
+# Lower bound of the factor by which a part's size is learnt.
 MIN_SIZE_FACTOR = 0.05
+# Upper bound of this factor.
 MAX_SIZE_FACTOR = 8.0
 
 
