@@ -103,13 +103,13 @@ class FaultsError(InputError):
         """Return errors as one, without duplicates; of the same fault in a column, the most
         rows.
         """
-        every = list(errors)
-        faults = list(dict.fromkeys(f for e in every if isinstance(e, FaultsError) for f in e.faults))
+        all_errors = list(errors)
+        faults = list(dict.fromkeys(f for e in all_errors if isinstance(e, FaultsError) for f in e.faults))
         files = list(dict.fromkeys(f.source for f in faults))
-        kept = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
-        others = [t for e in every for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
-        whole = FaultsError(kept, list(dict.fromkeys(others)))
-        return every[0] if len(every) == 1 or str(whole) == str(every[0]) else whole
+        distinct = sorted((f for f in faults if not any(map(f.within, faults))), key=lambda f: files.index(f.source))
+        others = [t for e in all_errors for t in (e.others if isinstance(e, FaultsError) else [str(e)])]
+        combined = FaultsError(distinct, list(dict.fromkeys(others)))
+        return all_errors[0] if len(all_errors) == 1 or str(combined) == str(all_errors[0]) else combined
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:

@@ -116,11 +116,11 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
             folder.rmdir()
 
     with ExitStack() as stack:
-        held = dict(_claimed.get())
+        claims = dict(_claimed.get())
         for folder in map(Path, folders):
             try:
                 real = real_path(folder)
-                if real in held:
+                if real in claims:
                     continue
                 new = [p for p in (real, *real.parents) if not p.exists()]
                 real.mkdir(parents=True, exist_ok=True)
@@ -132,10 +132,10 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
                     raise InputError(
                         f"{folder}: another casadical is writing to this folder; wait for it, or name another folder"
                     )
-                held[real] = bool(new)
+                claims[real] = bool(new)
             except (OSError, ValueError, RuntimeError) as error:
                 raise _failure(folder, error) from error
-        before = _claimed.set(held)
+        before = _claimed.set(claims)
         stack.callback(_claimed.reset, before)
         yield
 

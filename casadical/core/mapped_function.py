@@ -48,7 +48,7 @@ class Buffered:
             buffer, trigger = self._idle.pop()
         except IndexError:
             buffer, trigger = self._function.buffer()
-        held: list[Any] = []
+        arrays: list[Any] = []
         for k, (argument, (rows, columns)) in enumerate(zip(arguments, self._inputs, strict=True)):
             values = np.asarray(argument, dtype=float)
             values = values.reshape(rows, -1, order="F") if rows * columns else np.zeros((0, 0))
@@ -56,9 +56,9 @@ class Buffered:
                 values = np.tile(values, columns // values.shape[1])
             if values.size != rows * columns:
                 raise ValueError(f"{self.name}: input {k} has shape {np.shape(argument)}, expected {(rows, columns)}")
-            held.append(np.asfortranarray(values))
+            arrays.append(np.asfortranarray(values))
             if values.size:
-                buffer.set_arg(k, _view(held[-1]))
+                buffer.set_arg(k, _view(arrays[-1]))
         results = [np.empty(size, order="F") for size in self._outputs]
         for k, r in enumerate(results):
             if r.size:
@@ -118,13 +118,13 @@ class MappedFunction:
         if n <= self._chunk:
             return self._over(n)(points, shared, once)
         sizes = [self._each.size_out(k) for k in range(self._each.n_out())]
-        whole = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
+        outputs = [np.empty((rows, columns * n), order="F") for rows, columns in sizes]
         for start in range(0, n, self._chunk):
             some = points[:, start : start + self._chunk]
             parts = self._over(some.shape[1])(some, shared, once)
-            for out, part, (_, columns) in zip(whole, parts, sizes, strict=True):
+            for out, part, (_, columns) in zip(outputs, parts, sizes, strict=True):
                 out[:, columns * start : columns * start + part.shape[1]] = part
-        return whole
+        return outputs
 
     def _over(self, n: int) -> Buffered:
         """Return the function mapped over n points, cached."""
@@ -137,8 +137,8 @@ class MappedFunction:
     def _compile(self, n: int) -> None:
         """Switch to machine code if the points evaluated so far and these n pay for it."""
         self.evaluated += n
-        for make, least in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
-            if self._machine_code is None and self.evaluated >= least:
+        for make, threshold in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
+            if self._machine_code is None and self.evaluated >= threshold:
                 self.compile(make=make)
                 self._tried += 1
 

@@ -76,8 +76,8 @@ def possible_inertia(moments: Array) -> bool:
 
     No principal moment is negative, and none is greater than the sum of the other two.
     """
-    least, middle, most = np.linalg.eigvalsh(moments)
-    return bool(np.isfinite(most) and least >= -1e-6 * most and most <= (1 + 1e-6) * (least + middle))
+    smallest, middle, largest = np.linalg.eigvalsh(moments)
+    return bool(np.isfinite(largest) and smallest >= -1e-6 * largest and largest <= (1 + 1e-6) * (smallest + middle))
 
 
 @dataclass(frozen=True)

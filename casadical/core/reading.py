@@ -179,8 +179,8 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
         raise InputError(f"{source}: not valid JSON: {why}") from None
     if not isinstance(data, kind):
         wanted = "list" if kind is list else "object"
-        held = {dict: "an object", list: "a list", str: "a text", type(None): "null"}.get(type(data), str(data)[:30])
-        raise InputError(f"{source}: holds {held}; a JSON {wanted} is expected")
+        found = {dict: "an object", list: "a list", str: "a text", type(None): "null"}.get(type(data), str(data)[:30])
+        raise InputError(f"{source}: holds {found}; a JSON {wanted} is expected")
     level, row = 0, [data] if isinstance(data, dict | list) else []
     while row := [v for c in row for v in (c.values() if isinstance(c, dict) else c) if isinstance(v, dict | list)]:
         level += 1

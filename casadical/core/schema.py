@@ -137,10 +137,10 @@ def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
         raise _faults(faults, error.error_count(), source) from None
 
 
-def _faults(told: Sequence[str], count: int, source: str) -> InputError:
+def _faults(listed: Sequence[str], count: int, source: str) -> InputError:
     """Return the error that lists faults; count : of all, those not listed included."""
-    more = [f"and {count - len(told)} more"] if count > len(told) else []
-    return InputError("\n  ".join([f"{source}: {count} fault(s)", *told, *more]))
+    more = [f"and {count - len(listed)} more"] if count > len(listed) else []
+    return InputError("\n  ".join([f"{source}: {count} fault(s)", *listed, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:

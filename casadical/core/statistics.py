@@ -26,8 +26,8 @@ def first_of_best(values: Sequence[float] | Array, *, logs: bool = False) -> int
     """
     given = np.asarray(values, dtype=float)
     best = float(given.max())
-    least = best - TIE_TOLERANCE * (1.0 if logs else abs(best)) if np.isfinite(best) else best
-    return int(np.argmax(given >= least))
+    threshold = best - TIE_TOLERANCE * (1.0 if logs else abs(best)) if np.isfinite(best) else best
+    return int(np.argmax(given >= threshold))
 
 
 def best_of(items: Iterable[Item], value: Callable[[Item], float], *, logs: bool = False) -> Item:

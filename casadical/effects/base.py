@@ -233,7 +233,7 @@ class Counterparts:
         assert joint is not None
         return self.drives[joint - 1]
 
-    def great(self, joint: int | None) -> float:
+    def peak_torque(self, joint: int | None) -> float:
         """Return the peak gravity torque of a joint (1-based) [N m or N]; for None the greatest."""
         return self.greatest(joint or 1, joint or len(self.torque_scale))
 
@@ -260,11 +260,11 @@ class Counterparts:
             of the joints at its ends
         spread : whether a link's own weight is distributed along it
         """
-        made, great = self, self.greatest(link, link + 1) if link else self.great(None)
+        made, peak = self, self.greatest(link, link + 1) if link else self.peak_torque(None)
         # A peak torque this small [N m or N] is that of a robot without masses.
-        if great < 1e-6:
+        if peak < 1e-6:
             return made.without(label, "no weight loads it")
-        k = tuple(great / size if size > 0 else np.inf for size in sizes.values())
+        k = tuple(peak / size if size > 0 else np.inf for size in sizes.values())
         wrong = tuple(name for name, size in sizes.items() if size < 0)
         if wrong:
             made = made.without(label, f"{', '.join(wrong)} came out negative: rigid there", wrong)
@@ -385,11 +385,11 @@ class Effect:
 
         The latter, for each combination of settings, only if `together`.
         """
-        alike: dict[str, list[Effect]] = {}
+        by_settings: dict[str, list[Effect]] = {}
         for effect in cls.candidates(arm):
             yield (effect,)
-            alike.setdefault(str(settings_of(effect)), []).append(effect)
-        yield from (tuple(each) for each in alike.values() if cls.together and len(each) > 1)
+            by_settings.setdefault(str(settings_of(effect)), []).append(effect)
+        yield from (tuple(each) for each in by_settings.values() if cls.together and len(each) > 1)
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
@@ -401,8 +401,8 @@ class Effect:
 
     def to_dict(self) -> dict[str, Any]:
         """Return name, joint and settings, if any, as plain data."""
-        whole = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
-        return {key: value for key, value in whole.items() if value not in (None, {})}
+        entries = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
+        return {key: value for key, value in entries.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
         """Check that the arm has the effect's joint, and those in its settings. Raises

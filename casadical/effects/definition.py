@@ -59,7 +59,7 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
     """Return a softer joint spring for an effect with `deflection` under the peak torque [rad]."""
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
-    soft = simulator.drive(effect.joint).compliance + v["deflection"] / simulator.great(effect.joint)
+    soft = simulator.drive(effect.joint).compliance + v["deflection"] / simulator.peak_torque(effect.joint)
     return simulator.with_drive(effect, f"spring of joint {effect.joint}", compliance=soft)
 
 
@@ -83,20 +83,20 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
     """
     if v["bend"] <= 0:
         return simulator.without_sign(effect.label)
-    stiffness = effect.knee * simulator.great(effect.joint) / (TANH_SLOPE * v["bend"])
+    stiffness = effect.knee * simulator.peak_torque(effect.joint) / (TANH_SLOPE * v["bend"])
     spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * TANH_MAX_ERROR * v['bend']:.1f} urad"
     return simulator.with_drive(effect, spring, give=TANH_STOP * v["bend"], give_stiffness=stiffness)
 
 
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return the spring k1 d + k3 d^3 closest to a deflection c tau - bend (tau / peak)^3 [rad]."""
-    great, load = simulator.great(effect.joint), np.linspace(-1.2, 1.2, 97)
-    d = simulator.drive(effect.joint).compliance * great * load - v["bend"] * load**3
+    peak, load = simulator.peak_torque(effect.joint), np.linspace(-1.2, 1.2, 97)
+    d = simulator.drive(effect.joint).compliance * peak * load - v["bend"] * load**3
     if (np.diff(d) <= 0).any():
         return simulator.without(effect.label, "the deflection would decrease with the load")
     scale = np.array([np.abs(d).max(), np.abs(d).max() ** 3])
-    k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]) / scale, great * load, rcond=None)[0] / scale
-    off = 1e6 * float(np.abs(great * load - k1 * d - k3 * d**3).max() / k1)
+    k1, k3 = np.linalg.lstsq(np.column_stack([d, d**3]) / scale, peak * load, rcond=None)[0] / scale
+    off = 1e6 * float(np.abs(peak * load - k1 * d - k3 * d**3).max() / k1)
     spring = f"joint{effect.joint}_give with the spring k1 d + k3 d^3, within {off:.1f} urad"
     return simulator.with_drive(effect, spring, k1=float(k1), k3=float(k3))
 
@@ -288,8 +288,8 @@ class DefinedEffect(FormulaEffect):
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """Return a simulator's counterparts with the one that the definition names."""
-        known = COUNTERPARTS.get(self.definition.counterpart)
-        return known(self, simulator, v) if known else super().counterpart(simulator, v)
+        counterpart = COUNTERPARTS.get(self.definition.counterpart)
+        return counterpart(self, simulator, v) if counterpart else super().counterpart(simulator, v)
 
 
 class _Texts(NamedTuple):
@@ -364,12 +364,12 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
     with errors_of("formulas: "):
-        whole = kind.texts_with(tuple(_as_word({"joint": 1, **settings}[place]) for place in kind.places))
-        for seam, formula in whole.formulas.items():
-            check_formula(formula.text, seam, (*whole.sizes, *numbers, *whole.needs))
-            check_values(formula, whole.sizes, numbers)
-    used = {name for formula in whole.formulas.values() for name in formula.names}
-    if unused := [name for name in whole.sizes if name not in used]:
+        texts = kind.texts_with(tuple(_as_word({"joint": 1, **settings}[place]) for place in kind.places))
+        for seam, formula in texts.formulas.items():
+            check_formula(formula.text, seam, (*texts.sizes, *numbers, *texts.needs))
+            check_values(formula, texts.sizes, numbers)
+    used = {name for formula in texts.formulas.values() for name in formula.names}
+    if unused := [name for name in texts.sizes if name not in used]:
         raise InputError(f"sizes.{unused[0]}: is in no formula")
     return kind
 

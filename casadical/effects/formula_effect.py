@@ -142,8 +142,8 @@ class FormulaEffect(Effect):
         formula = self.formulas.get(seam)
         if formula is None:
             return []
-        known, moments = self.own_names(context) | dict(more or {}), dict[int, Symbolic]()
-        return formula.values({n: known[n] if n in known else variable(context, n, moments) for n in formula.names})
+        values, moments = self.own_names(context) | dict(more or {}), dict[int, Symbolic]()
+        return formula.values({n: values[n] if n in values else variable(context, n, moments) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
         """Return the energy [J] of the formula, and that of a payload with wrong mass or centre."""
@@ -256,10 +256,10 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
     at: dict[str, Any] = {n: rng.uniform(*ranges[n], 200) for n in formula.names if n not in settings} | dict(settings)
     with np.errstate(all="ignore"):
         without = formula.values(at | dict.fromkeys(parameters, np.zeros(200)), NUMERIC_FUNCTIONS)
-        whole = formula.values(at, NUMERIC_FUNCTIONS)
+        values_with = formula.values(at, NUMERIC_FUNCTIONS)
     if any(np.nan_to_num(v).any() for v in without):
         raise InputError(f"formula {formula.text!r}: it must be zero where {', '.join(parameters)} are zero")
-    wrong = np.broadcast_to(~np.isfinite(sum(whole)), 200)
+    wrong = np.broadcast_to(~np.isfinite(sum(values_with)), 200)
     if wrong.any():
         there = ", ".join(f"{name} = {values[wrong][0]:.3g}" for name, values in at.items() if name not in settings)
         raise InputError(f"formula {formula.text!r}: it is no number where {there}")

@@ -141,8 +141,8 @@ class SmrOffset(Effect):
         beam = point - ca.DM(self.station)
         along = beam / ca.sqrt(ca.sumsqr(beam) + 1e-12)
         across = ca.vertcat(-along[1], along[0], 0) / ca.sqrt(along[0] ** 2 + along[1] ** 2 + 1e-12)
-        turned = ca.horzcat(along, across, ca.cross(along, across))
-        return point + turned @ ca.vertcat(*(self.value(context, n) for n in self.sizes()))
+        axes = ca.horzcat(along, across, ca.cross(along, across))
+        return point + axes @ ca.vertcat(*(self.value(context, n) for n in self.sizes()))
 
 
 @dataclass(frozen=True)

@@ -40,9 +40,11 @@ def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array])
     """
     formula, sizes = effect.formulas[seam], effect.sizes()
     settings = {key: getattr(effect, key) for key in effect.definition.settings}
-    known = {**{name: names[name] for name in effect.drivers if name in formula.names}, **settings}
+    values = {**{name: names[name] for name in effect.drivers if name in formula.names}, **settings}
     shape = next(iter(names.values())).shape
     return [
-        np.broadcast_to(formula.values({**known, **dict.fromkeys(sizes, 0.0), name: size}, NUMERIC_FUNCTIONS)[0], shape)
+        np.broadcast_to(
+            formula.values({**values, **dict.fromkeys(sizes, 0.0), name: size}, NUMERIC_FUNCTIONS)[0], shape
+        )
         for name, (size, _) in sizes.items()
     ]

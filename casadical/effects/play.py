@@ -60,8 +60,8 @@ class Backlash(Effect):
         if v["half"] <= 0:
             return simulator.without_sign(self.label)
         limits = f"joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad"
-        held = self.friction * simulator.great(self.joint)
-        return simulator.with_drive(self, limits, play=v["half"], play_friction=held)
+        friction_torque = self.friction * simulator.peak_torque(self.joint)
+        return simulator.with_drive(self, limits, play=v["half"], play_friction=friction_torque)
 
 
 @dataclass(frozen=True)

@@ -56,13 +56,13 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
     own : additional classes to search
     Raises InputError, with the names of all effects, for an unknown one.
     """
-    known = {**known_effects(), **{kind.name: kind for kind in own}}
-    if name not in known:
+    kinds = {**known_effects(), **{kind.name: kind for kind in own}}
+    if name not in kinds:
         raise InputError(
-            f"no effect {name!r} is installed; there are {', '.join(sorted(known))}. One of your own is registered by "
+            f"no effect {name!r} is installed; there are {', '.join(sorted(kinds))}. One of your own is registered by "
             f"the entry point group {ENTRY_POINT_GROUP!r} of the package that holds it"
         )
-    return known[name]
+    return kinds[name]
 
 
 def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:

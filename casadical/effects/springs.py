@@ -57,9 +57,9 @@ class GravityCompensator(Effect):
         """Return a simulator's counterparts with a balancing spring."""
         if not self.joint or simulator.drive(self.joint).compliance <= 0:
             return simulator.without_sign(self.label)
-        great = simulator.great(self.joint)
-        swing, ahead = great * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
-        made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, great * v["preload"])
+        peak = simulator.peak_torque(self.joint)
+        swing, ahead = peak * float(np.hypot(v["sin"], v["cos"])), float(np.arctan2(v["cos"], v["sin"]))
+        made = Balancer(self.joint, self.anchor, self.phase, swing, ahead, peak * v["preload"])
         text = f"{self.label}: tendon from link to link before, {swing:.4g} N m at its greatest"
         return simulator.noted(text, balancers=(*simulator.balancers, made))
 
@@ -96,8 +96,8 @@ class HoseDrag(Effect):
         arm, n = context.arm, context.arm.n
         elbow, wrist = context.frames[n - 4], context.frames[n - 3][:3, 3]
         forearm = wrist - elbow[:3, 3]
-        beside = elbow[:3, 2] * self.side * ca.sqrt(ca.sumsqr(forearm))
-        clip = elbow[:3, 3] + self.clip * forearm + beside
+        sideways = elbow[:3, 2] * self.side * ca.sqrt(ca.sumsqr(forearm))
+        clip = elbow[:3, 3] + self.clip * forearm + sideways
         end = arm.payload.com if arm.payload else [0.0, 0.0, 0.0]
         length = ca.sqrt(ca.sumsqr(apply(context.frames[-1], ca.DM(end)) - clip) + 1e-6)
         rows = context.values[f"d{n - 1}"] ** 2 + context.values[f"d{n}"] ** 2 + float(np.dot(end, end))
@@ -285,14 +285,14 @@ class LinkFlexure(Effect):
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        great = context.greatest(number, number + 1)
-        root, end = (turn @ context.moment(k) / great for k in (number, number + 1))
+        peak = context.greatest(number, number + 1)
+        root, end = (turn @ context.moment(k) / peak for k in (number, number + 1))
         k = ca.vertcat(*(self.value(context, f"{c}{self.member}") for c in ("rx", "ry", "rz")))
         far = turn @ (context.frames[number][:3, 3] - context.frames[number - 1][:3, 3])
         body = context.arm.joints[number - 1].body
         even: Symbolic = ca.SX.zeros(3)
         if self.spread and body:
-            weight = body.mass * (turn @ context.gravity) / great
+            weight = body.mass * (turn @ context.gravity) / peak
             root, even = root - ca.cross(ca.DM(body.com), weight), ca.cross(far, weight)
         # Slope and deflection at the end of a beam under a linear moment, and under its distributed
         # weight.

@@ -230,12 +230,12 @@ class Factors:
         """Return the factors of some of the columns."""
         place = np.full(self.width, -1)
         place[columns] = np.arange(len(columns))
-        kept = []
+        selected = []
         for variable, own, values in self.blocks:
             there = np.flatnonzero(place[own] >= 0)
             if len(there):
-                kept.append((variable, place[own[there]], values[as_slice(there)]))
-        return Factors(tuple(kept), len(columns))
+                selected.append((variable, place[own[there]], values[as_slice(there)]))
+        return Factors(tuple(selected), len(columns))
 
     def combined(self, every: Combined) -> Factors:
         """Return the factors of combinations of the columns."""

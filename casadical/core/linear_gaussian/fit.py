@@ -117,8 +117,10 @@ class Fit:
         (columns,).
         """
         first = len(self.prior) - self.combined.width
-        known = self.combined.values(np.eye(self.combined.width))
-        variance = ((known @ self.root.T[first:]) ** 2).sum(axis=1) + self._widths**2 * (1 - (known**2).sum(axis=1))
+        directions = self.combined.values(np.eye(self.combined.width))
+        variance = ((directions @ self.root.T[first:]) ** 2).sum(axis=1) + self._widths**2 * (
+            1 - (directions**2).sum(axis=1)
+        )
         return self.combined.values(self.x[first:]), np.sqrt(variance)
 
     def estimate_from(self, blocks: Array) -> Array:
@@ -138,8 +140,8 @@ class Fit:
 
         x : parameters, shape (p,); spread : covariance of the whitened residuals, shape (n, m, m)
         """
-        white = self._by_block(self._whitened_residual(x))
-        return np.asarray((white * np.linalg.solve(spread, white)).sum(axis=(1, 2)))
+        whitened = self._by_block(self._whitened_residual(x))
+        return np.asarray((whitened * np.linalg.solve(spread, whitened)).sum(axis=(1, 2)))
 
     def leverage(self, blocks: Array) -> Array:
         """Return the leverage of each block, shape (n, m, m): its diagonal block of the hat matrix.
@@ -213,9 +215,9 @@ def covariance_given_base(Q: Array, K: Array) -> Array:
     Q : orthonormal basis of the base with its prior rows, shape (rows + P, P)
     K : prior covariance of the rows by the causes, shape (rows, rows)
     """
-    whole = np.zeros((len(Q), len(Q)))
-    whole[: len(K), : len(K)] = K
-    whole -= Q @ (Q.T @ whole)
-    whole -= (whole @ Q) @ Q.T
-    whole[np.diag_indices(len(Q))] += 1.0
-    return whole
+    covariance = np.zeros((len(Q), len(Q)))
+    covariance[: len(K), : len(K)] = K
+    covariance -= Q @ (Q.T @ covariance)
+    covariance -= (covariance @ Q) @ Q.T
+    covariance[np.diag_indices(len(Q))] += 1.0
+    return covariance

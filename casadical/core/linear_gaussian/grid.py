@@ -48,11 +48,11 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
     """
     value, square = np.maximum(value, 0), projected**2
     # This is an upper bound: the gain at the greatest kappa without the penalty of its determinant.
-    bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
-    best = bound.argmax(axis=1)
+    upper_bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
+    best = upper_bound.argmax(axis=1)
     unit = (sigmas[best, None] / kappas) ** 2
-    least = log_base[best] + gain(unit, sigmas[best, None], value, square).max(axis=1)
-    likely = np.flatnonzero((bound > least[:, None] - SIGMA_LOG_LIKELIHOOD_WINDOW).any(axis=0))
+    lower_bound = log_base[best] + gain(unit, sigmas[best, None], value, square).max(axis=1)
+    likely = np.flatnonzero((upper_bound > lower_bound[:, None] - SIGMA_LOG_LIKELIHOOD_WINDOW).any(axis=0))
     out = np.full((len(value), len(sigmas), len(kappas)), -np.inf)
     unit, own = ((sigmas[likely, None] / kappas) ** 2).ravel(), np.repeat(sigmas[likely], len(kappas))
     gained = gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))

@@ -64,13 +64,13 @@ class Chosen:
         V, b = ({k: CachedRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
         return replace(self, V=V, b=b)
 
-    def widened(self, width: int, known: dict[int, Chosen]) -> Chosen:
-        """Return the same model for at least as many columns; known : results by id of the old."""
-        if id(self) not in known:
+    def widened(self, width: int, memo: dict[int, Chosen]) -> Chosen:
+        """Return the same model for at least as many columns; memo : results by id of the old."""
+        if id(self) not in memo:
             V, b = ({k: rows.widened(width) for k, rows in part.items()} for part in (self.V, self.b))
-            before = self.before and self.before.widened(width, known)
-            known[id(self)] = replace(self, V=V, b=b, before=before)
-        return known[id(self)]
+            before = self.before and self.before.widened(width, memo)
+            memo[id(self)] = replace(self, V=V, b=b, before=before)
+        return memo[id(self)]
 
 
 class Marginals:
@@ -90,13 +90,14 @@ class Marginals:
             more._chosen = {key: chosen.widened(model.width, made) for key, chosen in self._chosen.items()}
         return more
 
-    def with_other_columns(self, columns: Columns, held: float) -> Marginals:
+    def with_other_columns(self, columns: Columns, prior_sigma: float) -> Marginals:
         """Return the marginals of the same model with other columns, reusing the base.
 
-        held : prior standard deviation of their parameters once in the model, in typical sizes
+        prior_sigma : prior standard deviation of their parameters once in the model, in typical
+            sizes
         """
         more = copy(self)
-        more.model = replace(self.model, E=columns, cause_prior=np.full(columns.shape[2], held))
+        more.model = replace(self.model, E=columns, cause_prior=np.full(columns.shape[2], prior_sigma))
         more.sums = self.sums.with_other_columns(columns)
         more._chosen = {NO_COLUMNS.tobytes(): self._model_with(NO_COLUMNS).emptied(columns.shape[2])}
         return more
@@ -195,9 +196,9 @@ class Marginals:
         """Return a model from the updates by its new parameters at each point."""
         model = self.model
         log_base = np.full((model.grid.points, len(model.grid.sigmas)), -np.inf)
-        known = np.broadcast_to(model.log_noise, log_base.shape)
+        log_noise = np.broadcast_to(model.log_noise, log_base.shape)
         for k, own in at.items():
-            log_base[k] = model.log_over_sigmas(own.square, own.log_norm) + known[k]
+            log_base[k] = model.log_over_sigmas(own.square, own.log_norm) + log_noise[k]
         V, b = ({k: CachedRows(model.width, width) for k in at} for width in (len(at[model.near[0]].z), 1))
         return Chosen(log_base, columns, new, combined, before, at, V, b)
 
@@ -215,14 +216,14 @@ class Marginals:
             cross = self.sums.cross_products(chosen.new, near, more)
         for k in near:
             if before is None:
-                products, left = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
+                products, residual_products = self.sums.columns[more, k, :P], self.sums.columns[more, k, P]
             else:
                 products = cross[k]
                 products -= before.axes(k, more) @ chosen.combined.combine(before.axes(k, chosen.new).T)
-                left = before.b[k][more][:, 0]
+                residual_products = before.b[k][more][:, 0]
             V = products @ chosen.at[k].root.T
             chosen.V[k].add(more, V)
-            chosen.b[k].add(more, (left - V @ chosen.at[k].z)[:, None])
+            chosen.b[k].add(more, (residual_products - V @ chosen.at[k].z)[:, None])
 
     def _judge_wide_group(self, group: Array, chosen: Chosen, out: Array) -> None:
         """Fill `out` for a group of many columns, from the likeliest point to both sides."""

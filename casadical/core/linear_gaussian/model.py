@@ -120,22 +120,22 @@ class LinearModel:
         """Return the marginal likelihoods of groups of columns, which are cached."""
         if "marginals" not in self.cache:
             self.cache["marginals"] = Marginals(self)
-        known: Marginals = self.cache["marginals"]
-        return known
+        cached: Marginals = self.cache["marginals"]
+        return cached
 
-    def extending(self, known: LinearModel) -> Self:
+    def extending(self, other: LinearModel) -> Self:
         """Return this model with the cached results of one with fewer columns."""
-        if "marginals" in known.cache:
-            self.cache["marginals"] = known.marginals.extended(self)
+        if "marginals" in other.cache:
+            self.cache["marginals"] = other.marginals.extended(self)
         return self
 
-    def moving(self, known: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
+    def moving(self, other: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
         """Return this model with the cached results of one with other blocks, which are updated.
 
-        lost : the model of the blocks that `known` has and this one has not; gained : the reverse
+        lost : the model of the blocks that `other` has and this one has not; gained : the reverse
         """
-        if "marginals" in known.cache:
-            self.cache["marginals"] = known.marginals.moved(self, lost, gained)
+        if "marginals" in other.cache:
+            self.cache["marginals"] = other.marginals.moved(self, lost, gained)
         return self
 
     @cached_property

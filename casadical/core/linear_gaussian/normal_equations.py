@@ -45,8 +45,8 @@ def normal_sums(y: Array, A: Array) -> NormalSums:
 
     y : residual, shape (n, m) or (rows,); A : shape (n, m, p) or (rows, p)
     """
-    rows, left = A.reshape(-1, A.shape[-1]), y.ravel()
-    return NormalSums(rows.T @ rows, rows.T @ left, float(left @ left), len(left))
+    rows, residual = A.reshape(-1, A.shape[-1]), y.ravel()
+    return NormalSums(rows.T @ rows, rows.T @ residual, float(residual @ residual), len(residual))
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,16 +86,16 @@ def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joine
     return Joined(L, scale, z, square - float(z @ z), log_norm - float((np.log(np.diag(L)) - np.log(scale)).sum()))
 
 
-def marginalised(H: Array, g: Array, kept: Array, inverse: Array) -> tuple[Array, Array]:
+def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[Array, Array]:
     """Return information matrix and score of some parameters with the others marginalised.
 
     H, g : information and score of all parameters, shapes (p, p), (p,)
-    kept : indices of the parameters asked for
+    selected : indices of the parameters asked for
     inverse : inverse of the others' H with their prior precision, their indices rising
     """
-    rest = np.setdiff1d(np.arange(len(g)), kept)
-    own = inverse @ H[np.ix_(rest, kept)]
-    return H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ own, g[kept] - own.T @ g[rest]
+    others = np.setdiff1d(np.arange(len(g)), selected)
+    own = inverse @ H[np.ix_(others, selected)]
+    return H[np.ix_(selected, selected)] - H[np.ix_(selected, others)] @ own, g[selected] - own.T @ g[others]
 
 
 def inverse_of_triangle(L: Array) -> Array:

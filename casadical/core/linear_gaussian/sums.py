@@ -81,35 +81,35 @@ class GridSums:
             self._columns = self._products_with_base(self.E)
         return self._columns
 
-    def extend(self, known: GridSums) -> None:
+    def extend(self, other: GridSums) -> None:
         """Take over the sums of a model with the same blocks and the first of these columns."""
-        width = known.E.shape[2]
-        self._own, self._wide = dict(known._own), dict(known._wide)
-        self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in known._cross.items()}
-        self._columns = known.columns
+        width = other.E.shape[2]
+        self._own, self._wide = dict(other._own), dict(other._wide)
+        self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in other._cross.items()}
+        self._columns = other.columns
         if self.E.shape[2] > width:
-            self._columns = np.concatenate([known.columns, self._products_with_base(self.E.after(width))])
+            self._columns = np.concatenate([other.columns, self._products_with_base(self.E.after(width))])
 
-    def move(self, known: GridSums, lost: GridSums, gained: GridSums) -> None:
+    def move(self, other: GridSums, lost: GridSums, gained: GridSums) -> None:
         """Take over the sums of a model with other blocks, minus the lost, plus the gained ones."""
         parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
-        self._columns = known.columns + sum(sign * part.columns for sign, part in parts)
-        groups = [np.frombuffer(key, dtype=np.int64) for key in known._own]
+        self._columns = other.columns + sum(sign * part.columns for sign, part in parts)
+        groups = [np.frombuffer(key, dtype=np.int64) for key in other._own]
         for _, part in parts:
             part.add_gram_matrices(groups)
-        self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in known._own.items()}
-        for (key, k), own in known._wide.items():
+        self._own = {k: own + sum(sign * part._own[k] for sign, part in parts) for k, own in other._own.items()}
+        for (key, k), own in other._wide.items():
             group = np.frombuffer(key, dtype=np.int64)
             self._wide[key, k] = own + sum(sign * part.wide_gram_matrix(group, k) for sign, part in parts)
-        alike: dict[tuple[bytes, int], list[Array]] = {}
-        for (first, last, k), cross in known._cross.items():
-            alike.setdefault((cross.known.tobytes(), k), []).append(np.arange(first, last + 1))
-        for (key, k), runs in alike.items():
+        runs_by_columns: dict[tuple[bytes, int], list[Array]] = {}
+        for (first, last, k), cross in other._cross.items():
+            runs_by_columns.setdefault((cross.cached_columns.tobytes(), k), []).append(np.arange(first, last + 1))
+        for (key, k), runs in runs_by_columns.items():
             at = np.frombuffer(key, dtype=np.int64)
             for _, part in parts:
                 part.add_cross_products(runs, [k], at)
             for run in runs:
-                cross = known._cross[_key(run, k)]
+                cross = other._cross[_key(run, k)]
                 self._cross[_key(run, k)] = more = CachedRows(len(cross.place), cross.numbers)
                 more.add(at, cross[at] + sum(sign * part._cross[_key(run, k)][at] for sign, part in parts))
 
@@ -192,9 +192,9 @@ class GridSums:
             for k in points:
                 if (key := _key(run, k)) not in self._cross:
                     every = combined(run, self.E.directions)
-                    self._cross[key] = known = CachedRows(self.E.shape[2], every.width)
+                    self._cross[key] = cached = CachedRows(self.E.shape[2], every.width)
                     if len(run) > MAX_NARROW_GROUP_COLUMNS:
-                        known.add(run, every.values(self.wide_gram_matrix(run, k)))
+                        cached.add(run, every.values(self.wide_gram_matrix(run, k)))
             unknown = np.max([self._cross[_key(run, k)].place[wanted] < 0 for k in points], axis=0)
             if unknown.any():
                 lacking.setdefault(unknown.tobytes(), (wanted[unknown], []))[1].append(run)
@@ -319,7 +319,7 @@ class CachedRows:
         self._rows = np.empty((0, numbers))
 
     @property
-    def known(self) -> Array:
+    def cached_columns(self) -> Array:
         """Return the indices of the columns whose rows are cached."""
         return np.flatnonzero(self.place >= 0)
 

@@ -120,8 +120,8 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
     end = "" if figure.over else "<extra></extra>"
     trace |= {"hovertemplate": s.tip + end} if s.tip else {"hoverinfo": "skip"}
     if len(s.text):
-        beside = {"textposition": "outside"} if s.kind == "bars" else {"textposition": "top center"}
-        trace |= {"text": [plain(t) for t in s.text], **beside, "cliponaxis": False}
+        position = {"textposition": "outside"} if s.kind == "bars" else {"textposition": "top center"}
+        trace |= {"text": [plain(t) for t in s.text], **position, "cliponaxis": False}
         trace |= {"textfont": {"color": INK_COLOUR, "size": 12}}
     if s.more is not None:
         bars = (

@@ -79,8 +79,8 @@ def _text(name: str) -> str:
 def _plotly() -> str:
     # No text of the library may close the script element that contains it.
     """Return the source of plotly.js."""
-    whole: str = optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs()
-    return whole.replace("</script", "<\\/script")
+    source: str = optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs()
+    return source.replace("</script", "<\\/script")
 
 
 @dataclass(frozen=True)

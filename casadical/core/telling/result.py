@@ -87,9 +87,9 @@ class _Fitted:
         )  # fmt: skip
         for k, name in enumerate(block.columns):
             number = k in block.numbers
-            least = max((len(row[k]) for row in block.rows), default=0) if number and one_line else None
+            min_width = max((len(row[k]) for row in block.rows), default=0) if number and one_line else None
             justify: Literal["left", "right"] = "right" if number else "left"
-            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=least)
+            shown.add_column(Text(visible(name)), justify=justify, overflow="fold", min_width=min_width)
         for k, row in enumerate(block.rows):
             shown.add_row(
                 *map(Text, map(visible, row)), style="bold" if k in block.strong else "dim" if k in block.faint else ""

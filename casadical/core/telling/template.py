@@ -100,10 +100,10 @@ def paragraphs(path: Path, result: Any, block: str = "", **more: Any) -> Iterato
     yield from ((kind, _text(text)) for kind, text in _TAG_PATTERN.findall(_rendered(path, block, it=result, **more)))
 
 
-def _rendered(path: Path, block: str, **known: Any) -> str:
+def _rendered(path: Path, block: str, **values: Any) -> str:
     """Return a template, or one block of it, rendered with values, tags included."""
     template = _environment(path.parent).get_template(path.name)
-    context = template.new_context(known)
+    context = template.new_context(values)
     return "".join((template.blocks[block] if block else template.root_render_func)(context))
 
 

@@ -119,8 +119,8 @@ class Discovery(Result):
     @property
     def thinned(self) -> tuple[int, int] | None:
         """Return the numbers of poses searched and of all inliers; None where they are equal."""
-        some, whole = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
-        return None if some == whole else (some, whole)
+        searched, inliers = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
+        return None if searched == inliers else (searched, inliers)
 
     def apply(self) -> Robot:
         """Return the calibrated robot with the effects that predict held-out poses best."""
@@ -139,8 +139,8 @@ class Discovery(Result):
         if not self.laws:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
-        left = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
-        return f"{'; '.join(self.lines)}; {left} (casadical diagnose --laws --out DIR has it in a robot file)"
+        errors = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
+        return f"{'; '.join(self.lines)}; {errors} (casadical diagnose --laws --out DIR has it in a robot file)"
 
     def blocks(self) -> list[Block]:
         """Return the report: laws with factors, rivals, held-out errors and the best model."""
@@ -359,10 +359,10 @@ def _round(r: Round) -> dict[str, Any]:
     }
 
 
-def _figure(d: Discovery, s: ScoredLaw, line: str, left: Array, name: str) -> Figure:
+def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) -> Figure:
     """Return the figure of a law over its driver, along the direction in which it acts most.
 
-    left : residuals of the fit to all poses, shape (n, 3) [m]
+    residuals : residuals of the fit to all poses, shape (n, 3) [m]
     """
     unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
     seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
@@ -374,7 +374,7 @@ def _figure(d: Discovery, s: ScoredLaw, line: str, left: Array, name: str) -> Fi
         (amplitude @ towards) @ s.tried.form.values(places, s.settings[None])[:, :, 0] for places in (x, grid)
     )
     column = seam.columns @ towards
-    seen = at_poses + (column * left).sum(axis=1) / (column**2).sum(axis=1)
+    seen = at_poses + (column * residuals).sum(axis=1) / (column**2).sum(axis=1)
     weight = np.linalg.norm(column, axis=1)
     size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
     poses = Series("points", x.round(5), (factor * seen).round(2), name="poses", colour="grey", size=size, tip=tip)

@@ -128,13 +128,13 @@ class Beam:
         r = np.sqrt((beam**2).sum(axis=1) + 1e-12)
         way = beam / r[:, None]
         met = np.einsum("ni,nji,j->n", way, frame, towards)
-        known = {"r": r, "azimuth": np.arctan2(beam[:, 1], beam[:, 0]), "incidence": met}
+        values = {"r": r, "azimuth": np.arctan2(beam[:, 1], beam[:, 0]), "incidence": met}
         if HEAD_NAME in self.driver.text:
-            known[HEAD_NAME] = self.linear.conditions[head_column(station)]
+            values[HEAD_NAME] = self.linear.conditions[head_column(station)]
         if self.seam == "across":
             aside = np.column_stack([-beam[:, 1], beam[:, 0], np.zeros(len(beam))])
             way = aside / np.sqrt((aside**2).sum(axis=1) + 1e-12)[:, None]
-        (x,) = parse(self.driver.text).values(known, NUMERIC_FUNCTIONS)
+        (x,) = parse(self.driver.text).values(values, NUMERIC_FUNCTIONS)
         law = Law(None, self.seam, "a", station=station, towards=towards)
         return InsertionPoint(law, self._by_point @ way[:, :, None]), np.asarray(x)
 
@@ -167,10 +167,10 @@ class Beam:
         places = [_rounded(law.station + sign * step * move) for move in moves for sign in (-1, 1)]
         near = [self.at(place, law.towards) for place in places]
         if "incidence" in self.driver.text:
-            turned = [
+            directions = [
                 law.towards + sign * TARGET_ANGLE_PER_STEP * step * axis for axis in np.eye(3) for sign in (-1, 1)
             ]
-            near += [self.at(law.station, _rounded(way / np.linalg.norm(way))) for way in turned]
+            near += [self.at(law.station, _rounded(way / np.linalg.norm(way))) for way in directions]
         return near
 
     def at_all(self, places: Sequence[Point]) -> list[tuple[InsertionPoint, Array]]:
@@ -219,13 +219,13 @@ class Beam:
 
         The second value is the number of stations times waves that were searched.
         """
-        point, pull = (
+        point, weights = (
             self.linear.seen[poses, :3],
             np.einsum("nij,ni->nj", self._by_point[poses], problem.residual_weights),
         )
         spread = float(np.sqrt(((point - point.mean(axis=0)) ** 2).sum(axis=1).mean()))
         some = np.linspace(0, len(point) - 1, min(len(point), MAX_SEARCH_POSES)).round().astype(int)
-        point, pull = point[some], pull[some]
+        point, weights = point[some], weights[some]
         size, place, settings = np.zeros(0), np.zeros((0, 3)), 0
         for low, high in itertools.pairwise(WAVE_BANDS_RAD_PER_M):
             # Between neighbouring directions the phase changes by up to 2 rad over the spread of
@@ -237,21 +237,21 @@ class Beam:
                 break
             settings += len(places) * len(waves)
             for part in np.array_split(places, 1 + len(places) * len(point) // MAX_PRODUCTS_AT_A_TIME):
-                size = np.append(size, _greatest(point - part[:, None], pull, waves))
+                size = np.append(size, _greatest(point - part[:, None], weights, waves))
                 place = np.append(place, part, axis=0)
                 best = ranked(size)[:MAX_JUDGED_STATIONS]
                 size, place = size[best], place[best]
         return [_rounded(at) for at in place], settings
 
 
-def _greatest(beams: Array, pull: Array, waves: Array) -> Array:
+def _greatest(beams: Array, weights: Array, waves: Array) -> Array:
     """Return the greatest product of the residual with waves over the range, shape (places,).
 
-    beams : shape (places, n, 3) [m]; pull : see `Problem.residual_weights`; waves : spaced by
+    beams : shape (places, n, 3) [m]; weights : see `Problem.residual_weights`; waves : spaced by
         WAVE_SPACING_RAD_PER_M, shape (k,) [rad/m]
     """
     r = np.sqrt((beams**2).sum(axis=2)) + 1e-6
-    product = (beams * pull).sum(axis=2) / r * np.exp(1j * waves[0] * r)
+    product = (beams * weights).sum(axis=2) / r * np.exp(1j * waves[0] * r)
     turn, greatest = np.exp(1j * WAVE_SPACING_RAD_PER_M * r), np.zeros(len(r))
     for _ in waves:
         greatest = np.maximum(greatest, np.abs(product.sum(axis=1)))

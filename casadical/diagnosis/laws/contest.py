@@ -81,8 +81,8 @@ def laws_before_causes(found: Diagnosis, poses: int = MAX_SEARCHED_POSES) -> Rou
     Of the possible forms of noise, it is under the first with a claimed law, else under the last.
     poses : largest number of poses searched
     """
-    for whole, case, ranking in _before_causes(found, poses):
-        first, _ = with_best_noise(whole, round_of(case, NO_COLUMNS, ranking), poses)
+    for full_case, case, ranking in _before_causes(found, poses):
+        first, _ = with_best_noise(full_case, round_of(case, NO_COLUMNS, ranking), poses)
         if first.claimed:
             break
     return first
@@ -93,12 +93,12 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
 
     Laws that certainly lose against rivals are not judged exactly.
     """
-    for whole, case, ranking in _before_causes(found, MAX_SEARCHED_POSES):
+    for full_case, case, ranking in _before_causes(found, MAX_SEARCHED_POSES):
         # Refining their settings only raises the scores of rivals.
-        least = max(MIN_CLAIM_SCORE_NATS, max(ranking.log_factor.values()) + MIN_CLAIM_MARGIN_NATS)
-        laws = search_laws(case, NO_COLUMNS, least=least - INDISTINGUISHABLE_NATS)
-        if laws and laws[0].score >= least:
-            first, moved = with_best_noise(whole, _judged(laws, case, NO_COLUMNS, ranking), MAX_SEARCHED_POSES)
+        threshold = max(MIN_CLAIM_SCORE_NATS, max(ranking.log_factor.values()) + MIN_CLAIM_MARGIN_NATS)
+        laws = search_laws(case, NO_COLUMNS, least=threshold - INDISTINGUISHABLE_NATS)
+        if laws and laws[0].score >= threshold:
+            first, moved = with_best_noise(full_case, _judged(laws, case, NO_COLUMNS, ranking), MAX_SEARCHED_POSES)
             if first.claimed:
                 return first, moved
     return None
@@ -168,9 +168,9 @@ def thinned(case: Case, poses: int) -> Case:
     The AR coefficient of its noise is that of the larger time steps.
     """
     at = np.flatnonzero(case.kept)[case.order]
-    some = np.zeros_like(case.kept)
-    some[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
-    fewer = case.with_kept(some)
+    mask = np.zeros_like(case.kept)
+    mask[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
+    fewer = case.with_kept(mask)
     if fewer is case or not case.form.stays:
         return fewer
     e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
@@ -184,14 +184,14 @@ def _log_none(case: Case) -> float:
 
 def _set_mass(found: Diagnosis) -> float:
     """Return log evidence plus log prior of all listed causes together; -inf for a single one."""
-    left = {c.label for c in found.causes}
+    labels = {c.label for c in found.causes}
     total, count = 0.0, 0
     for ranking in found.rankings:
-        known = left & ranking.log_mass.keys()
-        if known:
-            best = best_of(sorted(known), ranking.log_mass.__getitem__, logs=True)
+        common = labels & ranking.log_mass.keys()
+        if common:
+            best = best_of(sorted(common), ranking.log_mass.__getitem__, logs=True)
             total, count = total + ranking.log_mass[best], count + 1
-            left.remove(best)
+            labels.remove(best)
     return total if count > 1 else -np.inf
 
 
@@ -275,10 +275,10 @@ def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise
     for fold in np.unique(folds):
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
-        whole = replace(
+        model = replace(
             base, E=ArrayColumns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), cause_prior=None
         )
-        fit = new_fit(whole, np.arange(whole.width), noise)
+        fit = new_fit(model, np.arange(model.width), noise)
         errors[test] = lengths(base, fit.residual_without(np.flatnonzero(test)), test)
     return errors
 
@@ -287,8 +287,8 @@ def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Ar
     """Return columns at all poses of laws with settings refined on some, (n, 3, w) each."""
     columns: list[Array] = []
     for law in laws:
-        known = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
-        e = base.with_base_columns(known, np.full(known.shape[2], CAUSE_PRIOR_SIGMA))
+        earlier = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
+        e = base.with_base_columns(earlier, np.full(earlier.shape[2], CAUSE_PRIOR_SIGMA))
         e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), cause_prior=None)
         columns.append(_best(Problem(e.at(train)), law, train))
     return columns

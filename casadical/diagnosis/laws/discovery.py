@@ -70,8 +70,8 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SE
     """
     show("laws beside nothing")
     case = thinned(found.case, poses)
-    known = found.law if found.law and len(found.law.best.columns) == case.kept.sum() else None
-    first = known or laws_before_causes(found, poses)
+    cached = found.law if found.law and len(found.law.best.columns) == case.kept.sum() else None
+    first = cached or laws_before_causes(found, poses)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns
     if replaces_causes(found, first, poses):
@@ -98,16 +98,16 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SE
         there = ranking.none <= SETTINGS.max_p_nothing_further
         if laws and top in listed and there and ranking.probability[top] >= SETTINGS.min_claim:
             variant = listed[top].variants[ranking.variant[top]]
-            case, more = refined(case, top, variant, columns, ranking.noise[top])
-            causes, columns = (*causes, *more), np.unique(np.concatenate([columns, case.group(more)]))
+            case, added = refined(case, top, variant, columns, ranking.noise[top])
+            causes, columns = (*causes, *added), np.unique(np.concatenate([columns, case.group(added)]))
             continue
-        further, moved = with_best_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
-        rounds.append(further)
-        if not further.claimed or len(laws) == MAX_LAWS:
+        comparison, moved = with_best_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
+        rounds.append(comparison)
+        if not comparison.claimed or len(laws) == MAX_LAWS:
             break
-        laws.append(further.best)
-        case = with_law(moved, further.best.law)
-        columns = np.unique(np.concatenate([columns, case.group((further.best.law,))]))
+        laws.append(comparison.best)
+        case = with_law(moved, comparison.best.law)
+        columns = np.unique(np.concatenate([columns, case.group((comparison.best.law,))]))
     return _concluded(found, rounds, case, laws, causes, columns)
 
 
@@ -130,8 +130,8 @@ def _concluded(
         errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
     shrink = None
     if laws:
-        beside = np.unique(np.concatenate([NO_COLUMNS, *(case.columns[e] for e in causes)])).astype(np.int64)
-        errors["law"] = held_out(case, beside, laws, noise, found.seed)
+        given = np.unique(np.concatenate([NO_COLUMNS, *(case.columns[e] for e in causes)])).astype(np.int64)
+        errors["law"] = held_out(case, given, laws, noise, found.seed)
         interval = shrink_interval(before, errors["law"], found.seed)
         shrink = float(1 - errors["law"].mean() / before.mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}

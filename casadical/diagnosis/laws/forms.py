@@ -101,9 +101,11 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC_FUNCTIONS)[0]) for d in drivers]
     # Drivers that vary by 0.02 or less [rad, m, K, kg, or a share] are constant.
-    kept = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < MAX_DRIVER_VALUE]
-    varying = [replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in kept]
-    return varying, np.stack([values[k] for k in kept], axis=1)
+    varying_indices = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < MAX_DRIVER_VALUE]
+    varying = [
+        replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in varying_indices
+    ]
+    return varying, np.stack([values[k] for k in varying_indices], axis=1)
 
 
 def own_drivers() -> list[Driver]:

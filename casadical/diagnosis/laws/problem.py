@@ -61,8 +61,10 @@ class Screen:
         y = projection.y
         rows, (scatter, freedom) = e.r.size, (e.noise_prior.repeats, e.noise_prior.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
-        Q, left = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
-        return cls(projection.whitening.W, Q, left, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
+        Q, residual = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
+        return cls(
+            projection.whitening.W, Q, residual, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1)
+        )
 
     def products(self, columns: Array, functions: Array, later: Array | None = None) -> tuple[Array, Array]:
         """Return each law's Gram matrix, (K, w, w), and products with the residual, (K, w).
@@ -135,20 +137,20 @@ class Screen:
         least = float(SIGMA_GRID_M[0]) ** 2
         before = max(self.square / rows, least)
         if G.shape[1] == 1:
-            value, turned = G[:, :, 0], b
+            value, projected = G[:, :, 0], b
         else:
             value, vector = np.linalg.eigh(G)
-            turned = (vector * b[:, :, None]).sum(axis=1)
+            projected = (vector * b[:, :, None]).sum(axis=1)
         value = np.maximum(value, 0.0)
         logs = np.empty((len(KAPPA_GRID), len(b)))
         for k, kappa in enumerate(KAPPA_GRID):
             size = kappa**2
             variance = np.full(len(b), before)
             for _ in range(2):
-                taken = (size * turned**2 / (variance[:, None] + size * value)).sum(axis=1)
+                taken = (size * projected**2 / (variance[:, None] + size * value)).sum(axis=1)
                 variance = np.maximum((self.square - taken) / rows, least)
             gain = 1 + size * value / variance[:, None]
-            quad = (size * turned**2 / gain).sum(axis=1) / variance
+            quad = (size * projected**2 / gain).sum(axis=1) / variance
             logs[k] = -0.5 * rows * np.log(variance) - 0.5 * np.log(gain).sum(axis=1)
             logs[k] += 0.5 * (quad - self.square) / variance
         none = -0.5 * rows * np.log(before) - 0.5 * self.square / before
@@ -469,8 +471,8 @@ class Problem:
         near = list(self.evidence.near)
         by_rho = dict(zip(near, np.logaddexp.reduce(self.log_base[near], axis=1), strict=True))
         total = float(np.logaddexp.reduce(self.log_base[near], axis=None))
-        known = [k for k in SCREENED_RHO_INDICES if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
-        screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in known]
+        selected = [k for k in SCREENED_RHO_INDICES if k in by_rho] or [best_of(near, by_rho.__getitem__, logs=True)]
+        screens = [(float(by_rho[k]) - total, Screen.at_rho(self.evidence, k)) for k in selected]
         return sorted(screens, key=lambda s: -s[0])
 
     @property
@@ -479,10 +481,10 @@ class Problem:
         residual.
         """
         screen = self.screens[0][1]
-        pull = np.einsum("nab,na->nb", screen.W, screen.y)
+        weights = np.einsum("nab,na->nb", screen.W, screen.y)
         if self.noise is None or self.order is None:
-            return np.asarray(pull)
-        return self.noise.whiten_transposed(pull)[np.argsort(self.order)]
+            return np.asarray(weights)
+        return self.noise.whiten_transposed(weights)[np.argsort(self.order)]
 
     def gains(self, seam: InsertionPoint, functions: Array) -> Array:
         """Return the screened log evidence over none of laws at a place, shape (K,).

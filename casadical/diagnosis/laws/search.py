@@ -117,8 +117,8 @@ def _everywhere(
         for seam in seams:
             some = block
             if seam.law.seam == "payload":
-                kept = [d for d in drivers if seam.takes(d[0])]
-                own = [b for b in _blocks(kept, FORMS_BY_KIND) if len(b.functions) == len(block.functions)]
+                allowed = [d for d in drivers if seam.takes(d[0])]
+                own = [b for b in _blocks(allowed, FORMS_BY_KIND) if len(b.functions) == len(block.functions)]
                 if not own:
                     continue
                 some = own[0]
@@ -189,10 +189,10 @@ def _linearised(case: Case) -> tuple[Linearisation, list[Driver]]:
     drivers.
     """
     assert isinstance(case.whole.E, EffectColumns)
-    m, known = with_columns(case.m, drivers_of(case.given), case.given.loads)
+    m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
     m, _ = derive(m, map(head_column, stations(case.given)))
     linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
-    return linear.at(np.flatnonzero(case.kept)), known
+    return linear.at(np.flatnonzero(case.kept)), available
 
 
 def _last_resort_price(tried: TriedLaws) -> float:
@@ -214,15 +214,15 @@ def search_laws(
     # A score is refined evidence less its price; settings before refinement may be lower by the
     # greatest gain.
     problem = Problem.of_case(case, chosen, least - MAX_REFINEMENT_GAIN_NATS)
-    linear, known = _linearised(case)
-    kept, values = values_of(linear, known)
-    drivers = list(zip(kept, values.T, strict=True))
+    linear, available = _linearised(case)
+    varying, values = values_of(linear, available)
+    drivers = list(zip(varying, values.T, strict=True))
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
     of_instrument = all(m.position is not None for m in case.observations.sets)  # what touches a robot has no beam
     rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
     joined = [*_joined_waves(problem, drivers, seams)]
     rough += joined
-    rough += _every_joint(problem, linear, {n for d in kept for n in parse(d.text).names}, every)
+    rough += _every_joint(problem, linear, {n for d in varying for n in parse(d.text).names}, every)
     if of_instrument:
         rough += by_the_beam(Problem.of_case(case, chosen, least - MAX_PLACEMENT_GAIN_NATS), linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
