@@ -179,9 +179,11 @@ def quantile(values: Sequence[float], q: float) -> Estimate:
     return bootstrap(values, lambda x: np.asarray(np.quantile(x, q, axis=-1)))
 
 
-# Signals (rms over noise) from which on effects count as strong, as detectable, and as faint.
+# Signal (rms over noise) from which on an effect counts as strong.
 STRONG_SIGNAL = 0.5
+# Signal from which on an effect should be detected.
 DETECTABLE_SIGNAL = 0.35
+# Signal from which on an effect is counted as faint; smaller ones are invisible.
 FAINT_SIGNAL = 0.2
 
 

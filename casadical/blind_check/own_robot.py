@@ -250,6 +250,7 @@ class RobotCheck(Result):
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
     def blocks(self) -> list[Block]:
+        """Return the report as blocks of text and tables."""
         shares = [
             [name, "-" if e.value is None else f"{e.value:.2f}  ({e.low:.2f} .. {e.high:.2f}; {e.hits} of {e.n})"]
             for name, e in self.figures.items()

@@ -23,9 +23,11 @@ from casadical.core.reading import json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
+# Names in the public folder and in that of the key.
 MANIFEST_FILE = "withheld.json"
 KEY_FILE = "key.json"
 ROBOTS_FOLDER = "robots"
+# How many listed effects a campaign hides, or "unlisted" for one that is on no list.
 Kind = Literal["none", "one", "several", "unlisted"]
 
 # Effects that belong to no joint, so that answers are compared without one.
@@ -164,6 +166,7 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
 
 # A line of answers with its checksum.
 _CHECKSUMMED_LINE = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
+# Positions, three numbers a pose [mm].
 Rows = tuple[tuple[float, float, float], ...]
 
 
@@ -182,11 +185,15 @@ class Header(_Loose):
 
 
 class GapMm(_Loose):
+    """Mean error on poses held out [mm], before and with the named causes."""
+
     before: float
     after: float
 
 
 class NamedCause(_Loose):
+    """A cause that an answer names, with the others of its indistinguishable set."""
+
     effect: str
     joint: int | None = None
     indistinguishable: tuple[str, ...] = ()

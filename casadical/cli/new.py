@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 
+# Name of the mode without a robot of the user, in messages.
 EXAMPLE = "an example (--example, or no robot)"
 # Parameters that only one kind of robot has.
 ROBOT_OPTIONS = {

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from casadical.project.planning import Places
 
 
+# Name of the usual mode, in messages.
 CALIBRATION_MODE = "poses to calibrate with (--measured: those that there are)"
 # Parameters of each mode of the command.
 MODE_OPTIONS = {

@@ -31,11 +31,15 @@ from casadical.core.telling.result import terminal
 MAX_ROWS_NAMED = 6
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
-# Exit codes of the commands.
+# Exit codes: unusable input,
 BAD_INPUT = 2
+# the solver found no optimum,
 NO_CONVERGENCE = 3
+# held-out poses are worse than before,
 WORSE = 4
+# the robot is no longer valid or has changed,
 NOT_VALID = 5
+# a bug in casadical.
 OUR_BUG = 70
 
 
@@ -159,6 +163,7 @@ def html(pages: Sequence[Page]) -> str:
 # Beginning of a step's words -> share of the work that is done when it begins, from typical run
 # times.
 Steps = Mapping[str, float]
+# Steps of a diagnosis, of a check and of a plan.
 DIAGNOSIS: Steps = {
     "calibrating": 0.0, "signatures": 0.03, "what changed": 0.2, "cause 1": 0.25, "cause 2": 0.4, "cause 3": 0.5,
     "cause": 0.55, "sets of causes": 0.55,
@@ -171,6 +176,7 @@ PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
 # A solve counts as half done after so many iterations, because their number is not known
 # beforehand.
 HALF_DONE_ITERATIONS = 8.0
+# Words of a step that count its items, and the iterations of a solve.
 _COUNT = re.compile(r"(\d+) of (\d+)")
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 

@@ -120,6 +120,7 @@ def train_all(
     return done
 
 
+# Joint readings q, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm].
 Data = tuple[ArrayLike, ArrayLike]
 
 
@@ -203,7 +204,7 @@ class Compensator:
         loss : what is minimised; default: the paper's
         seed : of everything random
         folds : trainings of the cross-validation, where `choose` is not given
-        margin : the gain must exceed so many of its standard errors
+        margin : number of its standard errors that the gain must exceed
         progress : see `train_all`
         Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
         """

@@ -14,6 +14,7 @@ from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.basics import InputError
 
+# Name and version of the file format, which are in each file.
 FILE_FORMAT = "casadical-compensator"
 FORMAT_VERSION = 1
 # Largest number of joints, layers, or neurons of a layer in a file.

@@ -55,7 +55,8 @@ def compare_files(
     same_tool : whether the same point of the same tool was measured
     same_frame : whether all positions are in one frame
     show : called with a line of progress
-    Returns what changed; of three campaigns or more, those that cannot be used are left out and named in its notes
+    Returns what changed; of three campaigns or more, unusable ones are dropped and named in its
+    notes
     Raises InputError: fewer than two campaigns that can be used, with what is wrong in them; a robot without tables.
 
     Examples
@@ -264,7 +265,7 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
                 "the file; drifts are counted in these years"
             )
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-    # Campaigns seem to be missing where a gap is so many times the median one.
+    # Campaigns seem to be missing where a gap is more than 1.75 times the median one.
     far = (step > 1.75 * usual > 0 for step in steps)
     gaps = [(a.label, b.label) for (a, b), gap in zip(pairwise(ordered), far, strict=True) if gap]
     if len(ordered) > 3 and gaps:

@@ -18,10 +18,10 @@ from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
-# A change is reported if the data are so many times more probable with one. For a robot that does
+# Smallest Bayes factor for which a change is reported. For a robot that does
 # not change this happens with a probability of 1/100 at most over its whole life (Ville 1939).
 MIN_ODDS_OF_CHANGE = 100.0
-# A parameter of another robot counts as different from so many standard errors on.
+# Difference from which on a parameter of another robot counts as different [standard errors].
 MIN_CLEAR_SIGMAS = 3
 # Words for each course of a change, followed by the campaign.
 COURSE_WORDS: dict[Course, str] = {
@@ -53,6 +53,7 @@ MAX_USUAL_RATIO = 1.2
 FALSE_ALARM_PROBABILITY = 0.01
 # Residual sigma of a coordinate, as a share of the reach, that no calibrated robot exceeds.
 MAX_SIGMA_OF_REACH = 0.003
+# End of a sentence on unusual residuals.
 NO_KNOWN_CAUSE = (
     "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
 )
@@ -237,6 +238,7 @@ class Comparison(Result):
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
     def blocks(self) -> list[Block]:
+        """Return the report as blocks of text and tables."""
         rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_DETECTABLE) for name, v, unit in self.seen_from]
         seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
         functions = (in_words, times_in_words, probability_of_change)
@@ -253,7 +255,7 @@ class Comparison(Result):
         return ()
 
     def figures(self) -> dict[str, Figure]:
-        """Return the figures by name: change/CAUSE for each change, and left, the residuals."""
+        """Return the figures by name: change/CAUSE for each change, "left" for the residuals."""
         step = None if self.dated else 1 + len(self.campaigns) // 12  # between the ticks
         figures = [_course(self, change, step) for change in self.changes]
         if any(c.sigma is not None for c in self.campaigns):

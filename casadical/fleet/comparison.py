@@ -24,13 +24,15 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
 # Prior probability that a change begins at a campaign, in the geometric half of `_onsets`.
 ONSET_HAZARD = 0.03
-# Drifts are counted in years ...
+# Unit of time of a drift [d].
 DAYS_PER_YEAR = 365.25
-# ... and, where campaigns have no dates, a year is taken as so many campaigns.
+# Number of campaigns that count as a year where they have no dates.
 CAMPAIGNS_PER_YEAR = 12.0
-# From so many standard errors on (rms of the coordinates), a tool is another one or mounted again.
+# Displacement from which on a tool is another one or mounted again [standard errors, rms of the
+# coordinates].
 OTHER_TOOL_SIGMAS = 4.0
-# From so many on, tool or base moved; noise alone exceeds this in one of a hundred pairs.
+# Displacement from which on tool or base moved [standard errors]; noise alone exceeds it in one of
+# a hundred pairs.
 MOVED_SIGMAS = 2.0
 
 
@@ -60,7 +62,7 @@ def compare(
 
     campaigns : in the order of time
     same_tool : whether the same point of the same tool was measured, so that a moved one is a change
-    same_frame : whether all positions are in one frame, so that a moved foot is a change
+    same_frame : whether all positions are in one frame, so that a moved base is a change
     notes : what a reader must know of the campaigns
     Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.
     """

@@ -193,7 +193,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
-    if robot.tool.unknown == "pose":  # the poses drawn below are positions, which do not tell how the tool is turned
+    if robot.tool.unknown == "pose":  # positions, as below, do not determine the tool's orientation
         robot = replace(robot, tool=replace(robot.tool, unknown="position"))
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
     if known is None or geometry.isdisjoint(known.std_errors):
@@ -205,7 +205,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     wide = with_joint_harmonics(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
-    turns = np.arange(DRAWN_POSES) % (1 + len(wide.targets))  # of several targets each pose tells one
+    turns = np.arange(DRAWN_POSES) % (1 + len(wide.targets))  # each pose measures one of the targets
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
     J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN_POSES), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take

@@ -169,7 +169,7 @@ def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Can
         if joint.compliance is not None:
             yield _candidate("gear", j, [zero, f"c{j}", *curve], chosen)
         geometry = [p.name for p in chosen if p.name in row and p.group == "geometry"]
-        if j > 1 or robot.base.unknown == "none":  # the first row is where the foot stands
+        if j > 1 or robot.base.unknown == "none":  # else the first row is part of the base's pose
             yield _candidate("link", j, geometry, chosen)
     for k in range(1, len(robot.loops) + 1):
         tail = "" if k == 1 else f"_{k}"
@@ -177,7 +177,7 @@ def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Can
 
 
 def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    """Yield the candidates of the whole robot: lengths, tool, foot, another robot."""
+    """Yield the candidates of the whole robot: lengths, tool, foot (the base), another robot."""
     lengths = [(k, p) for k, p in enumerate(chosen) if p.unit == "m" and p.group in ("geometry", "loop", "tool")]
     E = np.zeros((len(chosen), 1))
     for k, p in lengths:

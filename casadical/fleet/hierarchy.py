@@ -44,9 +44,9 @@ MAX_ROBOTS_PER_TYPE = 1000
 ROBOTS_PER_BLOCK = 25
 # Weight of the usual spread of a group of parameters, as a number of robots.
 ROBOTS_IN_USUAL_SPREAD = 4.0
-# A mean deviation from the drawing is a fault from so many standard errors on ...
+# Mean deviation from which on the drawing is wrong [standard errors].
 MIN_FAULT_SIGMAS = 5.0
-# ... if it is also greater than this, in units of the parameter's scale (1 mm or 1 mrad).
+# Mean deviation that is also required for that, in units of the parameter's scale (1 mm or 1 mrad).
 MIN_FAULT_SIZE = 0.05
 # Smallest spread of a parameter, in units of its scale, because few robots do not show an exact
 # value.

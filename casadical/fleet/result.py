@@ -98,6 +98,7 @@ class Fleet(Result):
         return {name: words for name, words in words_of.items() if words}
 
     def blocks(self) -> list[Block]:
+        """Return the report as blocks of text and tables."""
         bad = self.robots[self.robots["status"] != "ok"]
         failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(MAX_ROWS_SHOWN))]
         title = f"Not calibrated ({len(bad)})"

@@ -30,10 +30,11 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
-# Columns of a row that hold text, and those that hold lists.
+# Columns of a row that hold text.
 _TEXT_COLUMNS = (
     "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
 )
+# Columns of a row that hold lists.
 _LIST_COLUMNS = "names departure score information spread scale identified left_mm left_free days"
 # The columns of a row with their empty values.
 EMPTY_ROW: dict[str, Any] = {
@@ -50,7 +51,7 @@ def fingerprint(folder: Path) -> str:
     """Return a hash of all files of a robot's folder and of those that its problem names."""
     digest = hashlib.sha256()
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
-    with suppress(CasadicalError):  # what is wrong with the problem is said when it is computed
+    with suppress(CasadicalError):  # an invalid problem is reported when it is computed
         named = problem_file(folder)
         others = [named.robot, named.of_campaigns, *(data.file for data in named.measurements)]
         files |= {name: folder / name for name in others if (folder / name).is_file()}

@@ -34,8 +34,9 @@ from casadical.robot.robot import Robot
 
 # Kinds of change that are usual between two days.
 USUAL_KINDS = ("joint_zero", "tool", "foot", "lengths")
-# Kinds of change that only touches distinguish: a crash, and one that no parameter explains.
+# Kind of change in which several zeros and the tool move together.
 CRASH = "crash"
+# Kind of change that no parameter explains.
 UNKNOWN = "unknown"
 # Relative frequency of each kind of change; a crash moves several zeros and the tool.
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
@@ -159,7 +160,7 @@ class TouchModel:
 
     @cached_property
     def usual_candidates(self) -> tuple[Candidate, ...]:
-        """The candidates for usual changes: zeros, tool, foot and lengths."""
+        """The candidates for usual changes: zeros, tool, foot (the base) and lengths."""
         return tuple(c for c in candidates_of(self.robot, self.names) if c.kind in USUAL_KINDS and c.names)
 
     @cached_property

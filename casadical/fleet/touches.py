@@ -46,6 +46,7 @@ ADDITIONAL_TOUCHES = 2
 _MOVED_KEYS = ("name", "value", "std_error", "unit")
 # Columns of the control chart.
 _CHART_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
+# Whether the calibration is still valid, no longer, or the touches do not decide.
 Verdict = Literal["valid", "open", "changed"]
 
 
@@ -210,6 +211,7 @@ class Touches(Result):
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
     def blocks(self) -> list[Block]:
+        """Return the report as blocks of text and tables."""
         return self._report_blocks(quantiles=np.quantile(self.errors, [0.025, 0.975, MIN_PROBABILITY_VALID]))
 
     @property
@@ -324,6 +326,7 @@ class Touches(Result):
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
 
 
+# Words for kinds of change.
 _CHANGE_WORDS = {
     CRASH: "zeros and tool together, as after a crash",
     UNKNOWN: "nothing that usually changes explains it",
@@ -381,7 +384,7 @@ def changes_in_fleet(path: Path) -> Mapping[str, float]:
 
 
 def usual_changes(robot: Robot) -> Prior:
-    """Return a prior for usual changes: zeros, tool and foot, each about its value."""
+    """Return a prior for usual changes: zeros, tool and base, each about its value."""
     model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
     sizes = {
         n: float(s) * robot.parameters[n].scale

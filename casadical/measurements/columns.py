@@ -28,8 +28,8 @@ class Source:
     times : factor of that column
     plus : offset in the unit of our column's name
     add : further columns of the file with their factors
-    rows : number of rows by which the column is shifted: the value is that of so many rows later
-        (earlier if negative), where a logger was ahead or behind
+    rows : shift of the column in rows, where a logger was ahead or behind: the value is taken from
+        this number of rows later (earlier if negative)
     """
 
     name: str
@@ -102,15 +102,15 @@ POSSIBLE_RANGES = {
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST_NUMBER, LARGEST_NUMBER),
 }
-# Readings of revolute joints beyond so many turns from zero are refused.
+# Largest reading of a revolute joint [turns]; greater ones are refused.
 MAX_TURNS = 4
-# One turn, rounded up [rad]: numbers that stay below it may be radians, whatever their heading
-# says.
+# One turn, rounded up [rad]: smaller numbers may be radians, whatever unit their heading names.
 FULL_TURN_RAD = 6.3
 # Derived conditions that must be numbers where they are logged.
 _NUMERIC_CONDITIONS = re.compile(r"warmth_\w+|approach\d+")
 # Pattern of the columns that describe an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
+# Patterns of the columns of observations, of joint readings, and of the base's inclination.
 _OBSERVATION_NAME = re.compile(f"[xyz]_mm?|distance_mm?|{ORIENTATION}")
 _READING_NAME = re.compile(r"q(\d+)_(deg|rad|mm|m)")
 _TILT_NAME = "tilt_[xy]_(deg|rad)|gravity_[xyz]"
@@ -197,7 +197,7 @@ class Columns:
         if point_from:
             ours["point"] = self.table[list(point_from)].astype(str).agg("/".join, axis=1)
         moved = {name for name, s in sources.items() if name in self.table and s.name != name}
-        # q3_rad = "q3_deg" says that the unit in the header is wrong.
+        # A mapping q3_rad = "q3_deg" means that the unit in the heading is wrong.
         moved |= {s.name for name, s in sources.items() if s.name not in sources and _stem(name) == _stem(s.name)}
         shifts = [s.rows for s in sources.values()]
         if far := next((o for o, s in sources.items() if abs(s.rows) >= len(self.table)), None):
@@ -386,7 +386,8 @@ class Columns:
             if others.fullmatch(name) or (name in self.taken and name not in POSSIBLE_RANGES):
                 continue  # a heading that one of our columns was made from is no condition
             numeric = pd.to_numeric(self.table[name], errors="coerce").notna()
-            # Some words among numbers are mistakes: `column` says where. What the model asks for must be numbers.
+            # A column with few words among numbers contains mistakes, for which `column` raises an
+            # error. Columns that the model uses must be numbers.
             if numeric.mean() >= 0.5 or name in POSSIBLE_RANGES or _NUMERIC_CONDITIONS.fullmatch(name):
                 conditions[name] = self.column(name)
         return conditions

@@ -40,6 +40,7 @@ _ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyz
 # Letters of controllers for three angles: KUKA's A, B, C are about z, y, x, FANUC's W, P, R about
 # x, y, z.
 _ANGLE_LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
+# Our names of the columns of an orientation and of a position, without their units.
 _ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _MATRIX = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
@@ -159,6 +160,7 @@ def understand(
     columns: list[Understood] = []
     questions: list[Question] = []
 
+    # Adds the columns of a clear meaning, or a question if there are several.
     def decide(options: _Options, which: str, about: str = "", ask: bool = False) -> None:
         choices = _choices(options, stated, which if ask else "")
         if len(choices) == 1 and not ask:
@@ -230,7 +232,7 @@ def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Unde
 
 
 def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
-    """Yield a column of names that says which target was measured.
+    """Yield a column of names of the measured targets.
 
     It has few names, each at several poses.
     """
@@ -354,8 +356,8 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
             groups.setdefault((h.qualifier, h.rest), {}).setdefault(number, h)
     ranked = []
     for (qualifier, rest), members in groups.items():
-        # With numbers 0 to n and no n + 1, column 0 is not a joint of this robot (a row counter,
-        # say).
+        # With numbers 0 to n and no n + 1, column 0 is no joint of this robot but, for example, a
+        # row counter.
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
         if all(i in members for i in range(first, first + n)):
             rank = _QUALIFIER_RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
@@ -525,7 +527,7 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
     if quantity == "angle":
         largest = float(np.abs(values).max())
         return ("deg", True) if largest > FULL_TURN_RAD + 1 else ("rad", len(values) >= MIN_ROWS_FOR_UNIT)
-    # Quantiles, because single outliers say nothing of the unit.
+    # Quantiles are used, because single outliers must not decide on the unit.
     spread = float(np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0)))
     # The positions of a robot spread over more than 30 mm and less than 10 m.
     return ("m", len(values) >= MIN_ROWS_FOR_UNIT) if spread < 10.0 else ("mm", spread > 30.0)

@@ -27,8 +27,9 @@ from casadical.core.reading import (
 )
 from casadical.measurements import table_form
 
-# A longer heading or more columns show that the file is no table of measurements.
+# A longer heading shows that the file is no table of measurements.
 MAX_HEADING_CHARACTERS = 1000
+# More columns show that the file is no table of measurements.
 MAX_COLUMNS = 2000
 
 

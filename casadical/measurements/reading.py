@@ -30,8 +30,8 @@ def read_measurements(
 
     path : table, as text in any usual form, .xlsx (needs openpyxl) or .parquet (needs pyarrow)
     joints : number of joints, or the kind of each ("revolute", "prismatic")
-    kind : what was observed; by default what the columns say
-    columns : our name -> name in the file, where the file's headers differ from ours and do not tell it themselves
+    kind : what was observed; by default the kind that the columns show
+    columns : our name -> name in the file, for headings whose meaning is not recognised
     point_from : columns that together name the touched point, of kind contact
     sigma_mm, sigma_deg : standard deviation of a measured coordinate [mm] and angle [deg]; None:
         estimated from the fit

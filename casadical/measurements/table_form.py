@@ -20,6 +20,7 @@ from casadical.measurements.vocabulary import UNITS, hits
 SEPARATORS = (",", ";", "\t", "|", " ")
 # A line that begins with one of these is a comment.
 COMMENTS = ("#", "//", "%", "!")
+# Encodings by the byte order mark at the beginning of a file.
 _BYTE_ORDER_MARKS = {
     codecs.BOM_UTF8: "utf-8-sig",
     codecs.BOM_UTF32_LE: "utf-32",
@@ -29,13 +30,15 @@ _BYTE_ORDER_MARKS = {
 }
 # A longer number is rounded to a double: pandas reads longer whole numbers as Python objects.
 MAX_NUMBER_CHARACTERS = 40
-# The separator is recognised from so many lines, comments excluded ...
+# Number of lines, without comments, from which the separator is recognised.
 SAMPLE_LINES = 200
-# ... that stand within so many characters, comments included.
+# Number of characters, with comments, within which these lines are taken.
 MAX_SAMPLE_CHARACTERS = 1_000_000
-# Numbers with a decimal point, with a decimal comma, and with commas between thousands.
+# Pattern of a number with a decimal point.
 _POINT_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+# Pattern of a number with a decimal comma.
 _COMMA_NUMBER = re.compile(r"[+-]?(\d*,\d+|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", re.IGNORECASE)
+# Pattern of a number with commas between thousands.
 _THOUSANDS_NUMBER = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
 # Number of a line, and its cells.

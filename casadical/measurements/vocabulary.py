@@ -15,6 +15,7 @@ UNITS: Mapping[str, tuple[str, float]] = {
 # on.
 WORDS: Mapping[str, frozenset[str]] = {kind: frozenset(words.split()) for kind, words in _FILE["words"].items()}
 
+# All known words that are not ASCII, the longest first.
 _NON_ASCII_WORDS = sorted(
     (w for w in {*UNITS, *frozenset().union(*WORDS.values())} if not w.isascii()), key=len, reverse=True
 )

@@ -174,6 +174,7 @@ def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
     return about_end, about_root
 
 
+# Where in the engine a cause acts; see `Kind.place`.
 Place = Literal["built", "motors", "settings", "measured"]
 
 

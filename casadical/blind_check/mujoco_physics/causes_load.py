@@ -15,9 +15,9 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, friction: float) -> Mechanism:
     """Play of +-``size`` [rad] between gear and link: a hinge between hard stops.
 
-    The link's bearing rubs a little, with the torque that would wind the joint's spring by the share ``friction`` of
-    ``size``: where its load is less, the link is left behind where the motion took it; elsewhere the load takes up the
-    play.
+    The link's bearing has dry friction: the torque that would wind the joint's spring by the share
+    ``friction`` of ``size``. Where the load is less, the link lags behind the motion; elsewhere the
+    load takes up the play.
     """
     name, stiffness = f"joint{joint}", float(plant.stiffness[joint - 1])
     k = 0.1 * stiffness

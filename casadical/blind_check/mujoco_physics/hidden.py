@@ -18,6 +18,7 @@ def _by_name(*kinds: Kind) -> dict[str, Kind]:
     return {kind.name: kind for kind in kinds}
 
 
+# Effects that the diagnosis knows, by name.
 LISTED: Mapping[str, Kind] = _by_name(
     drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale,
     drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth,
@@ -27,6 +28,7 @@ LISTED: Mapping[str, Kind] = _by_name(
     setup.frame_drift, setup.outliers,
 )  # fmt: skip
 
+# Effects that the diagnosis does not know, by name.
 UNLISTED: Mapping[str, Kind] = _by_name(
     structure.loose_flange, structure.tool_slip, structure.bearing_play, load.hose_pull,
     structure.cracked_link, structure.loose_anchor, structure.thermal_bend,

@@ -8,6 +8,7 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.plant import Array
 
+# Axes and origin of a body's frame.
 X = (1.0, 0.0, 0.0)
 Y = (0.0, 1.0, 0.0)
 Z = (0.0, 0.0, 1.0)

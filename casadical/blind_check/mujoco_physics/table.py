@@ -16,8 +16,9 @@ from casadical.blind_check.mujoco_physics.plant import Array, Plant
 from casadical.blind_check.mujoco_physics.stops import Stops, Warmup, draw_poses, draw_stops
 from casadical.core.basics import InputError
 
-# Measured positions, and those without noise, in the measuring frame [mm].
+# Columns of measured positions in the measuring frame [mm].
 MEASURED_COLUMNS = ["x_mm", "y_mm", "z_mm"]
+# Columns of the same positions without noise [mm].
 TRUE_COLUMNS = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 

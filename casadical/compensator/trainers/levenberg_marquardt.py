@@ -181,6 +181,7 @@ class LmRun:
             self._next_ridge()
 
     def reasons(self) -> tuple[str, ...]:
+        """Return why the training is over; empty as long as it continues."""
         if self.choosing_ridge:
             return ()
         if not self.batch.active.any():
@@ -196,6 +197,7 @@ class LmRun:
         return self
 
     def note(self) -> str:
+        """Return the ridge and how it was chosen, in words."""
         if self._note:
             return self._note
         if not self.scores:

@@ -73,7 +73,7 @@ class PoseExpression:
     def unknown_point(self) -> Symbolic:
         """Return the unknown point that is identified too, in the measuring frame, shape (3,) [m].
 
-        For kinds with one; how it describes a plane is said at `Plane`.
+        It exists for kinds with one; for a plane it is defined at `Plane`.
         """
         assert self.point is not None
         return self.take("point", 3) + self.point
@@ -187,7 +187,7 @@ class MeasurementKind(ABC):
 
         For kinds without scale. By default it is their vector from that place.
 
-        points : shape (K, 3) [m]; origin : the place that stays, shape (3,) [m]
+        points : shape (K, 3) [m]; origin : the fixed place, shape (3,) [m]
         """
         return points - origin
 

@@ -92,7 +92,7 @@ class Contact(OfPoints):
 def labels_of(columns: Columns, name: str, meaning: str) -> Array:
     """Return a column of names, shape (n,).
 
-    meaning : what the column says, for the message
+    meaning : of the column, for the message
     Raises InputError: it is missing, or a cell is empty.
     """
     if name not in columns.table:

@@ -14,11 +14,13 @@ from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, WORDS
 
+# Pattern of casadical's own column names: channel, joint and unit.
 _CANONICAL_NAME = re.compile(
     r"(command_v|command|q|v|torque|current|temperature)(\d+)_(rad_s|deg_s|m_s|mm_s|rad|deg|mm|m|Nm|N|A|mA|abs|degC)"
 )
 # Factors of units to SI; a unit that is not listed has the factor 1.
 SI_FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
+# Units of channels of prismatic joints.
 LENGTH_UNITS = ("m", "mm", "m_s", "mm_s", "N")
 # Words of headings by channel. A column belongs to the first channel of which its heading has a
 # word; the empty channel collects quantities that are not used.
@@ -27,8 +29,11 @@ _QUANTITIES: Mapping[str, frozenset[str]] = {
     "temperature": WORDS["temperature"] | WORDS["log_temperature"],
     **{channel: WORDS[f"log_{channel}"] for channel in ("torque", "speed", "position", "current")},
 }
+# Words that mark a channel as commanded.
 _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
+# Words without a meaning of their own in a heading.
 _FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
+# End of messages about columns that are missing.
 NAMING_ADVICE = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
 
 

@@ -15,7 +15,7 @@ from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.logs.log import JointLog
 
 DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
-# A time step longer than so many median ones is a gap.
+# Length from which on a time step is a gap [median steps].
 MIN_GAP_STEPS = 1.5
 # A joint that covers fewer encoder quanta shows little but its hysteresis.
 MIN_QUANTA_COVERED = 50.0

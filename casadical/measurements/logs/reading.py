@@ -44,9 +44,10 @@ def read_log(
 
     path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of
         SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
-    robot : its joints, by their names or their order, are those of the log; others are left out
-    unit : of angles whose unit the file does not say; percent: of half a joint's range about its middle
-    effort : what stands in the field effort, torque by default; both as [drive] of the robot says where None
+    robot : its joints, by their names or their order, are those of the log; others are dropped
+    unit : of angles whose unit the file does not state; percent: of half a joint's range about its
+        middle; None: as [drive] of the robot states
+    effort : quantity in the field effort; None: as [drive] of the robot states, else torque
     Returns the log in SI; its findings say what was understood, and what is unusual.
     Raises InputError: a file that cannot be used; it names file, row and column, and what to do.
     """

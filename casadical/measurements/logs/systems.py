@@ -16,12 +16,15 @@ from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
 from casadical.measurements.table_form import clean
 
-# Files of a folder of SAGE with the measured states and with the commands.
+# File of the measured states in a folder of SAGE.
 SAGE_STATE_FILE = "state_motor.csv"
+# File of the commands in a folder of SAGE.
 SAGE_CONTROL_FILE = "control.csv"
 # Columns of LeRobot's datasets with their channels.
 LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
+# Endings of ROS bags.
 BAG_SUFFIXES = (".db3", ".mcap", ".bag")
+# Words in the name of a topic whose joint states are commands.
 _COMMANDED_TOPIC_WORDS = ("command", "desired", "target", "reference", "goal", "leader", "action")
 
 
