@@ -49,8 +49,7 @@ def summarise(errors: Array) -> Accuracy:
 
 
 def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
-    """Return the robot's tool poses at some readings, in the measuring frame, as the model computes
-    them.
+    """Return the robot's tool poses at some readings by its model, in the measuring frame.
 
     Positions have shape (n, 3) [m], orientations shape (n, 3, 3).
 
@@ -107,8 +106,7 @@ def errors(robot: Robot, m: Measurements) -> Array:
 
 
 def positions_at(robot: Robot, m: Measurements) -> PositionsAt:
-    """Return a function from other readings q, shape (n, joints), to the robot's positions there,
-    shape (n, 3) [m].
+    """Return a function from other readings (n, joints) to the positions there (n, 3) [m].
 
     The conditions (payload, temperature and others) are those of the poses m.
     """

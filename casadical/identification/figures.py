@@ -56,8 +56,7 @@ def intervals(
     colours: Sequence[str] = (),
     **more: Any,
 ) -> Figure:
-    """Return a figure with a row for each label: a dot at the value with its interval from low to
-    high.
+    """Return a figure with a row for each label: a dot with the interval from low to high.
 
     value, low, high : of each row, in the unit of the axis x
     notes : text of each row's tooltip; tip : format of the value in the tooltip, such as %{x:.2f}
@@ -199,8 +198,9 @@ def most_correlated(result: Identification) -> tuple[str, ...]:
 
 
 def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
-    """Return the joint 95 % region of every two of some parameters, in standard errors from their
-    estimates.
+    """Return the figure of the joint 95 % regions of every two of some parameters.
+
+    They are in standard errors from the estimates.
 
     Each ellipse extends 2.45 standard errors along each axis, so that its shape shows the
     correlation.
@@ -304,8 +304,7 @@ def _shown_rows(result: Identification) -> list[dict[Any, Any]]:
 
 
 def _stiffness_words(result: Identification) -> list[Words]:
-    """Return a sentence with the joint stiffness, the unit that people compare; empty without
-    identified compliance.
+    """Return a sentence with the joint stiffness; empty without identified compliance.
 
     Where the masses are estimates, it gives the deflections under gravity instead.
     """
@@ -338,17 +337,13 @@ def unidentifiable_table(result: Identification) -> Table | Words:
 
 
 def correlated(result: Identification) -> list[Words]:
-    """Return a sentence with the most correlated pairs of estimates above 0.95; empty if there are
-    none.
-    """
+    """Return a sentence with the most correlated pairs of estimates; empty without any above 0.95."""
     pairs = _pairs(result, 0.95)
     text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MAX_PAIRS_NAMED])
     return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MAX_PAIRS_NAMED else ""))] if text else []
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:
-    """Return (name, name, correlation) of the shown parameters correlated above a threshold, the
-    strongest first.
-    """
+    """Return (name, name, correlation) of shown parameters above a threshold, strongest first."""
     pairs = result.correlations(above)
     return [*pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)].itertuples(index=False)]

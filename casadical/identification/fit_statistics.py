@@ -16,8 +16,7 @@ from casadical.identification.solver import bounded_step
 
 
 def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
-    """Return the covariance of the parameters, shape (p, p) [SI], with the unknown points
-    marginalised.
+    """Return the covariance of the parameters, shape (p, p) [SI], points marginalised.
 
     Rows and columns of parameters at a bound are NaN. With a robust loss it is the sandwich H^-1
     (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
@@ -37,8 +36,7 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
-    """Return the variance of a residual in units of sigma: the sum of squares over the degrees of
-    freedom.
+    """Return the variance of a residual in units of sigma: square sum over degrees of freedom.
 
     With a robust loss, and unless outliers were trimmed, it comes from the median absolute
     residuals instead. With a correlated prior it is at least one: small residuals relative to the

@@ -1,5 +1,4 @@
-"""Deflections of the joints under gravity from an identification, also where masses are only
-estimates.
+"""Deflections of the joints under gravity from an identification, also with estimated masses.
 
 With estimated masses the stiffness is not determined, but the product of compliance and torque is.
 """
@@ -34,8 +33,7 @@ class Deflection:
 
 
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
-    """Return the deflection of every joint whose compliance was identified, over the poses of an
-    identification.
+    """Return the deflection over the poses of every joint whose compliance was identified.
 
     Only the variation over the poses counts: a constant deflection is indistinguishable from a
     joint's zero. Its standard error follows to first order from the covariance of all identified

@@ -172,8 +172,7 @@ def drop_poor(
 
 
 def scaled_inverse(H: Array) -> Array:
-    """Return the inverse of a positive semidefinite matrix, scaled to a unit diagonal first for
-    accuracy.
+    """Return the inverse of a positive semidefinite matrix, scaled to a unit diagonal first.
 
     Directions with eigenvalues at round-off come out as very uncertain, not as infinite.
     """

@@ -37,9 +37,7 @@ class States:
     tau: Array
 
     def turned(self, joint: int, *, torque_alone: bool = False) -> "States":
-        """Return the states with the sign of one joint's motion and torque, or its torque alone,
-        reversed.
-        """
+        """Return the states with one joint's motion and torque, or its torque alone, reversed."""
         sign = np.where(np.arange(self.q.shape[1]) == joint, -1.0, 1.0)
         q, v, a = (each if torque_alone else sign * each for each in (self.q, self.v, self.a))
         return States(q, v, a, sign * self.tau)

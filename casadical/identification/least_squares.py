@@ -280,8 +280,7 @@ class LeastSquares:
         return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
     def _approached(self) -> Array:
-        """Return the point that bounded Gauss-Newton steps reach while each reduces the cost
-        noticeably.
+        """Return the point that bounded Gauss-Newton steps reach while each lowers the cost.
 
         With many parameters one of them meets its bound on the way, where Ipopt shortens the whole
         step.
@@ -338,8 +337,7 @@ class LeastSquares:
         return known.triangle
 
     def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
-        """Return the first set with a residual or derivative that is not finite, and a mask of its
-        poses.
+        """Return the first set with a residual or derivative that is not finite, and a pose mask.
 
         None where all are finite.
         """
@@ -490,9 +488,7 @@ class LeastSquares:
         return np.asarray((v - lower < near) | (upper - v < near))
 
     def decrement(self, v: Array) -> float:
-        """Return how much one more bounded Gauss-Newton step would reduce the cost (half of
-        chi-squared).
-        """
+        """Return the cost reduction (half of chi-squared) of one more bounded Gauss-Newton step."""
         g, H = self.gradient(v)
         step = self.step(v)
         return max(0.0, float(-(g + 0.5 * H @ step) @ step))

@@ -256,8 +256,9 @@ def _at(
 
 
 def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[NormalSums], float]:
-    """Return normal equations over whitened poses, or for each part of them, and half the log
-    determinant.
+    """Return normal equations over the poses, or over each part, and half the log determinant.
+
+    The poses are whitened.
 
     The noise is I + Jq Jq', with Jq the Jacobian by each joint times its ratio. The second value
     also has the log of the unknown points' singular values.

@@ -62,8 +62,7 @@ _LOSS_AND_SLOPE: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
 
 
 class PoseFunctions:
-    """The residual of one pose and its Jacobian as CasADi functions, shared by robots of one
-    structure.
+    """Residual and Jacobian of one pose as CasADi functions, for robots of one structure.
 
     The inputs of a pose are its data (see `data_columns`) and u; those shared by all poses are x
     and the robot's numbers (see `robot_numbers`).

@@ -42,6 +42,7 @@ class Box:
     high: Array
 
     def __post_init__(self) -> None:
+        """Refuse corners in the wrong order. Raises InputError."""
         if not (np.shape(self.low) == np.shape(self.high) == (3,) and (np.less(self.low, self.high)).all()):
             raise InputError(
                 f"box from {self.low} to {self.high} m; allowed: two corners (x, y, z), the first below the second"

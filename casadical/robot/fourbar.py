@@ -1,5 +1,6 @@
 """The closed four-bar loop that drives a joint from a crank: closed form, feasibility margin.
- All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar.
+
+All bars lie in one plane, perpendicular to the axis of the joint that carries the ground bar.
 Angles count from that joint's x axis at zero reading. Ground bar, length g, from the carrying joint
 (origin) to the driven joint; crank, length L5, from the origin; coupler L4 from the crank's end to
 the rocker's end; rocker L3 from the driven joint and fixed to the driven link. With L3 = L5 and L4

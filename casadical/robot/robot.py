@@ -46,6 +46,7 @@ class Covariance:
     matrix: Array
 
     def __post_init__(self) -> None:
+        """Refuse a matrix that is no covariance. Raises InputError."""
         k, C = len(self.names), self.matrix
         some = f"covariance of {', '.join(self.names[:3])}{', ...' if k > 3 else ''}"
         if C.shape != (k, k) or not np.isfinite(C).all():
@@ -97,6 +98,7 @@ class Knowledge:
     robots: int = 0
 
     def __post_init__(self) -> None:
+        """Refuse a parameter in two blocks and ranges in the wrong order. Raises InputError."""
         names = [name for block in self.covariance for name in block.names]
         if len(set(names)) < len(names):
             twice = next(n for n in names if names.count(n) > 1)
@@ -154,6 +156,7 @@ class RemainingErrors:
     poses: int
 
     def __post_init__(self) -> None:
+        """Refuse numbers and shapes that do not fit. Raises InputError."""
         shape = self.factor.shape
         if len(shape) != 2 or shape[0] != len(self.names) or not np.isfinite(self.factor).all():
             raise InputError(f"remaining: factor of shape {shape}; it must have a row of finite numbers for each name")

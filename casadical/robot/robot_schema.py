@@ -122,6 +122,7 @@ class _Joint(TomlTable):
         """Convert pairs, which are arrays in TOML, and factors that are whole numbers."""
 
         def pair(given: Any) -> Any:
+            """Return a (joint, factor) pair from an array of two, or what was given."""
             if not isinstance(given, list) or len(given) != 2:
                 return given
             joint, factor = given
