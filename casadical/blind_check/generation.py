@@ -24,7 +24,7 @@ from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import load_json
 from casadical.diagnosis.linearisation import signatures
-from casadical.identification.identification import base_calibrated, prepare
+from casadical.identification.identification import calibrate_base_model, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
@@ -35,7 +35,7 @@ from casadical.robot.robot_file import to_toml
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
     """Return the base model's columns, calibrated on a campaign without effects, (n, 3, P)."""
-    fit = base_calibrated(prepare(robot, clean))
+    fit = calibrate_base_model(prepare(robot, clean))
     m, _ = derive(clean, robot.conditions, robot.loads)
     return signatures(robot, (), m, robot.values_of(fit.robot))[1]
 

@@ -19,7 +19,7 @@ from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.files import appending
 from casadical.identification.accuracy import predicted
-from casadical.identification.identification import base_calibrated, prepare
+from casadical.identification.identification import calibrate_base_model, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
@@ -66,7 +66,7 @@ class Session:
         m = self._with_columns(robot)
         m = m[self.seen & ~np.isin(m.row, leave_out)]
         free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
-        return base_calibrated(prepare(robot, m), free).robot
+        return calibrate_base_model(prepare(robot, m), free).robot
 
 
 @lru_cache(maxsize=16)

@@ -21,7 +21,13 @@ from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import MAX_P_NOTHING_UNDER_FORM, State, next_cause, search, search_with_forms
 from casadical.effects import Effect
-from casadical.identification.identification import Prepared, base_calibrated, compliance_tried, prepare, prepared_again
+from casadical.identification.identification import (
+    Prepared,
+    calibrate_base_model,
+    prepare,
+    prepared_again,
+    with_compliance_if_supported,
+)
 from casadical.identification.plausibility import fault_of_orientations
 from casadical.identification.prior import Prior
 from casadical.identification.result import Identification
@@ -113,13 +119,13 @@ class _Question:
             return given.identification
         self.show("calibrating the base model")
         sets = tuple(m.positions_alone() if fault_of_orientations(given.robot, m) else m for m in given.sets)
-        calibration = base_calibrated(prepared := replace(given, sets=sets))
+        calibration = calibrate_base_model(prepared := replace(given, sets=sets))
         # A standard deviation of orientations above 0.05 rad means another convention, not noise.
         off = [m.orientation is not None and s[1] > 0.05 for m, s in zip(sets, calibration.problem.sigmas, strict=True)]
         if not any(off):
             return calibration
         alone = (m.positions_alone() if bad else m for m, bad in zip(sets, off, strict=True))
-        return base_calibrated(replace(prepared, sets=tuple(alone)))
+        return calibrate_base_model(replace(prepared, sets=tuple(alone)))
 
     @cached_property
     def candidates(self) -> Sequence[Candidate]:
@@ -218,7 +224,7 @@ def _prepared(
     if not sets:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
-    return compliance_tried(prepare(robot, sets, prior, masses=of_masses, tool_turns=True))
+    return with_compliance_if_supported(prepare(robot, sets, prior, masses=of_masses, tool_turns=True))
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:

@@ -157,7 +157,7 @@ def estimate(
         label or identified.measurements[0].source,
         day,
         len(fit.poses),
-        fit.left,
+        fit.coordinate_sigma,
         fit.misfit,
         (*_outliers(identified), *noted),
         np.quantile(np.concatenate([m.q for m in identified.used]), [0.05, 0.95], axis=0).T,

@@ -61,7 +61,7 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
         inverse = scaled_inverse(problem.gradient(v)[1])
         return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in _weighted(problem, v)])
 
-    shares: Array = problem.kept.redundancies(v, computed)
+    shares: Array = problem.cache.redundancies(v, computed)
     return shares
 
 

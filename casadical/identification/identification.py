@@ -21,7 +21,7 @@ from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.fit_statistics import redundancies, variance
-from casadical.identification.least_squares import LeastSquares, first_sigmas
+from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
@@ -86,9 +86,9 @@ class Prepared(Shown):
         None where the robot file declares a compliance, no joint is revolute, or an identification
         exists.
         """
-        if self.identification or not undeclared(self.robot):
+        if self.identification or not lacks_declared_compliance(self.robot):
             return None
-        robot, free = all_compliant(self.robot, self.sets)
+        robot, free = with_all_joints_compliant(self.robot, self.sets)
         return replace(self, robot=robot, free=(*free, *self.free))
 
 
@@ -119,7 +119,7 @@ def prepare(
         known.refuse_uncovered(sets)
     knowledge, free = robot.knowledge or Knowledge(), tuple[str, ...]()
     if method is not None:
-        robot, free = by_method(robot, method, sets)
+        robot, free = with_method(robot, method, sets)
     elif masses != "declared":
         robot, free = with_unknown_masses(robot, sets)
         if not free and (masses == "free" or robot.masses == "estimated"):
@@ -149,7 +149,7 @@ def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measu
     return sets
 
 
-def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
+def with_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
     """Return the robot as a method of the paper models it, and the labels of added effects.
 
     Raises InputError.
@@ -161,12 +161,12 @@ def by_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[
     return with_unknown_masses(robot, sets)
 
 
-def undeclared(robot: Robot) -> bool:
+def lacks_declared_compliance(robot: Robot) -> bool:
     """Return whether the robot file declares no compliance though a joint is revolute."""
     return all(j.compliance is None for j in robot.joints) and bool(robot.revolute)
 
 
-def all_compliant(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
+def with_all_joints_compliant(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
     """Return the robot with compliance at all revolute joints, and its added effects' labels.
 
     The labels are as of `with_unknown_masses`.
@@ -270,7 +270,7 @@ def identify(
     by = partial(calibrated, loss=loss, priors=priors, screen=screen, progress=progress)
     if method is None:
         return by(prepared, free)
-    tried = compliance_tried(prepared, progress)
+    tried = with_compliance_if_supported(prepared, progress)
     if method == "SKCM":
         return by(tried)
     if tried.tried is None or not tried.tried.kept:
@@ -279,11 +279,11 @@ def identify(
         outliers = tried.tried.outliers
         if outliers is None:
             outliers = by(replace(tried, method="SKCM")).outliers
-        by = partial(judged, outliers=outliers, loss=loss, priors=priors, progress=progress)
+        by = partial(calibrated_without_outliers, outliers=outliers, loss=loss, priors=priors, progress=progress)
     return replace(by(prepared), tried=tried.tried)
 
 
-def judged(
+def calibrated_without_outliers(
     prepared: Prepared, outliers: tuple[tuple[int, int], ...], loss: AnyLoss = "auto", **options: Any
 ) -> Identification:
     """Identify without the poses that a more complete model found to be outliers.
@@ -297,7 +297,7 @@ def judged(
     return replace(result, measurements=prepared.sets, outliers=outliers)
 
 
-def compliance_tried(prepared: Prepared, progress: Progress | None = None) -> Prepared:
+def with_compliance_if_supported(prepared: Prepared, progress: Progress | None = None) -> Prepared:
     """Return the same, with undeclared compliance in the model if the measurements support it.
 
     They do where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
@@ -369,7 +369,7 @@ def calibrated(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
     plain: Loss = "linear" if loss == "auto" else loss
-    problem = LeastSquares(start, sets, names, plain, priors, first_sigmas(sets), known=prior.known, weighed=weighed)
+    problem = LeastSquares(start, sets, names, plain, priors, initial_sigmas(sets), known=prior.known, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
     (reduced, solution, judged), outliers = solve(problem, MAX_OUTLIER_ROUNDS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
@@ -395,7 +395,7 @@ def calibrated(
     return replace(result, robot=replace(result.robot, knowledge=learnt))
 
 
-def base_calibrated(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
+def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
     """Identify the base model from which a diagnosis starts.
 
     Gross errors have little weight but stay, and the robot's own priors apply. A tilted pedestal

@@ -78,9 +78,9 @@ class LeastSquares:
         the links does
     known : correlated priors, each as names and their covariance [SI]; their means are those of
         `priors`
-    most_kept : maximum number of values of a Jacobian or of residuals, and of poses' data, that are
+    max_cached_values : maximum number of values of a Jacobian or of residuals, and of poses' data, that are
         cached
-    kept : cache of what was computed
+    cache : of what was computed
     """
 
     robot: Robot
@@ -92,13 +92,13 @@ class LeastSquares:
     fixed_loads: bool = False
     weighed: bool = False
     known: tuple[tuple[tuple[str, ...], Array], ...] = ()
-    most_kept: int = 2_000_000
-    kept: ProblemCache = field(default_factory=ProblemCache, init=False, repr=False)
+    max_cached_values: int = 2_000_000
+    cache: ProblemCache = field(default_factory=ProblemCache, init=False, repr=False)
 
     @property
     def labels(self) -> tuple[str, ...]:
         """Names of all unknown points, as "set number/point name"."""
-        return self.kept.once("labels", self._labels)
+        return self.cache.once("labels", self._labels)
 
     def _labels(self) -> tuple[str, ...]:
         """Return the names of all unknown points."""
@@ -112,7 +112,7 @@ class LeastSquares:
     @property
     def points(self) -> Array:
         """Initial position of every unknown point in the measuring frame, shape (K, 3) [m]."""
-        return self.kept.once("points", self._points)
+        return self.cache.once("points", self._points)
 
     def _points(self) -> Array:
         """Return the initial position of every unknown point, from the robot's positions."""
@@ -126,7 +126,7 @@ class LeastSquares:
     @property
     def blocks(self) -> tuple[Block, ...]:
         """The sets of measurements, ready to be evaluated."""
-        return self.kept.once("blocks", self._blocks)
+        return self.cache.once("blocks", self._blocks)
 
     def _blocks(self) -> tuple[Block, ...]:
         """Return a block for each set of measurements."""
@@ -136,7 +136,9 @@ class LeastSquares:
             group = np.array([index[name] for name in self.pose_labels(k)] or [0] * len(m), dtype=np.int64)
             of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
             made.append(
-                make_block(*of_set, fixed_loads=self.fixed_loads, held=min(MAX_CACHED_DATA_POSES, self.most_kept))
+                make_block(
+                    *of_set, fixed_loads=self.fixed_loads, held=min(MAX_CACHED_DATA_POSES, self.max_cached_values)
+                )
             )
         return tuple(made)
 
@@ -300,14 +302,14 @@ class LeastSquares:
         If Ipopt did not take the gradient at the last point, it is in a line search: residuals are
         then evaluated without derivatives.
         """
-        last = self.kept.sums
-        if last.point is None or last.holds(v) or self.kept.gradient.holds(last.point):
+        last = self.cache.sums
+        if last.point is None or last.holds(v) or self.cache.gradient.holds(last.point):
             return self._sums(v).cost + 0.5 * self.prior_square(v)
-        return float(self.kept.cost(v, self._cost))
+        return float(self.cache.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
         """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
-        both: tuple[Array, Array] = self.kept.gradient(v, self._gradient)
+        both: tuple[Array, Array] = self.cache.gradient(v, self._gradient)
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
@@ -329,7 +331,7 @@ class LeastSquares:
         """
         if of is not None:
             return reduce(_with_rows, (J[:, of] for _, _, J in self.parts(v)), np.zeros((0, len(of))))
-        last = self.kept.sums
+        last = self.cache.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
             known = last.keep(v, self._summed(v, triangle=True))
@@ -375,7 +377,7 @@ class LeastSquares:
 
     def _sums(self, v: Array) -> Sums:
         """Return the sums over all residuals at v, cached for the last point."""
-        sums: Sums = self.kept.sums(v, self._summed)
+        sums: Sums = self.cache.sums(v, self._summed)
         return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
@@ -385,7 +387,7 @@ class LeastSquares:
         residuals: list[tuple[int, Array]] = []
         R = np.zeros((0, self.size))
         for k, r, J in self.parts(v):
-            if self.residual_count <= self.most_kept:
+            if self.residual_count <= self.max_cached_values:
                 residuals.append((k, r))
             if triangle:
                 R = _with_rows(R, J)
@@ -427,9 +429,9 @@ class LeastSquares:
         They are cached for the last v where they are few, so that statistics need no further
         evaluation.
         """
-        if self.residual_count * self.size > self.most_kept:
+        if self.residual_count * self.size > self.max_cached_values:
             return self._evaluated(v)
-        parts: tuple[_Part, ...] = self.kept.parts(v, lambda v: tuple(self._evaluated(v)))
+        parts: tuple[_Part, ...] = self.cache.parts(v, lambda v: tuple(self._evaluated(v)))
         return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
@@ -504,7 +506,7 @@ class LeastSquares:
     def from_points(self, points: Array) -> LeastSquares:
         """Return the problem with other initial unknown points, shape (K, 3) [m]."""
         other = replace(self)
-        other.kept.made.update(points=points)
+        other.cache.made.update(points=points)
         return other
 
     def with_loss(self, loss: Loss) -> LeastSquares:
@@ -514,10 +516,10 @@ class LeastSquares:
         cache.
         """
         other = replace(self, loss=loss)
-        other.kept.made.update(self.kept.made)
-        if parts := self.kept.parts.at_zero:
+        other.cache.made.update(self.cache.made)
+        if parts := self.cache.parts.at_zero:
             zero = np.zeros(self.size)
-            other.kept.parts.keep(zero, parts)
+            other.cache.parts.keep(zero, parts)
             other._sums(zero)
         return other
 
@@ -528,13 +530,13 @@ class LeastSquares:
         cache.
         """
         other = replace(self, names=tuple(names))
-        if "blocks" in self.kept.made:
+        if "blocks" in self.cache.made:
             blocks = tuple(block.with_names(self.robot, other.names) for block in self.blocks)
-            other.kept.made.update(labels=self.labels, points=self.points, blocks=blocks)
+            other.cache.made.update(labels=self.labels, points=self.points, blocks=blocks)
         place_of = {name: k for k, name in enumerate(self.names)}
-        if (sums := self.kept.sums.at_zero) and place_of.keys() >= set(other.names):
+        if (sums := self.cache.sums.at_zero) and place_of.keys() >= set(other.names):
             columns = [*(place_of[n] for n in other.names), *range(len(self.names), self.size)]
-            other.kept.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
+            other.cache.sums(np.zeros(other.size), lambda _: sums.for_variables(columns))
             other.gradient(np.zeros(other.size))
         return other
 
@@ -554,13 +556,13 @@ class Linearised(LeastSquares):
         """Return the linearisation of a problem about the point v, with another loss."""
         own = {f.name: getattr(problem, f.name) for f in fields(LeastSquares) if f.init}
         made = cls(**own | {"loss": loss}, of=problem, at=v)
-        made.kept.made.update(labels=problem.labels, points=problem.points)
+        made.cache.made.update(labels=problem.labels, points=problem.points)
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
         """Return the same with other sigmas: coordinate [m] and angle [rad] for each set."""
         other = replace(self, sigmas=sigmas)
-        other.kept.made.update(labels=self.labels, points=self.points)
+        other.cache.made.update(labels=self.labels, points=self.points)
         return other
 
     def settled(self, v: Array) -> Array:
@@ -594,7 +596,7 @@ def _with_rows(R: Array, J: Array) -> Array:
     return np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
 
 
-def first_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:
+def initial_sigmas(sets: Iterable[Measurements]) -> tuple[tuple[float, float], ...]:
     """Return for each set the standard deviations of a coordinate [m] and an angle [rad].
 
     They are the declared ones, or else an initial guess.

@@ -109,7 +109,7 @@ class WideFit:
     best : with the most probable of REPEATABILITY_RATIOS, equal for all joints
     misfit : factor by which correlated residuals exceed independent noise along the parameters, at
         least 1
-    left : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of
+    coordinate_sigma : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of
         freedom
     """
 
@@ -118,7 +118,7 @@ class WideFit:
     poses: _Poses
     best: NoiseFit
     misfit: float
-    left: float
+    coordinate_sigma: float
     freedom: float
     _tried: dict[tuple[float, ...], float] = field(default_factory=dict, repr=False)
     _last: dict[tuple[float, ...], NoiseFit] = field(default_factory=dict, repr=False)

@@ -17,7 +17,7 @@ from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.statistics import best_of
 from casadical.core.transforms import frame, from_xyz, nearest_rotation, to_xyz
 from casadical.identification.accuracy import errors, predicted
-from casadical.identification.least_squares import LeastSquares, first_sigmas
+from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -278,7 +278,7 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     distinguishes.
     """
     names = tuple(robot.parameters.select(TOOL_POSITION_NAMES)) if robot.tool.unknown != "none" else ()
-    problem = LeastSquares(robot, tuple(sets), names, "huber", False, first_sigmas(sets))
+    problem = LeastSquares(robot, tuple(sets), names, "huber", False, initial_sigmas(sets))
     if not names or problem.residual_count <= problem.size:
         return robot
     try:

@@ -260,7 +260,7 @@ def reduce_and_solve(
     optima : start points, from the same robot with other sigmas or fewer poses; those found here
         are added
     """
-    analysis = problem.kept.once("independent", lambda: independent_parameters(problem))
+    analysis = problem.cache.once("independent", lambda: independent_parameters(problem))
     reduced = problem.with_names(analysis.independent)
     if not problem.priors and reduced.degrees_of_freedom <= 0:
         raise InputError(

@@ -16,7 +16,7 @@ from casadical.core.telling.result import Result
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
-from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, first_sigmas
+from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, initial_sigmas
 from casadical.identification.prediction import covariance_of_all
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
@@ -382,7 +382,7 @@ class Identification(Result):
         if not groups:
             return self.start
         names = self.start.parameters.select(groups)
-        free = LeastSquares(self.start, self.used, names, self.loss, False, first_sigmas(self.used))
+        free = LeastSquares(self.start, self.used, names, self.loss, False, initial_sigmas(self.used))
         try:
             (problem, solution, _), _ = solve_without_outliers(free, MAX_OUTLIER_ROUNDS, None)
             return self.start.with_values(problem.values(solution.v))

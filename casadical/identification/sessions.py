@@ -28,7 +28,7 @@ def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-def apart(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
+def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
     """Return the sets with the poses of each session separated: one frame and one tool each."""
     alone = []
     for m in sets:

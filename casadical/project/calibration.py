@@ -18,12 +18,12 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
 from casadical.identification.identification import (
-    all_compliant,
-    compliance_tried,
+    calibrated_without_outliers,
     identify,
-    judged,
+    lacks_declared_compliance,
     prepare,
-    undeclared,
+    with_all_joints_compliant,
+    with_compliance_if_supported,
 )
 from casadical.identification.misfit import misfit_of
 from casadical.identification.plausibility import check_against
@@ -385,16 +385,20 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
     final = by(robot, sets)
     # The fitted poses may be too few to show a compliance that all poses show.
-    if problem.whole and undeclared(robot) and not (final.tried and final.tried.kept):
-        tried = compliance_tried(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
+    if problem.whole and lacks_declared_compliance(robot) and not (final.tried and final.tried.kept):
+        tried = with_compliance_if_supported(prepare(robot, problem.whole, problem.prior, method="SKCM")).tried
         with suppress(InputError, ConvergenceError):
-            final = replace(by(all_compliant(robot, sets)[0], sets), tried=tried) if tried and tried.kept else final
+            final = (
+                replace(by(with_all_joints_compliant(robot, sets)[0], sets), tried=tried)
+                if tried and tried.kept
+                else final
+            )
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)
-        result = judged(prepared, final.outliers, final.loss, progress=progress_of(method))
+        result = calibrated_without_outliers(prepared, final.outliers, final.loss, progress=progress_of(method))
         results[method] = replace(result, tried=final.tried)
-    rigid = undeclared(robot) and not (final.tried and final.tried.kept)
+    rigid = lacks_declared_compliance(robot) and not (final.tried and final.tried.kept)
     if results and rigid and not problem.networks:
         return results
     return {**results, last: final}

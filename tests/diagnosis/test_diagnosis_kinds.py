@@ -23,7 +23,7 @@ from casadical.diagnosis.statements import assumptions, statements
 from casadical.diagnosis.text import page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
 from casadical.identification.accuracy import predicted
-from casadical.identification.identification import base_calibrated, identify, prepare
+from casadical.identification.identification import calibrate_base_model, identify, prepare
 from casadical.identification.residuals import make_block
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
@@ -262,7 +262,7 @@ def test_turns_of_a_foot_are_those_that_the_weight_shows_better_than_their_prior
     real = arm.with_values(dict.fromkeys(shown, 0.02))
     exact = distances(replace(m, position=predicted(real, m)[0]))
     wires = [replace(w, target=None, distance=w.distance + rng.normal(0, 2e-5, len(m))) for w in exact]
-    found = base_calibrated(prepare(arm, wires))
+    found = calibrate_base_model(prepare(arm, wires))
     assert {n for n in found.names if n.startswith(("base_", "alpha0", "d1"))} == shown
     known = zip(found.names, found.estimate, found.standard_errors, strict=True)
     assert all(abs(value - 0.02) < 4 * error for name, value, error in known if name in shown)
@@ -348,7 +348,7 @@ def test_of_few_full_poses_what_declares_no_noise_is_unsure(declared: str, unsur
 
     def masks(count: int) -> tuple[np.ndarray, ...]:
         told = replace(poses(m[:count]), **{declared: 1e-5})
-        return make_case(base_calibrated(prepare(r, told)), candidates_of(r, ["backlash"])).whole.unsure
+        return make_case(calibrate_base_model(prepare(r, told)), candidates_of(r, ["backlash"])).whole.unsure
 
     (own,) = masks(30)
     assert own.sum() == 90

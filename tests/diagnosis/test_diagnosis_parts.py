@@ -53,7 +53,7 @@ from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
-from casadical.identification.identification import base_calibrated, prepare
+from casadical.identification.identification import calibrate_base_model, prepare
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Noise
 from casadical.project.problem import read_problem
@@ -224,7 +224,7 @@ def test_what_is_prepared_is_not_given_again() -> None:
 def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
     planar = read_problem(ROOT / "problems" / "planar")
     (m,) = planar.sets["identify"]
-    found = base_calibrated(prepare(planar.robot, (m,)))
+    found = calibrate_base_model(prepare(planar.robot, (m,)))
     assert found.problem.priors
     assert found.problem.loss == "huber"
     assert set(found.names) >= {"a1", "theta1", "beta1"}

@@ -14,7 +14,7 @@ from casadical.core.telling.result import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import parameter_tables
 from casadical.identification.gravity import as_json, gravity_deflections, in_words
-from casadical.identification.identification import base_calibrated, prepare, with_unknown_masses
+from casadical.identification.identification import calibrate_base_model, prepare, with_unknown_masses
 
 MASSES = (20.0, 14.0, 6.0, 4.0, 2.0, 1.0)
 CENTRES = ((0, 0, -0.1), (0.3, 0.02, 0.06), (0.03, 0.05, 0), (0, 0.02, -0.2), (0, 0.03, 0), (0, 0, -0.02))
@@ -207,7 +207,7 @@ def test_few_poses_of_a_rigid_robot_converge_with_unknown_masses() -> None:
     m = positions(planted(stiff(arm()), 3, TRACKER), readings(soft, 25, 12), 9)
     wrong = m.position.copy()
     wrong[[3, 9]] += 3e-3
-    found = base_calibrated(prepare(soft, replace(m, position=wrong), masses="unknown"))
+    found = calibrate_base_model(prepare(soft, replace(m, position=wrong), masses="unknown"))
     assert found.solution.message.startswith("Ipopt found an optimum")
     assert found.is_optimal()
 

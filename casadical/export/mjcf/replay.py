@@ -23,7 +23,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import load_mujoco, positions
 from casadical.export.mjcf.mjcf import MjcfExport, counterparts, mjcf
 from casadical.identification.accuracy import Accuracy, predicted, summarise
-from casadical.identification.identification import base_calibrated, calibrated, prepare
+from casadical.identification.identification import calibrate_base_model, calibrated, prepare
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
@@ -188,7 +188,7 @@ def _stages(
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
     placed = calibrated(prepare(rigid, fitted), ["placement"], loss="huber", screen=False)
-    plain = base_calibrated(prepare(robot, fitted))
+    plain = calibrate_base_model(prepare(robot, fitted))
     stages = [replay(placed.robot, held_out, "nominal"), replay(plain.robot, held_out, "geometry and stiffness")]
     show("replaying")
     named = [c.label for c in found.causes if c.effects]

@@ -6,9 +6,14 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.basics import InputError, Show, silent
-from casadical.identification.identification import METHODS, all_compliant, by_method, undeclared
+from casadical.identification.identification import (
+    METHODS,
+    lacks_declared_compliance,
+    with_all_joints_compliant,
+    with_method,
+)
 from casadical.identification.plausibility import check_against
-from casadical.identification.sessions import apart, place_sessions, with_sessions
+from casadical.identification.sessions import place_sessions, split_by_session, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
 from casadical.measurements.measurements import Measurements
 from casadical.project.check import plausible as facts
@@ -57,9 +62,9 @@ def precheck(
     except InputError as error:
         return Precheck(folder, tuple(fault_findings(error, "reading")))
     show("comparing with the nominal robot")
-    sets = apart(problem.sets["identify"])
+    sets = split_by_session(problem.sets["identify"])
     others = facts.other_conventions(problem.robot_file)
-    table = apart([problem.table])[0] if problem.table is not None else None
+    table = split_by_session([problem.table])[0] if problem.table is not None else None
     standard = facts.convention_of(problem.robot_file) == "standard"
     findings, slips = _data_findings(problem.robot, sets, others, table, standard)
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)
@@ -108,9 +113,9 @@ def _outlooks(
     for method in methods:
         try:
             several, sessions = with_sessions(start, sets)
-            taken, free = by_method(place_sessions(several, sets) if sessions else several, method, sets)
-            tried = method == "SKCM" and undeclared(taken)  # as `calibrate` tries it
-            taken = all_compliant(taken, sets)[0] if tried else taken
+            taken, free = with_method(place_sessions(several, sets) if sessions else several, method, sets)
+            tried = method == "SKCM" and lacks_declared_compliance(taken)  # as `calibrate` tries it
+            taken = with_all_joints_compliant(taken, sets)[0] if tried else taken
             view = outlook(taken, sets, (*METHODS[method], *free, *sessions), method, noise)
             if tried and not view.enough and any(other.enough for other in outlooks):
                 text = f"{view.numbers} numbers are too few to see whether the joints give under load"

@@ -11,7 +11,7 @@ import numpy as np
 from casadical.core.basics import FaultsError, InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.identification.identifiability import CONFOUNDED_CONDITION_NUMBER
-from casadical.identification.identification import undeclared
+from casadical.identification.identification import lacks_declared_compliance
 from casadical.identification.plausibility import check_against
 from casadical.measurements.columns import FULL_TURN_RAD
 from casadical.measurements.derived_columns import clock_faults
@@ -242,7 +242,11 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         findings.append(Finding("warning", "misfit", text))
-    if view.method == "SKCM" and not undeclared(robot) and not {f"c{i}" for i in robot.numbers} & {*view.names}:
+    if (
+        view.method == "SKCM"
+        and not lacks_declared_compliance(robot)
+        and not {f"c{i}" for i in robot.numbers} & {*view.names}
+    ):
         text = "SKCM: no compliance is identifiable (no compliant joint, no masses, or constant gravity torques)"
         findings.append(Finding("warning", "identifiability", text))
     return findings

@@ -19,7 +19,7 @@ from casadical.core.basics import Array, ConvergenceError, InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
 from casadical.core.telling.result import plain_text
-from casadical.identification.identification import all_compliant, prepare, undeclared
+from casadical.identification.identification import lacks_declared_compliance, prepare, with_all_joints_compliant
 from casadical.identification.plausibility import check_against
 from casadical.identification.sessions import with_sessions
 from casadical.measurements.columns import Source as ColumnSource
@@ -324,7 +324,9 @@ class LiveSession:
         new : number of the only new reading, 0 of several
         """
         numbers = [self._number(row) for row in m.row]
-        robot = self.robot if not undeclared(self.robot) else all_compliant(self.robot, [m])[0]
+        robot = (
+            self.robot if not lacks_declared_compliance(self.robot) else with_all_joints_compliant(self.robot, [m])[0]
+        )
         robot = prepare(robot, m, tool_turns=True).robot
         was_doubtful = np.array([self._doubtful.get(n, True) for n in numbers])
         lower, upper = self.robot.limits
