@@ -28,8 +28,8 @@ class Details:
     unlisted : description of an unlisted cause, see `describe_unlisted`
     check : nonlinear refit against linear model; networks : gap with a network (see `held_out_gap`)
     curves : joint error curves, see `joint_curves`
-    laws : expressions of an unlisted effect, see `laws_of_diagnosis`; computed if the verdict is unknown,
-        or on request
+    laws : expressions of an unlisted effect, see `laws_of_diagnosis`; computed if the verdict is
+        unknown, or on request
     poses : next poses to measure, see `next_poses`; file : name of the file to which they are
         written; empty if none
     floor : held-out error by noise alone under the best model of the report [m]

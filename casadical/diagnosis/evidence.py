@@ -25,7 +25,8 @@ from casadical.measurements.measurements import Noise
 
 # Noise standard deviations of one coordinate at which likelihoods are evaluated [m].
 SIGMA_GRID_M = np.geomspace(3e-6, 300e-6, 33)
-# The same steps from 1 um to 11 mm [m], for instruments that are finer or coarser.
+# Noise standard deviations from 1 um to 11 mm in the same steps [m], for finer or coarser
+# instruments.
 WIDE_SIGMA_GRID_M = SIGMA_GRID_M[0] * (SIGMA_GRID_M[-1] / SIGMA_GRID_M[0]) ** (
     np.arange(-8, 58) / (len(SIGMA_GRID_M) - 1)
 )
@@ -43,10 +44,11 @@ REPEATABILITY = "repeatability"
 # Scale of the Student's t prior of the logarithm of true over declared sigma: a declaration that is
 # wrong by a factor of three costs 4 nats and is overruled by a few dozen measured numbers.
 LOG_SD_OF_DECLARED = 0.2
-# Degrees of freedom of this Student's t prior: heavy tails for a wrong declaration.
+# Degrees of freedom of the Student's t prior of log(true / declared sigma); its heavy tails allow
+# for a wrong declaration.
 DECLARED_SIGMA_FREEDOM = 2.0
-# The same scale where sigma is taken as half the largest error that a data sheet states: the margin
-# that makers leave differs.
+# Scale of the Student's t prior of log(true / declared sigma) where sigma is half the largest error
+# that a data sheet states; it is wider, because the margin that makers leave differs.
 LOG_SD_OF_DATA_SHEET = 0.5
 
 # A direction of the base parameters counts as determined if the data carry at least this many times
@@ -57,7 +59,7 @@ DETERMINED_PRIOR_FACTOR = 100.0
 # Outer node, in standard deviations, of the three-point Gauss-Hermite rule that integrates over the
 # logarithm of a table's noise ratio.
 HERMITE_NODE = 3.0**0.5
-# Weight of each outer node of this rule.
+# Weight of each outer node of the three-point Gauss-Hermite rule.
 HERMITE_WEIGHT = 1 / 6
 
 

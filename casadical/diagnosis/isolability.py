@@ -45,9 +45,9 @@ MAX_COLUMNS_AT_ONCE = 512
 # Noise of a laser tracker [m] and of the joints' repeatability [rad].
 TYPICAL_NOISE = Noise(20e-6, 8e-6)
 
-# An effect is invisible if the base model absorbs a larger share of its energy ...
+# Share of an effect's energy absorbed by the base model above which the effect is invisible.
 MAX_ABSORBED_SHARE = 0.98
-# ... or if it is found only from a larger multiple of its usual size.
+# Multiple of its usual size, needed to find an effect, above which the effect is invisible.
 MAX_FINDABLE_MULTIPLE = 5.0
 # Effects with a smaller rms displacement [mm] do not act at all.
 MIN_SIZE_MM = 1e-6

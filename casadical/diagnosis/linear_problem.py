@@ -36,9 +36,10 @@ GROSS_RESIDUAL_SPREADS = 5.0
 # Likelihoods are averaged over the noise ratio of tables with fewer numbers than this; that of
 # larger ones is known to 7 %.
 MAX_UNSURE_TABLE_NUMBERS = 100
-# At most this many tables are averaged over.
+# Number of small tables over whose noise ratio likelihoods are averaged.
 MAX_UNSURE_TABLES = 2
-# A table with a smaller share of all numbers has too little influence to be averaged over.
+# Smallest share of all numbers at which likelihoods are averaged over a table's noise ratio;
+# smaller tables have too little influence.
 MIN_UNSURE_TABLE_SHARE = 0.1
 
 

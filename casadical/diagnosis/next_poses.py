@@ -149,9 +149,9 @@ def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[flo
 
 # Number of candidate poses that are drawn.
 DEFAULT_POOL_SIZE = 800
-# Number of settings of a cause that are compared ...
+# Number of settings of a cause that are compared, in addition to the most likely ones.
 MAX_VARIANTS_PER_CAUSE = 2
-# ... if their log likelihood is less than the best one's by at most this [nats].
+# Log likelihood [nats] by which compared settings may be less likely than the best ones.
 MAX_LOG_LIKELIHOOD_DEFICIT = 4.0
 # Readings beyond the campaign's range by less than this are not reported as new [rad or m].
 RANGE_TOLERANCE = 0.02

@@ -17,9 +17,10 @@ from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
 from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
-# Estimated noise above the independent figure by more than this factor contains structure ...
+# Ratio of the estimated noise to its independent figure from which it contains structure, if the
+# excess is significant.
 MIN_NOISE_EXCESS_FACTOR = 1.4
-# ... if an F test gives so large a ratio a smaller probability than this.
+# Largest probability, by an F test, at which noise above its independent figure is significant.
 NOISE_EXCESS_CHANCE = 1e-3
 
 

@@ -33,9 +33,9 @@ AR_COEFFICIENTS = (0.4, 0.6, 0.8, 0.9)
 AR_COEFFICIENT_STEP = 0.07
 # Prior share of the poses whose noise is larger, in the model of heavy tails.
 TAIL_SHARE = 0.05
-# Factor on the noise of the poses in the tails.
+# Factor on the noise of the poses in the tails, in the model of heavy tails.
 TAIL_NOISE_FACTOR = 4.0
-# Number of rounds in which the poses in the tails are identified.
+# Number of rounds in which the poses in the tails of the noise are identified.
 MAX_TAIL_ROUNDS = 3
 # Repeatability error of a noisy joint over that of the other joints.
 NOISY_JOINT_FACTOR = 8.0

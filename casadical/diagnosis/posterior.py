@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
 # Prior probabilities of the first cause: no cause, one of the listed effects, an unlisted effect.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
-# The same for an additional cause, once one was found.
+# Prior probabilities of an additional cause, once one was found: none, a listed or an unlisted
+# effect.
 PRIOR_FURTHER = {"none": 0.75, "listed": 0.20, "unknown": 0.05}
 
 

@@ -25,9 +25,10 @@ from casadical.diagnosis.structure import lines_of
 from casadical.effects import Effect, TransmissionRipple
 from casadical.measurements.measurements import Noise
 
-# An effect of several joints at once must be shown by at least this many joints ...
+# Number of joints that must show an effect of several joints at once.
 MIN_JOINTS_AT_ONCE = 3
-# ... each by at least this log evidence [nats] given the others; other joints are left out of it.
+# Log evidence [nats], given the others, by which a joint shows an effect of several joints; joints
+# with less are removed from it.
 MIN_JOINT_LOG_EVIDENCE = 3.0
 # Number of times that causes are searched again under another form of noise.
 MAX_FORM_SEARCHES = 3
@@ -35,8 +36,8 @@ MAX_FORM_SEARCHES = 3
 # because the form of such noise is not known for certain.
 MAX_P_NOTHING_UNDER_FORM = 1e-3
 
-# Why the search ended: nothing more is there, candidates cannot be told apart, an unlisted cause is
-# there, or the last cause was claimed.
+# Why the search ended: no additional cause is detected, candidates cannot be distinguished, an
+# unlisted cause is detected, or the last cause was claimed.
 End = Literal["none", "ambiguous", "unknown", "claimed"]
 
 

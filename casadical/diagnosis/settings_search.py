@@ -25,7 +25,7 @@ from casadical.measurements.measurements import Noise
 MAX_HALVINGS = 2
 # Gain of log evidence [nats] below which a step does not count as an improvement.
 MIN_SETTING_GAIN = 0.3
-# Number of rounds of steps.
+# Number of rounds in which a cause's settings are moved by steps.
 MAX_SETTING_ROUNDS = 10
 # Whole numbers are tried within this share of a fractional setting (and within one of it).
 WHOLE_NUMBER_RANGE = 0.12
@@ -39,15 +39,16 @@ FINE_STEPS = (0.0, -0.6, -0.3, 0.3, 0.6)
 # Log evidences within this tolerance [nats] are tied: a step between two poses fits equally well
 # wherever it lies between them.
 EQUAL_LOG_EVIDENCE = 1e-6
-# Number of rounds in which sizes are learnt.
+# Number of rounds in which the sizes of an effect's parts are learnt.
 MAX_SIZE_ROUNDS = 8
 # Change of the logarithm of all sizes at which learning has converged.
 SIZE_TOLERANCE = 0.05
-# A part keeps its size if the data determine fewer parameters of it.
+# The size of an effect's part is learnt only if the data determine more of its parameters than
+# this.
 MIN_DETERMINED_PARAMETERS = 1.0
 # Lower bound of the factor by which a part's size is learnt.
 MIN_SIZE_FACTOR = 0.05
-# Upper bound of this factor.
+# Upper bound of the factor by which a part's size is learnt.
 MAX_SIZE_FACTOR = 8.0
 
 

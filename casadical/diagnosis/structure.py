@@ -49,7 +49,7 @@ MAX_LINE_CYCLES = 140.0
 # A residual has Gaussian tails if the degrees of freedom of its squares are at least this share of
 # the measured numbers.
 MIN_FREEDOM_SHARE = 0.6
-# Noise is isotropic if Mauchly's test gives at least this probability.
+# Noise counts as isotropic if Mauchly's test gives a larger probability.
 MIN_ISOTROPY_CHANCE = 1e-4
 # Rows whose distances to all others are computed at once, which bounds memory.
 ROWS_PER_BLOCK = 512
