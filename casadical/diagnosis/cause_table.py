@@ -127,10 +127,11 @@ LAYER_COLUMNS = ("layer", "mean", "95 %", "time left out", "without noise")
 def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
     """Return the error after each cause in the order of the search; empty if no cause has effects.
 
-    name : what is removed in addition to the layers above; mean_mm, low_mm, high_mm : mean error on
-        held-out poses
-    with a 95 % interval over poses; blocks_mm : with fifths of the time held out; model_mm : rms
-    without noise. The last layer is the error of noise alone under the same fit, or floor [m].
+    name : what is removed in addition to the layers above
+    mean_mm, low_mm, high_mm : mean error on held-out poses with a 95 % interval over poses
+    blocks_mm : the same with fifths of the time held out; model_mm : rms without noise
+
+    The last layer is the error of noise alone under the same fit, or floor [m].
     """
     if not d.effects():
         return []

@@ -149,9 +149,9 @@ def parameter_values(
 ) -> dict[tuple[Effect, str], tuple[float, float, str]]:
     """Return value, standard error and unit [SI] of the effects' parameters by effect and name.
 
-    columns : of all causes, which are fitted together, shape (k,). Effects with too many parameters
-        to be shown
-    are left out.
+    columns : of all causes, which are fitted together, shape (k,)
+
+    Effects with too many parameters to be shown are excluded.
     """
     value, error = fit_of(case.judged, columns, noise).causes
     parameters = {}

@@ -38,7 +38,7 @@ def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True)
 
 
 def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
-    """Return the same fit from the model's cache, since few fits are used several times."""
+    """Return the fit of base model and causes from the model's cache (see `new_fit`)."""
     fits, key = e.cache.setdefault("fits", {}), (columns.tobytes(), noise)
     if key not in fits:
         # At most three fits are cached with a model.

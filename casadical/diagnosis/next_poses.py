@@ -312,9 +312,10 @@ def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[f
     """Return the probability of a right decision now and after these poses.
 
     The decision is between the first two causes in question.
-    poses : of `next_poses`. After them the log odds are normal about their expected gain D with
-        variance 2 D, whichever
-    cause is true.
+    poses : of `next_poses`
+
+    After these poses the log odds are normal about their expected gain D with variance 2 D,
+    whichever cause is true.
     """
     first, second = found.in_question[:2]
     ranking = best_of(found.rankings, lambda r: r.probability.get(first, 0) + r.probability.get(second, 0))

@@ -91,9 +91,10 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
 def outlier_probability(distance: Array) -> float:
     """Return the probability that at least one of the poses is an outlier.
 
-    distance : squared Mahalanobis distances of the poses, shape (k,), of three coordinates each.
-        With prior
-    probability `OUTLIER_SHARE` the noise of a pose is inflated by one of `OUTLIER_NOISE_FACTORS`.
+    distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
+
+    With prior probability `OUTLIER_SHARE` the noise of a pose is inflated by one of
+    `OUTLIER_NOISE_FACTORS`.
     """
     wide = (
         -3 * np.log(OUTLIER_NOISE_FACTORS)[:, None]

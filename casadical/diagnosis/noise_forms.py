@@ -165,7 +165,7 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
 
 
 def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """Return the same as `best_ar_form`, or None where the case is to keep its own form.
+    """Return the result of `best_ar_form`, or None where the case is to keep its own noise form.
 
     A better form is one with a different coefficient and enough evidence to judge causes again.
     """

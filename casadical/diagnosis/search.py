@@ -351,9 +351,9 @@ def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
 def indistinguishable(ranking: Ranking, listed: Sequence[str]) -> tuple[str, ...]:
     """Return the most probable listed cause and those that the data cannot distinguish from it.
 
-    listed : labels of the listed causes, the most probable first; they precede the unlisted ones. A
-        certain
-    cause is returned alone.
+    listed : labels of the listed causes, the most probable first; they precede the unlisted ones
+
+    A certain cause is returned alone.
     """
     there = 1 - ranking.none
     if ranking.probability[listed[0]] >= SETTINGS.min_claim * there:
