@@ -58,6 +58,7 @@ export_app = Typer(
 
 
 def _version(wanted: bool) -> None:
+    """Print the version and stop, if it is wanted."""
     if wanted:
         echo(f"casadical {__version__}")
         raise Exit

@@ -31,15 +31,15 @@ from casadical.core.telling.result import terminal
 MAX_ROWS_NAMED = 6
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
-# Exit codes: unusable input,
+# Exit code for unusable input.
 BAD_INPUT = 2
-# the solver found no optimum,
+# Exit code where the solver found no optimum.
 NO_CONVERGENCE = 3
-# held-out poses are worse than before,
+# Exit code where held-out poses are worse than before the calibration.
 WORSE = 4
-# the robot is no longer valid or has changed,
+# Exit code where the robot is no longer valid or has changed.
 NOT_VALID = 5
-# a bug in casadical.
+# Exit code for a bug in casadical.
 OUR_BUG = 70
 
 

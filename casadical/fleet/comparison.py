@@ -138,7 +138,7 @@ class _Accepted:
     courses : its factors in each campaign, shape (n, k)
     kappa : its size in units of the usual one
     own : all hypotheses of its candidate with its course
-    odds : log odds of any change, given those that were accepted before
+    odds : log odds of any change here, given the other accepted ones
     every : hypotheses of all candidates
     """
 

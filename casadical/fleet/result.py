@@ -27,11 +27,11 @@ LEFT_OUT_MARK = "is left out:"
 MIN_ROBOTS_FOR_QUANTILE = 20
 # Number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
-# Letters of an error message in such a table.
+# Number of letters to which error messages are cut on the terminal.
 MAX_ERROR_LETTERS = 240
-# Number of robots in the table of the page.
+# Number of robots in the table of all robots on the page.
 MAX_ROWS_ON_PAGE = 2000
-# Letters of an error message in that table.
+# Number of letters to which error messages are cut on the page.
 MAX_ERROR_LETTERS_ON_PAGE = 60
 
 

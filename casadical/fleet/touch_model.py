@@ -42,10 +42,11 @@ UNKNOWN = "unknown"
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
 # Grid of the noise's share in the unexplained variance, where the noise is not declared.
 NOISE_SHARES = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01)
-# Thermal growth of all lengths, where the temperature is logged [1/K]: mean ...
+# Prior mean of the thermal growth of all lengths, where the temperature is logged [1/K].
 GROWTH_PER_K = 12e-6
-# ... and standard deviation [1/K].
+# Prior standard deviation of that growth [1/K].
 GROWTH_SIGMA_PER_K = 6e-6
+# Column of the logged temperature [degC].
 TEMPERATURE = "temperature_degC"
 # Number of random poses over which the error of the robot is averaged.
 TASK_POSES = 1000

@@ -34,9 +34,9 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
-# The calibration is valid if its error is within the tolerance with this probability ...
+# Probability of an error within the tolerance from which on the calibration is reported as valid.
 MIN_PROBABILITY_VALID = 0.99
-# ... and no longer valid if its error is above the tolerance with this one.
+# Probability of an error above the tolerance from which on it is reported as no longer valid.
 MIN_PROBABILITY_CHANGED = 0.9
 # Number of touches that a day needs.
 MIN_TOUCHES = 2

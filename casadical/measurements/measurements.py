@@ -47,8 +47,8 @@ SETS = ("identify", "train", "choose", "report")
 
 # Poses whose readings differ by less in every joint count as the same pose [rad or m].
 SAME_READING_TOLERANCE = 1e-6
-# Readings of a robot that stands still while several targets are measured differ by less [rad or
-# m].
+# Largest difference of a joint's readings at which the robot stands still, while several targets
+# are measured one after another [rad or m].
 STANDSTILL_TOLERANCE = 5e-4
 # Sorted readings without a gap form one cell no wider than this [multiple of the gap's width].
 MAX_CELL_WIDTH = 20

@@ -32,7 +32,7 @@ _BYTE_ORDER_MARKS = {
 MAX_NUMBER_CHARACTERS = 40
 # Number of lines, without comments, from which the separator is recognised.
 SAMPLE_LINES = 200
-# Number of characters, with comments, within which these lines are taken.
+# Number of characters of a text, with comments, from which the separator is recognised.
 MAX_SAMPLE_CHARACTERS = 1_000_000
 # Pattern of a number with a decimal point.
 _POINT_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
@@ -110,7 +110,7 @@ def records_of(text: str, separator: str) -> list[Record]:
     """
     if separator == " ":
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
-    loose = separator != "\t"  # csv would skip tabs as initial blanks
+    loose = separator != "\t"  # initial blanks of a cell are skipped, except between tabs
     reader = csv.reader(io.StringIO(text, newline=""), strict=True, delimiter=separator, skipinitialspace=loose)
     records, line = [], 1
     try:

@@ -8,10 +8,13 @@ import numpy as np
 
 from casadical.blind_check.mujoco_physics.plant import Array
 
-# Axes and origin of a body's frame.
+# Unit vector of a body's x axis, in its own frame.
 X = (1.0, 0.0, 0.0)
+# Unit vector of a body's y axis, in its own frame.
 Y = (0.0, 1.0, 0.0)
+# Unit vector of a body's z axis, in its own frame.
 Z = (0.0, 0.0, 1.0)
+# Origin of a body's frame [m].
 ORIGIN = (0.0, 0.0, 0.0)
 
 

@@ -112,7 +112,10 @@ def draw_stops(
 
 
 def in_column(joint: int, values: Array, joints: int = 6) -> Array:
-    """Return zeros, shape (n, joints), with ``values`` (n,) in the column of a joint."""
+    """Return zeros, shape (n, joints), with ``values`` (n,) in the column of a joint.
+
+    joint : 1-based
+    """
     columns = np.zeros((len(values), joints))
     columns[:, joint - 1] = values
     return columns
