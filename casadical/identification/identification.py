@@ -81,7 +81,7 @@ class Prepared(Shown):
 
     @property
     def compliant(self) -> Prepared | None:
-        """The same with compliance of all revolute joints in the model.
+        """This problem with compliance of all revolute joints in the model.
 
         None where the robot file declares a compliance, no joint is revolute, or an identification
         exists.
@@ -298,7 +298,7 @@ def calibrated_without_outliers(
 
 
 def with_compliance_if_supported(prepared: Prepared, progress: Progress | None = None) -> Prepared:
-    """Return the same, with undeclared compliance in the model if the measurements support it.
+    """Return the problem with undeclared compliance if its measurements support it.
 
     They do where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
     compliant model (Schwarz 1978; the degrees of freedom of the rigid model replace the number of

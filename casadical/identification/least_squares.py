@@ -164,7 +164,7 @@ class LeastSquares:
         The robot's own priors of base and tool only limit the search: they do not count.
         """
         known_before = {*self.given, *(n for names, _ in self.known for n in names)}
-        own = [p.group not in FRAME_GROUPS or p.name in known_before for p in self._own]
+        own = [p.group not in FRAME_GROUPS or p.name in known_before for p in self._free_parameters]
         return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
 
     @property
@@ -173,26 +173,26 @@ class LeastSquares:
         return self.priors if isinstance(self.priors, Mapping) else {}
 
     @cached_property
-    def _own(self) -> list[Parameter]:
+    def _free_parameters(self) -> list[Parameter]:
         """The free parameters."""
         return [self.robot.parameters[n] for n in self.names]
 
-    def _parameter(self, what: str) -> Array:
+    def _parameter_values(self, what: str) -> Array:
         """Return an attribute of the free parameters, shape (p,), in SI units if it is a value."""
-        return np.array([getattr(p, what) for p in self._own])
+        return np.array([getattr(p, what) for p in self._free_parameters])
 
     @cached_property
     def scale(self) -> Array:
         """Unit of each parameter's variable, shape (p,) [SI]."""
-        return self._parameter("scale")
+        return self._parameter_values("scale")
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds of v, shape (size,) each."""
         free = np.full(3 * len(self.labels), np.inf)
-        value = self._parameter("value")
-        lower = (self._parameter("lower") - value) / self.scale
-        upper = (self._parameter("upper") - value) / self.scale
+        value = self._parameter_values("value")
+        lower = (self._parameter_values("lower") - value) / self.scale
+        upper = (self._parameter_values("upper") - value) / self.scale
         return np.concatenate([lower, -free]), np.concatenate([upper, free])
 
     @cached_property
@@ -216,10 +216,10 @@ class LeastSquares:
     @cached_property
     def guesses(self) -> Array:
         """Mask of the free parameters whose own priors always apply, shape (p,)."""
-        return self._parameter("guess").astype(bool)
+        return self._parameter_values("guess").astype(bool)
 
     @cached_property
-    def _free(self) -> bool:
+    def _without_priors(self) -> bool:
         """Whether no prior applies to any variable."""
         return not (self.priors or self.known or self.guesses.any())
 
@@ -228,7 +228,7 @@ class LeastSquares:
 
         counted : True includes only the priors that count as information (see `_informed`)
         """
-        if self._free:
+        if self._without_priors:
             return 0.0
         departure = np.where(self._informed, v - self.prior_mean, 0.0) if counted else v - self.prior_mean
         return float(departure @ self.prior_matrix @ departure)
@@ -237,13 +237,13 @@ class LeastSquares:
     def prior_mean(self) -> Array:
         """Prior mean of each variable, shape (size,); zero, nominal, by the robot's own priors."""
         mean = np.zeros(self.size)
-        mean[: len(self.names)] = (self._prior[0] - self._parameter("value")) / self.scale
+        mean[: len(self.names)] = (self._prior[0] - self._parameter_values("value")) / self.scale
         return mean
 
     @cached_property
     def _prior(self) -> Array:
         """Mean and one sigma of each free parameter's prior, shape (2, p) [SI]."""
-        return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._own]).reshape(-1, 2).T
+        return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._free_parameters]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
         """Return the two parts of v: x, shape (p,), and u, shape (K, 3)."""
@@ -256,7 +256,11 @@ class LeastSquares:
         They are clipped to their bounds, which rounding may exceed.
         """
         x, _ = self.separate(v)
-        values = np.clip(self._parameter("value") + self.scale * x, self._parameter("lower"), self._parameter("upper"))
+        values = np.clip(
+            self._parameter_values("value") + self.scale * x,
+            self._parameter_values("lower"),
+            self._parameter_values("upper"),
+        )
         return dict(zip(self.names, values, strict=True))
 
     def solve(self, progress: Progress | None = None, start: Array | None = None) -> Solution:
@@ -308,14 +312,14 @@ class LeastSquares:
         return float(self.cache.cost(v, self._cost))
 
     def gradient(self, v: Array) -> tuple[Array, Array]:
-        """Gradient and Gauss-Newton Hessian of the cost at v, shapes (size,) and (size, size)."""
+        """Return gradient (size,) and Gauss-Newton Hessian (size, size) of the cost at v."""
         both: tuple[Array, Array] = self.cache.gradient(v, self._gradient)
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
         """Compute what `gradient` returns."""
         sums = self._sums(v)
-        if self._free:
+        if self._without_priors:
             return sums.gradient, sums.information
         P = self.prior_matrix
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P
@@ -364,7 +368,7 @@ class LeastSquares:
         return self._joined((k, r) for k, r, _ in self.parts(v)) if left is None else left
 
     def square(self, v: Array) -> float:
-        """Sum of the squares of all residuals, without the loss."""
+        """Return the sum of the squares of all residuals at v, without the loss."""
         return self._sums(v).square
 
     @staticmethod
@@ -439,7 +443,7 @@ class LeastSquares:
         x, u = self.separate(v)
         for k, block in enumerate(self.blocks):
             for some, r, J in block.parts(x, u):
-                yield k, r, self._widened(block, some, J)
+                yield k, r, self._by_all_variables(block, some, J)
         yield from self._separated(v)
 
     def _separated(self, v: Array) -> Iterator[_Part]:
@@ -450,7 +454,7 @@ class LeastSquares:
             both = ca.Function("separations", [w], [r_s, ca.densify(ca.jacobian(r_s, w))])(v)
             yield len(self.sets), both[0].full(), both[1].full()
 
-    def _widened(self, block: Block, some: slice, J: Array) -> Array:
+    def _by_all_variables(self, block: Block, some: slice, J: Array) -> Array:
         """Return the Jacobian of some poses of a block by all variables v, shape (n m, size).
 
         J : by (x, each pose's own point), shape (n, m, z)
@@ -560,7 +564,7 @@ class Linearised(LeastSquares):
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
-        """Return the same with other sigmas: coordinate [m] and angle [rad] for each set."""
+        """Return the linearised problem with other sigmas for each set: [m] and [rad]."""
         other = replace(self, sigmas=sigmas)
         other.cache.made.update(labels=self.labels, points=self.points)
         return other

@@ -132,7 +132,7 @@ class WideFit:
         """Return the fit with a repeatability ratio for each revolute joint."""
         if rhos not in self._last:
             self._last.clear()
-            self._last[rhos] = _at(rhos, self.poses, self.doubts)[0]
+            self._last[rhos] = _fit_at(rhos, self.poses, self.doubts)[0]
         return self._last[rhos]
 
     def log_likelihood(self, rhos: tuple[float, ...]) -> float:
@@ -140,7 +140,7 @@ class WideFit:
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
             # Four iterations suffice from the variances of another fit.
-            self._tried[rhos] = _at(rhos, self.poses, doubts, 4)[0].log_likelihood
+            self._tried[rhos] = _fit_at(rhos, self.poses, doubts, 4)[0].log_likelihood
         return self._tried[rhos]
 
 
@@ -159,13 +159,13 @@ def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
     n = len(poses)
     # Correlation is sought among consecutive poses (twelve parts) and among poses of one region of
     # the joint space.
-    parts = [_sums(rhos, poses, part)[0] for part in (np.arange(n) * min(12, n) // n, _by_region(poses.q))]
-    times = _misfit(parts, mean, best.s2, best.variance)
+    parts = [_normal_equations(rhos, poses, part)[0] for part in (np.arange(n) * min(12, n) // n, _by_region(poses.q))]
+    times = _misfit_factor(parts, mean, best.s2, best.variance)
     # A parameter with a prior counts by the share that the data determine (Hastie 1990). It is
     # computed again, for with few poses the last iteration of `posterior_of` still changed s2.
     M = scaled_inverse(best.sums.H / best.s2 + np.diag(1 / best.variance)) @ best.sums.H / best.s2
     fitted = float(2 * np.trace(M) - np.sum(M * M.T))
-    plain = _sums((0.0,) * poses.joints, poses)[0][0].moved(mean)
+    plain = _normal_equations((0.0,) * poses.joints, poses)[0][0].moved(mean)
     freedom = max(1.0, poses.count - fitted)
     return WideFit(robot, doubts, poses, best, times, _MM * float(np.sqrt(plain.square / freedom)), freedom)
 
@@ -236,16 +236,16 @@ def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
         best = at
         near = range(max(0, best - 1), min(len(REPEATABILITY_RATIOS), best + 2))
         rhos = {k: (REPEATABILITY_RATIOS[k],) * poses.joints for k in near if k not in tried}
-        tried |= {k: (each, *_at(each, poses, doubts)) for k, each in rhos.items()}
+        tried |= {k: (each, *_fit_at(each, poses, doubts)) for k, each in rhos.items()}
         at = near[first_of_best([tried[k][1].log_likelihood for k in near], logs=True)]
     return tried[best]
 
 
-def _at(
+def _fit_at(
     rhos: tuple[float, ...], poses: _Poses, doubts: UncertainParameters, rounds: int = EM_ITERATIONS
 ) -> tuple[NoiseFit, Array]:
-    """Return the fit with noise s2 (I + Jq Jq') and the posterior mean; Jq as in `_sums`."""
-    (sums,), spread = _sums(rhos, poses)
+    """Return the fit with noise s2 (I + Jq Jq') and the posterior mean; Jq as in `_normal_equations`."""
+    (sums,), spread = _normal_equations(rhos, poses)
     sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)
     root = np.sqrt(np.diag(S))
@@ -255,7 +255,9 @@ def _at(
     return NoiseFit(log_likelihood, sums, s2, variance), mean
 
 
-def _sums(rhos: tuple[float, ...], poses: _Poses, part: Array | None = None) -> tuple[list[NormalSums], float]:
+def _normal_equations(
+    rhos: tuple[float, ...], poses: _Poses, part: Array | None = None
+) -> tuple[list[NormalSums], float]:
     """Return normal equations over the poses, or over each part, and half the log determinant.
 
     The poses are whitened.
@@ -300,7 +302,7 @@ def misfit_of(found: Identification) -> float:
     return float(max(1.0, len(at) / np.sum(own * here)))
 
 
-def _misfit(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
+def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
     """Return the factor by which residuals of similar poses exceed independent noise, at least 1.
 
     The scores J'e over parts of the poses (consecutive ones, or ones with similar readings), with

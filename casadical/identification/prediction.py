@@ -11,10 +11,10 @@ Determination (2004), section 6.2.
 A robot may be built ten times better than its priors say, or half as well, which the data reveal:
 all departures of arm parameters from the drawing have the standard deviation of their priors times
 one unknown factor (size), those of base and tool, which a user placed, from the robot file by
-another. A size is log-normal about one (`SIZE_LOG_SIGMAS`), its
-posterior follows from the likelihood of the data with all parameters integrated out, and S is
-multiplied by the mean of its square: a hierarchical model; Gelman et al., Bayesian Data Analysis
-(2013), chapter 5. Covariances from other campaigns are not scaled.
+another. A size is log-normal about one (`SIZE_LOG_SIGMAS`), its posterior follows from the
+likelihood of the data with all parameters integrated out, and S is multiplied by the mean of its
+square: a hierarchical model; Gelman et al., Bayesian Data Analysis (2013), chapter 5. Covariances
+from other campaigns are not scaled.
 """
 
 from collections.abc import Iterator, Sequence

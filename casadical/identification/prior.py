@@ -106,7 +106,7 @@ class Prior(Shown):
                 "frozen: the prior's file does not say on which readings it was learnt ([learnt.readings]); use it as "
                 "a prior instead"
             )
-        if beyond := _shares(self.uncovered(sets)):
+        if beyond := _shares_in_words(self.uncovered(sets)):
             raise InputError(
                 f"frozen: poses outside of the ranges that {self.knowledge.campaign or 'the prior'} covers: {beyond}; "
                 "frozen values are allowed inside these ranges only: use them as a prior instead"
@@ -142,7 +142,7 @@ class Prior(Shown):
             else f"variances widened {PRIOR_VARIANCE_FACTOR:g} times and by {100 * CHANGE_SIGMA_OF_SCALE:g} % of the "
             "usual size of each."
         )
-        if beyond := _shares(self.uncovered(sets)):
+        if beyond := _shares_in_words(self.uncovered(sets)):
             return f"{text} Poses outside of the ranges that it covers: {beyond}."
         covered = " These poses lie in the ranges that it covers: --frozen would take the values as they are."
         return text + (covered if len(self.knowledge.readings) else "")
@@ -153,7 +153,7 @@ class Prior(Shown):
         return {**plain(self), "same_data": self.learnt_from(sets), "uncovered": uncovered}
 
 
-def _shares(uncovered: Mapping[str, float]) -> str:
+def _shares_in_words(uncovered: Mapping[str, float]) -> str:
     """Return the shares of uncovered poses as text."""
     return ", ".join(f"{name} {100 * share:.3g} %" for name, share in uncovered.items() if share > 0)
 
@@ -171,7 +171,7 @@ def carry_over(
     covariance.
     """
     refuse_another(robot, other, "prior")
-    effects = _chosen(other, parts)
+    effects = _chosen_effects(other, parts)
     labels = tuple(e.label for e in effects)
     whole = "all" in parts
     knowledge = other.knowledge or Knowledge()
@@ -195,13 +195,13 @@ def carry_over(
     sizes = {p.name: p.scale for p in taken}
     blocks = (block.only(sizes) for block in knowledge.covariance)
     wider = (1.0, 0.0) if knowledge.robots else (PRIOR_VARIANCE_FACTOR, CHANGE_SIGMA_OF_SCALE)
-    known = tuple((block.names, _widened(block, sizes, *wider)) for block in blocks if block.names)
+    known = tuple((block.names, _widened_covariance(block, sizes, *wider)) for block in blocks if block.names)
     errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
     return model, Prior(tuple(means), means, known, labels, knowledge)
 
 
-def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
+def _widened_covariance(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
     """Return the covariance with which the next campaign starts.
 
     block : of the last one; sizes : scale of each parameter [SI]; times : factor on the variances;
@@ -215,7 +215,7 @@ def _widened(block: Covariance, sizes: Mapping[str, float], times: float, share:
     return times * block.matrix + np.diag(change**2)
 
 
-def _chosen(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
+def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
     """Return the effects that were asked for. Raises InputError."""
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
     effects = lasting if {"effects", "all"} & set(parts) else []
@@ -253,7 +253,7 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
     lengths = [p.value / values[p.name] for p in same if p.unit == "m" and values.get(p.name) and p.value]
     ratio = float(np.median(lengths)) if lengths else 1.0
     for p in same:
-        if p.name not in values or abs(_apart(p, values[p.name])) > p.upper - p.value:
+        if p.name not in values or abs(_difference(p, values[p.name])) > p.upper - p.value:
             theirs = f"{p.readable(values[p.name]):.6g}" if p.name in values else "missing"
             why = "it is another robot, or in another convention (modified, standard) or with other zeros of the joints"
             if max(ratio, 1 / ratio) > 900:
@@ -265,7 +265,7 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
             )
 
 
-def _apart(p: Parameter, value: float) -> float:
+def _difference(p: Parameter, value: float) -> float:
     """Return another value minus a parameter's; for angles without whole turns."""
     apart = value - p.value
     return float((apart + np.pi) % (2 * np.pi) - np.pi) if p.unit == "rad" else apart

@@ -263,8 +263,7 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and building it is
-    # fast relative to its solve.
+    # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB and is built quickly.
     kept = len(lower) <= 100
     ipopt = (_solvers.of if kept else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []

@@ -58,7 +58,7 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
 
 
 def undetermined_at_start(robot: Robot, sets: Sequence[Measurements]) -> Iterator[str]:
-    """Yield the same before an identification.
+    """Yield what these sets cannot determine, before an identification; see `undetermined`.
 
     Unknown points are where the robot, with base and tool placed, has them.
     """

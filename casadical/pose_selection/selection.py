@@ -156,10 +156,7 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def jacobian(self) -> Array:
-        """Scaled Jacobian of all poses, measured ones last, shape (n, 3, p).
-
-        It is in mm per unit of scale.
-        """
+        """Scaled Jacobian, shape (n, 3, p) [mm per unit of scale], measured poses last."""
         return np.concatenate([scaled_jacobian(self.robot, self.names, m) for m in self._sets])
 
     @cached_property

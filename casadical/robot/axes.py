@@ -119,7 +119,7 @@ def _row_and_next(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint
 
 
 def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """Return the same by the common normal of the z axis and the line p + t z."""
+    """Return row and next row by the common normal of the z axis and the line p + t z."""
     sine, cosine = np.hypot(z[0], z[1]), z[2]
     normal = np.array([-z[1], z[0], 0.0]) / sine
     a = p @ normal
@@ -135,7 +135,7 @@ def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
 
 
 def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """Return the same for a line p + t z nearly parallel to the z axis.
+    """Return row and next row for a line p + t z nearly parallel to the z axis.
 
     It uses the point where the line meets the x-y plane.
     """

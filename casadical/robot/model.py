@@ -56,7 +56,7 @@ class Expressions:
 
     @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
     def mapped(self, *outputs: str) -> MappedFunction:
-        """Return the same over many poses: (q, w) of each, (phi, constants) shared.
+        """Return the outputs as a function of many poses: (q, w) of each, (phi, constants) shared.
 
         Gravity torques are those at phi.
         """

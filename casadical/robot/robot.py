@@ -118,7 +118,7 @@ class Knowledge:
         }
 
     def without(self, names: Iterable[str]) -> Knowledge:
-        """Return the same without the covariance of some parameters."""
+        """Return the knowledge without the covariance of some parameters."""
         gone = set(names)
         blocks = (block.only(set(block.names) - gone) for block in self.covariance)
         return replace(self, covariance=tuple(block for block in blocks if block.names))
