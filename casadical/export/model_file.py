@@ -127,9 +127,9 @@ def robot_model(
         else:
             made = moving_mjcf(robot) if has_motion_parameters(robot) else mjcf(robot)
         omitted = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
-        told = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in omitted))
-        kept = {"robot": robot.name, "written": list(made.written), "left_out": list(omitted)}
-        return RobotModel(made.text, told, kept, f"{robot.name}, {robot.n} joints")
+        sentences = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in omitted))
+        data = {"robot": robot.name, "written": list(made.written), "left_out": list(omitted)}
+        return RobotModel(made.text, sentences, data, f"{robot.name}, {robot.n} joints")
     if form == "actuators":
         robot = robot_to_write(source)
         drives = actuators_of(robot)
@@ -233,6 +233,6 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
             "--to mjcf` keeps the springs"
         )
     name = into[0].name if into else None
-    kept = {"robot": robot.name, "into": name, "left_out": list(omitted), "mean_errors": figures}
+    data = {"robot": robot.name, "into": name, "left_out": list(omitted), "mean_errors": figures}
     about = f"{robot.name}, {robot.n} joints" + (f", after {name}" if name else "")
-    return RobotModel(text, tuple(lines), kept, about)
+    return RobotModel(text, tuple(lines), data, about)

@@ -35,9 +35,9 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
                 line += f"; {_UNKNOWN_LOSS} {name}"
             else:
                 parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
-                mean, most = displacement_without(robot, [f"{omission.label}.{part}" for part in parts])
+                mean, largest = displacement_without(robot, [f"{omission.label}.{part}" for part in parts])
                 known = robot.knowledge and len(robot.knowledge.readings)
-                line += f"; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most"
+                line += f"; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * largest:.4f} mm at most"
                 line += f" over the {'learnt range' if known else 'range of the joints'}"
             refused.append(line)
         lines.append(line)
@@ -62,8 +62,10 @@ def rigid_omissions(robot: Robot) -> tuple[str, ...]:
     if not names:
         return ()
     unknown = {e.label: name for e in robot.effects if not e.of_measurement and (name := _without_range(robot, [e]))}
-    mean, most = distance_from_rigid(robot.with_only(e for e in robot.effects if e.label not in unknown))
-    off = f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * most:.4f} mm at most, by the model"
+    mean, largest = distance_from_rigid(robot.with_only(e for e in robot.effects if e.label not in unknown))
+    off = (
+        f"without them the point is off by {1e3 * mean:.4f} mm on average, {1e3 * largest:.4f} mm at most, by the model"
+    )
     lines = [f"{', '.join(n for n in names if n not in unknown)}: {off}"] if len(names) > len(unknown) else []
     return (*lines, *(f"{label}: {_UNKNOWN_LOSS} {name}" for label, name in unknown.items()))
 
@@ -103,8 +105,8 @@ def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
 
     Approach directions, progress and payload need no range; see `_drawn`.
     """
-    known = robot.knowledge.conditions if robot.knowledge else {}
-    names = (name for e in effects for name in e.conditions if name not in known)
+    ranges = robot.knowledge.conditions if robot.knowledge else {}
+    names = (name for e in effects for name in e.conditions if name not in ranges)
     return next((name for name in names if not name.startswith(("approach", "progress", "payload_kg"))), "")
 
 
@@ -136,8 +138,8 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 def _poses(robot: Robot) -> tuple[Array, Array]:
     """Return random readings q (k, n) [rad or m] and conditions w (k, m) in the learnt range."""
     rng = np.random.default_rng(0)
-    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
-    lower, upper = known.T if len(known) else robot.limits
+    ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    lower, upper = ranges.T if len(ranges) else robot.limits
     q = rng.uniform(lower, upper, (SAMPLED_POSES, robot.n))
     columns = [_drawn(robot, k, rng) for k in range(len(robot.conditions))]
     w = np.column_stack(columns or [np.zeros((SAMPLED_POSES, 0))])

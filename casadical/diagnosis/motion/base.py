@@ -202,31 +202,31 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
     ones = np.ones((n, arm.joints))
     fast = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9
     slip = next(iter(m.memory.values()))
-    known = {
+    variables = {
         "q": m.q, "v": m.v, "a": m.a, "speed": m.v / fast, "slip": slip, "load": model / peak_torque,
         "turned": (m.q - m.q.mean(axis=0)) / (np.abs(m.q - m.q.mean(axis=0)).max(axis=0) + 1e-9),
         "time": m.time[:, None] * ones, "t": (m.time / m.time[-1])[:, None] * ones, "run": m.run[:, None] * ones,
         "side": np.tanh(20 * (model if m.torque is None else torque) / peak_torque), "rest": m.rest,
     }  # fmt: skip
-    known["inertia"] = arm.rotor * m.a / peak_torque
+    variables["inertia"] = arm.rotor * m.a / peak_torque
     if m.torque is not None:  # the model's torque, as the measured one would explain its own noise
-        known["tau"] = known["load"] + known["inertia"]
+        variables["tau"] = variables["load"] + variables["inertia"]
     if m.heat is not None:
-        known["heat"] = m.heat
+        variables["heat"] = m.heat
     if arm.gear_ratio is not None:
-        known["motor"] = arm.gear_ratio * m.q
+        variables["motor"] = arm.gear_ratio * m.q
     if m.command is not None:
         assert m.command_v is not None
         assert m.command_a is not None
-        known |= {"command_speed": m.command_v, "command_acceleration": m.command_a}
+        variables |= {"command_speed": m.command_v, "command_acceleration": m.command_a}
     kg = UNDECLARED_PAYLOAD_SHARE * float(arm.inertial[::10].sum())
     for k, name in enumerate(("mass", "mass_x", "mass_y", "mass_z")):
-        known[name] = kg * (PAYLOAD_LEVER_M if k else 1.0) * Y[:, :, 10 * arm.joints - 10 + k] / peak_torque
+        variables[name] = kg * (PAYLOAD_LEVER_M if k else 1.0) * Y[:, :, 10 * arm.joints - 10 + k] / peak_torque
     for name, of in (("limit", m.torque), ("speed_limit", m.v)):
         if of is not None:
             at = np.sign(of) * (np.abs(of) > LIMIT_SHARE * np.abs(of).max(axis=0))
-            known |= {f"at_{name}": at, f"after_{name}": m.by_run(lambda u: lagged(u, AFTER_LIMIT_S, m.step), at)}
-    return known
+            variables |= {f"at_{name}": at, f"after_{name}": m.by_run(lambda u: lagged(u, AFTER_LIMIT_S, m.step), at)}
+    return variables
 
 
 def base_columns(log_view: LogView) -> list[BaseColumn]:

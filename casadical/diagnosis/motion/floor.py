@@ -95,15 +95,15 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     if not up_of(dynamics).any():
         return None
     floor = Floor(dynamics)
-    there, said = floor.above(read), floor.above(replayed)
+    read_heights, replayed_heights = floor.above(read), floor.above(replayed)
     # From the lower quartile, as many samples may be in contact with a surface.
-    sigma = float(np.quantile(np.abs(there - said), 0.25)) / 0.3186 + MIN_HEIGHT_NOISE_M
+    sigma = float(np.quantile(np.abs(read_heights - replayed_heights), 0.25)) / 0.3186 + MIN_HEIGHT_NOISE_M
 
     def cost(heights: Array) -> float:
-        wide = np.sqrt(1 + ((there - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
+        wide = np.sqrt(1 + ((read_heights - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
         return INDEPENDENT_SAMPLE_SHARE * OUTLIER_SIGMAS**2 * float(wide.sum())
 
-    tried = there.min() + np.arange(0.0, MAX_HEIGHT_ABOVE_LOWEST_M, HEIGHT_STEP_M)
-    costs = np.array([cost(np.maximum(said, height)) for height in tried])
+    tried = read_heights.min() + np.arange(0.0, MAX_HEIGHT_ABOVE_LOWEST_M, HEIGHT_STEP_M)
+    costs = np.array([cost(np.maximum(replayed_heights, height)) for height in tried])
     best = first_of_best(-costs, logs=True)
-    return Floor(dynamics, float(tried[best])) if cost(said) - costs[best] > MIN_FLOOR_EVIDENCE else None
+    return Floor(dynamics, float(tried[best])) if cost(replayed_heights) - costs[best] > MIN_FLOOR_EVIDENCE else None

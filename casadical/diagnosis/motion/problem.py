@@ -226,13 +226,13 @@ class MotionCase:
 
     def among(self, labels: Collection[str]) -> MotionCase:
         """Return the case with some of the candidates only."""
-        kept = [k for k, c in enumerate(self.candidates) if c.label in labels]
-        own = [i for i, (k, _) in enumerate(self.variants) if k in kept]
+        selected = [k for k, c in enumerate(self.candidates) if c.label in labels]
+        own = [i for i, (k, _) in enumerate(self.variants) if k in selected]
         columns = np.sort(np.concatenate([self.groups[i] for i in own]))
         return replace(
             self,
-            candidates=tuple(self.candidates[k] for k in kept),
-            variants=tuple((kept.index(self.variants[i][0]), self.variants[i][1]) for i in own),
+            candidates=tuple(self.candidates[k] for k in selected),
+            variants=tuple((selected.index(self.variants[i][0]), self.variants[i][1]) for i in own),
             groups=tuple(np.searchsorted(columns, self.groups[i]) for i in own),
             E=self.E.only(columns),
         )
@@ -299,12 +299,12 @@ def _row_noise(residual: Array, first: Array, floor: Array, trust: Array) -> tup
 
 
 def motion_case(
-    log_views: Sequence[LogView], known: Mapping[tuple[str, int, bool], float] | None = None,
+    log_views: Sequence[LogView], reference_coefficients: Mapping[tuple[str, int, bool], float] | None = None,
     chosen: Sequence[Cause] | None = None,
 ) -> MotionCase:  # fmt: skip
     """Return the problem of a log, with a reference appended to it if there are two views.
 
-    known : coefficients of the base of the reference alone (see `coefficients`)
+    reference_coefficients : coefficients of the base of the reference alone (see `coefficients`)
     chosen : causes that are candidates; None: no candidates
     """
     log = log_views[0]
@@ -316,7 +316,7 @@ def motion_case(
     for at, one in enumerate(log_views):
         bodies[ends[at] : ends[at + 1], : log.arm.joints] = body_columns(one)
         base = base_columns(one)
-        for part in base + daily_changes(base, known) if known and not at else base:
+        for part in base + daily_changes(base, reference_coefficients) if reference_coefficients and not at else base:
             own = part.kind.startswith("before") and at > 0
             key = (f"{part.kind}, reference", *part.key[1:]) if own else part.key
             values = columns.setdefault(key, (part, np.zeros((ends[-1], rows))))[1]
@@ -392,22 +392,26 @@ def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
     return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
 
 
-def daily_changes(base: Sequence[BaseColumn], known: Mapping[tuple[str, int, bool], float]) -> list[BaseColumn]:
+def daily_changes(
+    base: Sequence[BaseColumn], reference_coefficients: Mapping[tuple[str, int, bool], float]
+) -> list[BaseColumn]:
     """Return columns for the difference of a base from that of the reference's day.
 
     They are each joint's friction in groups, and a small change of the other columns.
     """
     parts: list[BaseColumn] = []
-    whole: dict[tuple[str, int], Array] = {}
+    group_columns: dict[tuple[str, int], Array] = {}
     for p in base:
         if not p.kind.startswith(UNCHANGED_KINDS):
             size = DAILY_SERVO_SHARE * p.size if p.response else min(DAILY_SIGMAS.get(p.kind, MAX_DAILY_SIGMA), p.size)
             parts.append(replace(p, kind=f"{p.kind}, today", size=size))
         for name, kinds in FRICTION_GROUPS.items():
             if p.kind.startswith(kinds) and not p.response:
-                whole[name, p.joint] = whole.get((name, p.joint), 0.0) + known.get(p.key, 0.0) * p.samples
+                group_columns[name, p.joint] = (
+                    group_columns.get((name, p.joint), 0.0) + reference_coefficients.get(p.key, 0.0) * p.samples
+                )
     return parts + [
-        BaseColumn(f"{name}, today", j, DAILY_FRICTION_SHARE, samples) for (name, j), samples in whole.items()
+        BaseColumn(f"{name}, today", j, DAILY_FRICTION_SHARE, samples) for (name, j), samples in group_columns.items()
     ]
 
 

@@ -191,10 +191,10 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     Raises InputError: logs without commands or without a run of two seconds.
     """
     show("response of each joint")
-    own, kept = ([run for log in each for run in log.runs()] for each in (logs, withheld))
-    if kept or len(own) == 1:
-        (response,), runs = fitted(robot, own), kept or own
-        return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(kept))
+    own, withheld_runs = ([run for log in each for run in log.runs()] for each in (logs, withheld))
+    if withheld_runs or len(own) == 1:
+        (response,), runs = fitted(robot, own), withheld_runs or own
+        return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(withheld_runs))
     folds = min(WITHHELD_FOLDS, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
     response, *others = fitted(robot, *parts)
@@ -259,14 +259,14 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
     """Return the 10 to 90 % band of friction over speed, and the identified friction curve."""
     v, torque = replay.friction_samples
     v, torque = v[:, j], torque[:, j]
-    most = float(np.quantile(np.abs(v), 0.99)) + 1e-6
-    edges = np.linspace(-most, most, SPEED_BINS + 1)
+    largest = float(np.quantile(np.abs(v), 0.99)) + 1e-6
+    edges = np.linspace(-largest, largest, SPEED_BINS + 1)
     parts = [torque[(v >= a) & (v < b)] for a, b in pairwise(edges)]
     kept = [k for k, part in enumerate(parts) if len(part) >= MIN_SAMPLES_PER_BIN]
     middle = (edges[1:] + edges[:-1])[kept] / 2
     low, high = (np.array([np.quantile(parts[k], share) for k in kept]) for share in (0.1, 0.9))
     r = replay.response
-    ends = np.array([-most, -1e-9, 1e-9, most])
+    ends = np.array([-largest, -1e-9, 1e-9, largest])
     law = r.friction[j] * np.sign(ends) + r.damping[j] * ends
     place: dict[str, Any] = {"panel": panel, "listed": not panel}
     return [
@@ -278,11 +278,11 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
 def _maps(replay: Replay) -> Iterator[Figure]:
     """Yield maps of each joint's rms error over time, before and after, on one scale."""
     time, cells = replay.by_time()
-    most = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
+    largest = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
     joints = replay.runs[0].joints
     for what, values in cells.items():
         yield Figure(
             f"replay/map/{what}", f"Where and when the readings are off, {what} [mrad rms, one scale]",
-            [Series("map", time.round(1), list(range(len(joints))), (1e3 * values.T).round(2), size=most)],
+            [Series("map", time.round(1), list(range(len(joints))), (1e3 * values.T).round(2), size=largest)],
             x=Axis("time, run by run [s]"), rows=joints, height=90 + 28 * len(joints),
         )  # fmt: skip

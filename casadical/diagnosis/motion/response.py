@@ -226,16 +226,16 @@ def simulated(
     keeps, gives = 2 * inertia / step, 1 / (2 * inertia / step + lag + step / 2)
     shape = np.broadcast_shapes(start.shape, gives.shape)
     out, q, v = np.empty((1 + steps, *shape)), np.broadcast_to(start, shape).astype(float), np.zeros(shape)
-    pushed, held, least = 0.0, np.empty(shape), -friction
+    pushed, resisted, lower = 0.0, np.empty(shape), -friction
 
     def slid(push: Array) -> Array:
         """Turn torques over the gain, `push`, in place into the mean joint velocities of a step.
 
         Dry friction takes off up to its limit.
         """
-        np.minimum(push, friction, out=held)
-        np.maximum(held, least, out=held)
-        push -= held
+        np.minimum(push, friction, out=resisted)
+        np.maximum(resisted, lower, out=resisted)
+        push -= resisted
         push *= gives
         return push
 
@@ -345,7 +345,7 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
 
     The surface is the one found in the logs, or else the one that the drives declare, or None.
     """
-    free, known = Floor(dynamics), (dynamics.given.drive or Drive()).floor
+    free, declared = Floor(dynamics), (dynamics.given.drive or Drive()).floor
     heights = [free.above(p.position) for p in problems]
 
     def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, Array]:
@@ -372,7 +372,7 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     if floors:
         x |= solved({k: heights[k] > floor.height + CONTACT_MARGIN_M for k, floor in floors.items()}, x)
         floors = {k: surface(k) or floor for k, floor in floors.items()}
-    usual = None if known is None else Floor(dynamics, known)
+    usual = None if declared is None else Floor(dynamics, declared)
     return [(x[k], floors.get(k, usual)) for k in x]
 
 
@@ -481,8 +481,8 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
     # Drives identified from an earlier log are the prior means; joints that do not move keep them.
     yields = np.exp(middle[:, 0])
     for k, name in ((2, "friction"), (3, "damping"), (1, "bias")):
-        if (known := drive.of_joints(name, n)) is not None:
-            middle[:, k] = known * yields if k == 1 else np.log(np.maximum(known * yields, 1e-6))
+        if (declared := drive.of_joints(name, n)) is not None:
+            middle[:, k] = declared * yields if k == 1 else np.log(np.maximum(declared * yields, 1e-6))
     light = heavy < LIGHT_LOAD_SHARE * heavy.max()
     width = np.tile(
         [

@@ -164,10 +164,10 @@ class LogDiagnosis(Result):
     def _gap_table(self) -> Table:
         """Return the table of each joint's residuals, and of where they are largest."""
         nominal, before, after = self.gap()
-        (_, kept), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
+        (_, held_out), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
         factor = 1.0 if self.outcome.case.unit else 1e3
         rows = [
-            (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, kept)), self._where(j))
+            (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, held_out)), self._where(j))
             for j, name in enumerate(self.log.joints[: self.arm.joints])
         ]
         title = f"Residual of each joint, rms [{unit}]: model alone, usual friction, with the causes, runs left out"
@@ -206,10 +206,10 @@ class LogDiagnosis(Result):
     @cached_property
     def figures(self) -> dict[str, Any]:
         """Return the rms errors of the whole log and of each joint."""
-        (nominal, before, after), kept = self.gap(), self.gap_unfitted()
+        (nominal, before, after), held_out = self.gap(), self.gap_unfitted()
         total = {"before": np.sqrt((before**2).mean()), "after": np.sqrt((after**2).mean())}
         names = ("joint", "model", "usual", "after", "usual_left_out", "after_left_out")
-        each = zip(self.log.joints, nominal, before, after, *kept, strict=False)
+        each = zip(self.log.joints, nominal, before, after, *held_out, strict=False)
         return {
             "gap": {**total, "unit": self.outcome.case.unit or "rad"},
             "joints": [dict(zip(names, row, strict=True)) for row in each],
@@ -290,8 +290,8 @@ def diagnose_log(
     """
     show("signals and rigid bodies")
     log_views = log_views_of(robot, log, reference, healthy)
-    known = coefficients(motion_case(log_views[1:])) if len(log_views) > 1 else None
-    outcome = search(motion_case(log_views, known, [*motion_effects().values(), *own]))
+    reference_coefficients = coefficients(motion_case(log_views[1:])) if len(log_views) > 1 else None
+    outcome = search(motion_case(log_views, reference_coefficients, [*motion_effects().values(), *own]))
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", log_views[0].arm

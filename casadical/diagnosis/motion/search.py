@@ -97,10 +97,10 @@ class Found:
         )
         # Given another cause of its joint or of the arm, it must gain a fifth of that one's
         # evidence, as an equation that is only roughly right leaves about as much where it acts.
-        great = self.gain >= max(MIN_NAMED_EVIDENCE, 0.2 * self.before)
+        clear = self.gain >= max(MIN_NAMED_EVIDENCE, 0.2 * self.before)
         either = self.label.startswith(ONE_DIRECTION_CAUSES) or min(self.ways, default=1.0) > 0
         large = self.share >= (1.0 if "@" in self.label else ARM_VISIBLE_SHARE)
-        return self.listed and large and great and either and alone and self.confirmed
+        return self.listed and large and clear and either and alone and self.confirmed
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +181,7 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
     """
     folds, P = folds_of(case, local=local), case.base.shape[2]
     parts = np.unique(folds[case.of_log])
-    errors, whole = [], []
+    errors, fitted_costs = [], []
     for columns in (chosen, np.union1d(chosen, own)):
         few = case.only(columns)
         fit = new_fit(few.white, np.arange(len(columns)), UNIT_NOISE, combined=False)
@@ -190,8 +190,8 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
             float((fit.residual(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
             for k, x in zip(parts, others, strict=True)
         ])  # fmt: skip
-        whole.append((fit.residual(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
-    return tuple(a - b for a, b in zip(*errors, strict=True)), whole[0] - whole[1]
+        fitted_costs.append((fit.residual(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
+    return tuple(a - b for a, b in zip(*errors, strict=True)), fitted_costs[0] - fitted_costs[1]
 
 
 def search(case: MotionCase) -> Outcome:
@@ -215,9 +215,9 @@ def search(case: MotionCase) -> Outcome:
         ranking, case = _with_renewed_noise(case, found, ranking)
         rankings = (*rankings[:-1], ranking)
         one = next_cause(case, found, ranking)
-        least = MIN_LISTED_EVIDENCE if one.listed else MIN_UNLISTED_EVIDENCE
-        least = MIN_LOCAL_EVIDENCE if case.by_label[one.label].name == "contact" else least
-        if one.gain < max(least * (1.0 if case.unit else NO_TORQUE_FACTOR), SETTINGS.max_flaw * one.before):
+        threshold = MIN_LISTED_EVIDENCE if one.listed else MIN_UNLISTED_EVIDENCE
+        threshold = MIN_LOCAL_EVIDENCE if case.by_label[one.label].name == "contact" else threshold
+        if one.gain < max(threshold * (1.0 if case.unit else NO_TORQUE_FACTOR), SETTINGS.max_flaw * one.before):
             return Outcome(case, last, found, rankings)
         if one.share >= 1 and not one.named:
             there = 1 - ranking.none

@@ -186,14 +186,14 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         windows.append(at + size * np.arange(count)[:, None] + np.arange(size))
         first.append(np.arange(count) == 0)
         at += len(part["time"])
-    whole = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
-    memory = {w: whole.pop(f"memory {w}") for w in widths}
-    if "heat" in whole:
-        whole["heat"] = whole["heat"] - whole["heat"].min(axis=0)
+    signals = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
+    memory = {w: signals.pop(f"memory {w}") for w in widths}
+    if "heat" in signals:
+        signals["heat"] = signals["heat"] - signals["heat"].min(axis=0)
     steps_of = np.abs(np.diff(log.position, axis=0))
     smallest = np.where(steps_of > MIN_QUANTUM_RAD, steps_of, np.inf).min(axis=0)
     return Motion(
-        **whole,
+        **signals,
         memory=memory,
         quantum=np.where(np.isfinite(smallest), smallest, MIN_QUANTUM_RAD),
         windows=np.concatenate(windows),
@@ -207,9 +207,9 @@ def _with_delayed_commands(run: JointLog, arm: Arm) -> JointLog:
         return run
     delayed = np.array(run.command)
     for c, d in zip(delayed.T, arm.delay, strict=True):
-        known = np.isfinite(c)
-        if known.any():
-            c[:] = np.interp(run.time - d, run.time[known], c[known])
+        finite = np.isfinite(c)
+        if finite.any():
+            c[:] = np.interp(run.time - d, run.time[finite], c[finite])
     return replace(run, command=delayed)
 
 
@@ -234,7 +234,7 @@ def _run(
     if len(t) < 2.0 / max(step, 1e-9):
         return None
     edge, every = int(EXCLUDED_EDGE_S / step), max(1, round(1 / (step * MAX_RATE_HZ)))
-    kept = slice(edge, len(t) - edge, every)
+    samples = slice(edge, len(t) - edge, every)
 
     def smooth(values: Array) -> Array:
         return smoothed(resampled(values, run.time, t), smoothing_kernel(step))
@@ -260,7 +260,7 @@ def _run(
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
     # A joint has not moved yet while it is within 5e-3 rad of where the run began.
     signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < 5e-3, axis=0) * 1.0
-    return {"time": t[kept] - t[0], **{k: values[kept] for k, values in signals.items()}}
+    return {"time": t[samples] - t[0], **{k: values[samples] for k, values in signals.items()}}
 
 
 def resampled(values: Array, time: Array, t: Array) -> Array:
@@ -337,10 +337,10 @@ def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
     n = torque.shape[1]
     kp, kd, ki = arm.kp, np.zeros(n) if arm.kd is None else arm.kd, np.zeros(n) if arm.ki is None else arm.ki
     e, out = np.array(start), np.empty_like(torque)
-    held = np.where(ki > 0, torque[0] - kp * start, 0.0)
+    integral = np.where(ki > 0, torque[0] - kp * start, 0.0)
     for k, now in enumerate(torque):
-        e = (now - held + kd / step * e) / (kd / step + kp + ki * step)
-        held = held + ki * step * e
+        e = (now - integral + kd / step * e) / (kd / step + kp + ki * step)
+        integral = integral + ki * step * e
         out[k] = e
     return out
 

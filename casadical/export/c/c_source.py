@@ -233,8 +233,8 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
 def functions(program: TapeProgram) -> dict[str, Any]:
     """Return the exported functions of joint readings by name, each as its NumPy reference."""
-    known: dict[str, Any] = {} if program.network is None else {program.network.key: network}
-    return known | ({"forward": forward, "correct": correct} if program.command is not None else {})
+    exported: dict[str, Any] = {} if program.network is None else {program.network.key: network}
+    return exported | ({"forward": forward, "correct": correct} if program.command is not None else {})
 
 
 def _self_test(program: TapeProgram, values: dict[str, str]) -> str:

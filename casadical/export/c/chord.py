@@ -151,8 +151,8 @@ class _PositionFirst(_Step):
         first = casadi.mtimes(J[:3, :].T, _solved(L, inverse, r[:3]))
         rest = r[3:] - casadi.mtimes(J[3:, :], first)
         moved = first + casadi.mtimes(casadi.reshape(parts[3], n, 3), _solved(M, inverse_o, rest))
-        left = r[:3] if self.reached == 3 else casadi.mtimes(J[:3, :], moved)
-        return moved, casadi.sumsqr(casadi.vertcat(left, casadi.mtimes(J[3:, :], moved)))
+        position_error = r[:3] if self.reached == 3 else casadi.mtimes(J[:3, :], moved)
+        return moved, casadi.sumsqr(casadi.vertcat(position_error, casadi.mtimes(J[3:, :], moved)))
 
     @staticmethod
     def _projected(Jp: SX, L: SX, inverse: SX, v: SX) -> SX:

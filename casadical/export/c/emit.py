@@ -32,8 +32,8 @@ def _short() -> dict[str, str]:
 
     Each template follows a line `==== NAME`.
     """
-    whole = "".join(_read(f"parts.{language}") for language in ("c", "h", "st"))
-    return dict(part.split("\n", 1) for part in whole.split("==== ")[1:])
+    text = "".join(_read(f"parts.{language}") for language in ("c", "h", "st"))
+    return dict(part.split("\n", 1) for part in text.split("==== ")[1:])
 
 
 def _read(file: str) -> str:

@@ -37,13 +37,13 @@ class NumpyFunctions:
     def sincos(self, x: Array) -> tuple[Array, Array]:
         """Return sine and cosine of angles x [rad], |x| up to `ANGLE_LIMIT`."""
         T, c = self.T, self.c
-        whole = np.trunc(x * T(c.two_over_pi) + T(1024.5))
-        k = whole - T(1024)
+        count = np.trunc(x * T(c.two_over_pi) + T(1024.5))
+        k = count - T(1024)
         r = (x - k * T(c.half_pi[0])) - k * T(c.half_pi[1])
         z = r * r
         s = r + (r * z) * self._poly(c.sin, z)
         co = (T(1) - T(0.5) * z) + (z * z) * self._poly(c.cos, z)
-        q = whole.astype(np.int64) & 3
+        q = count.astype(np.int64) & 3
         sin, cos = np.where(q & 1, co, s), np.where(q & 1, s, co)
         return np.where(q & 2, -sin, sin), np.where((q + 1) & 2, -cos, cos)
 
@@ -267,12 +267,12 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
     """Return rows of v scaled so that no entry exceeds `limit`, and which rows were scaled."""
-    most = np.zeros(len(v), v.dtype)
+    largest = np.zeros(len(v), v.dtype)
     for i in range(v.shape[1]):
         magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
-        most = np.where(magnitude > most, magnitude, most)
-    beyond = most > limit
-    scaled = v * (limit / np.where(beyond, most, limit))[:, None]
+        largest = np.where(magnitude > largest, magnitude, largest)
+    beyond = largest > limit
+    scaled = v * (limit / np.where(beyond, largest, limit))[:, None]
     low = np.where(scaled > -limit, scaled, -limit)
     return np.where(low < limit, low, limit), beyond
 

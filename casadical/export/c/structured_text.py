@@ -139,10 +139,10 @@ def _list(values: Iterable[float], real: Real) -> str:
 
 def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
     """Return the function block that evaluates the operations, with a CASE branch for each kind."""
-    known = list(dict.fromkeys(plan.operations))
+    kinds = list(dict.fromkeys(plan.operations))
     arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
-    for code, op in enumerate(known):
+    for code, op in enumerate(kinds):
         if op in _SIMPLE_STATEMENTS:
             body = _SIMPLE_STATEMENTS[op]
         else:
@@ -161,7 +161,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
         cases += filled(template("case.st"), mine | {"body": body})
     scalars.setdefault(values["kind"], {})["x"] = None
     variables = [*arrays, *(f"    {', '.join(names)} : {of};\n" for of, names in scalars.items())]
-    tables = _array("operation", "INT", (str(known.index(op)) for op in plan.operations))
+    tables = _array("operation", "INT", (str(kinds.index(op)) for op in plan.operations))
     tables += _array("constant", values["kind"], (number(v, real) for v in plan.constants)) if plan.constants else ""
     for name, entries in (("start", plan.starts), ("first", plan.first), ("second", plan.second)):
         tables += _array(name, values["index"], map(str, entries))

@@ -101,8 +101,8 @@ class _Builder:
             return _COMPOSED_OPERATIONS[name](self, *args)
         if name not in _EQUAL_OPERATIONS:
             return None
-        known = self.tansig(_EQUAL_OPERATIONS[name], args)
-        return self.add(_EQUAL_OPERATIONS[name], *args) if known is None else known
+        recognised = self.tansig(_EQUAL_OPERATIONS[name], args)
+        return self.add(_EQUAL_OPERATIONS[name], *args) if recognised is None else recognised
 
     def tansig(self, op: str, args: tuple[int, ...]) -> int | None:
         """Return the node index of a tansig if this is its last operation, else None.
@@ -219,11 +219,11 @@ def tape_of(function: casadi.Function) -> Tape:
         if k in needed:
             needed.update(builder.nodes[k].args)
     place = {old: new for new, old in enumerate(sorted(needed))}
-    kept = []
+    nodes = []
     for k in place:
         node = builder.nodes[k]
-        kept.append(replace(node, args=tuple(place[a] for a in node.args)))
-    return Tape(tuple(kept), sum(sizes), tuple(place[k] for k in results))
+        nodes.append(replace(node, args=tuple(place[a] for a in node.args)))
+    return Tape(tuple(nodes), sum(sizes), tuple(place[k] for k in results))
 
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:

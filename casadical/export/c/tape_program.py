@@ -126,7 +126,7 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
     """Return the tape without the guards that no input of the box can violate."""
     intervals = bounds(tape, lower, upper, real)
     place: list[int] = []
-    kept: list[Node] = []
+    nodes: list[Node] = []
     for node in tape.nodes:
         args = tuple(place[a] for a in node.args)
         low, high = intervals[node.args[0]] if node.args else _REAL_LINE
@@ -134,9 +134,9 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
         if needless and math.isfinite(low) and math.isfinite(high):
             place.append(args[0])
         else:
-            place.append(len(kept))
-            kept.append(replace(node, args=args))
-    return Tape(tuple(kept), tape.n_in, tuple(place[o] for o in tape.outputs))
+            place.append(len(nodes))
+            nodes.append(replace(node, args=args))
+    return Tape(tuple(nodes), tape.n_in, tuple(place[o] for o in tape.outputs))
 
 
 @dataclass(frozen=True)

@@ -111,10 +111,10 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
     exact = q.astype(np.float64)
     for key, compute in functions(program).items():
         values, status = compute(program, q)
-        known = status != Status.NOT_FINITE
+        has_value = status != Status.NOT_FINITE
         if program.network is not None and key == program.network.key:
             function = program.network.function
-            error = float(abs(values - mapped(function, exact))[known].max())
+            error = float(abs(values - mapped(function, exact))[has_value].max())
             if key == "curves":
                 figures["curves_error_urad"] = 1e6 * error
                 once = exact - values
@@ -125,7 +125,7 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
             else:
                 figures["network_error_um"] = 1e3 * error
         if key == "forward" and program.command is not None:
-            error = abs(values - mapped(program.command.calibrated, exact))[known, :3].max()
+            error = abs(values - mapped(program.command.calibrated, exact))[has_value, :3].max()
             figures["forward_error_um"] = 1e6 * float(error)
         if key == "correct" and program.command is not None:
             figures |= _of_command(program.command, exact, values, status)
@@ -145,23 +145,23 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     count as not OK but are excluded from the share that converged; so are, where the orientation is
     corrected, singular poses, whose share is given.
     """
-    known, fine = status != Status.NOT_FINITE, status == Status.OK
+    has_value, fine = status != Status.NOT_FINITE, status == Status.OK
     wanted, real = mapped(command.nominal, q), command.calibrated
     moved = mapped(real, q + dq)
     before = np.linalg.norm((mapped(real, q) - wanted)[:, :3], axis=1)
     rest = np.linalg.norm(moved[:, :3] - wanted[:, :3], axis=1)[fine]
-    start = 1e6 * float(before[known].mean())
+    start = 1e6 * float(before[has_value].mean())
     figures = {"start_error_um_mean": start, "share_ok": float(fine.mean())}
     parts = {"rest_um": rest}
     if moved.shape[1] > 3:
         # Many poses are singular; a correction that reports this has not failed to converge.
-        known = known & (status != Status.SINGULAR)
+        has_value = has_value & (status != Status.SINGULAR)
         figures["share_singular"] = float((status == Status.SINGULAR).mean())
         turned = np.linalg.norm(moved[:, 3:] - wanted[:, 3:], axis=1)[fine]
         parts = {"rest_urad": turned / np.sqrt(2), **parts}  # small angles
     for name, values in parts.items():
         if name == "rest_um":
-            figures["share_converged"] = float(fine[known].mean()) if known.any() else 0.0
+            figures["share_converged"] = float(fine[has_value].mean()) if has_value.any() else 0.0
         if values.size:
             figures[f"{name}_median"] = 1e6 * float(np.median(values))
             figures[f"{name}_worst"] = 1e6 * float(values.max())

@@ -290,11 +290,11 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
     """Return a sentence on the joint readings from which the robot was learnt, if known."""
-    known = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
         f"{i}: {low * factor:.3g} to {high * factor:.3g} {unit}"
-        for i, ((low, high), (factor, unit)) in enumerate(zip(known, factors, strict=False), 1)
+        for i, ((low, high), (factor, unit)) in enumerate(zip(ranges, factors, strict=False), 1)
     ]
     text = f"the model was learnt from readings of joint {', '.join(spans)}; elsewhere it is extrapolated"
     return (text,) if spans else ()

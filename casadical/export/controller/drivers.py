@@ -37,12 +37,12 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
     """
     if form not in DRIVER_FORMS:
         raise InputError(f"--to {form}: not known; allowed: {', '.join(DRIVER_FORMS)}")
-    whole = robot_of(sources.robot)
-    if whole.loops:
-        raise InputError(f"{whole.name}: a four-bar has no place in a driver's kinematics; export c has one")
+    full = robot_of(sources.robot)
+    if full.loops:
+        raise InputError(f"{full.name}: a four-bar has no place in a driver's kinematics; export c has one")
     real, nominal, _ = own_robots(replace(sources, leave_out=True))
     frames = "base and tool of the measurement: the kinematics are those of the flange in the robot's own base frame"
-    return DRIVER_FORMS[form](real, nominal, checksum), (frames, *rigid_omissions(replace(whole, payload=real.payload)))
+    return DRIVER_FORMS[form](real, nominal, checksum), (frames, *rigid_omissions(replace(full, payload=real.payload)))
 
 
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:

@@ -307,10 +307,13 @@ class Postures:
         arms : shape (k, n) [rad or m]; near : shape (n,)
         """
         lower, upper = self.nominal.limits
-        most, least = np.floor((upper - arms + 1e-9) / _FULL_TURN_RAD), np.ceil((lower - arms - 1e-9) / _FULL_TURN_RAD)
-        turned = arms + _FULL_TURN_RAD * np.clip(np.round((near - arms) / _FULL_TURN_RAD), least, most)
+        max_turns, min_turns = (
+            np.floor((upper - arms + 1e-9) / _FULL_TURN_RAD),
+            np.ceil((lower - arms - 1e-9) / _FULL_TURN_RAD),
+        )
+        turned = arms + _FULL_TURN_RAD * np.clip(np.round((near - arms) / _FULL_TURN_RAD), min_turns, max_turns)
         inside = (lower - 1e-9 <= arms) & (arms <= upper + 1e-9)
-        turned, fits = np.where(self._turns, turned, arms), np.where(self._turns, least <= most, inside)
+        turned, fits = np.where(self._turns, turned, arms), np.where(self._turns, min_turns <= max_turns, inside)
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _with_turns(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:

@@ -105,9 +105,9 @@ def add_pieces(
     for k, (share, centre) in enumerate(zip(GAUSS_POINTS, (c1, c2), strict=True), 1):
         body = add_body(body, f"{name}_piece{k}", frame(np.eye(3), share * end - before))
         before = share * end
-        for axis, words, whole in zip("xyz", AXIS_VECTORS, stiffness, strict=True):
-            if np.isfinite(whole):
-                add_spring(body, f"{name}_bend{k}{axis}", words, 2 * whole)
+        for axis, words, link_stiffness in zip("xyz", AXIS_VECTORS, stiffness, strict=True):
+            if np.isfinite(link_stiffness):
+                add_spring(body, f"{name}_bend{k}{axis}", words, 2 * link_stiffness)
         add_mass(body, third, centre - before)
     return body, frame(np.eye(3), -before)
 

@@ -90,9 +90,9 @@ def _add_spring(document: minidom.Document, name: str, compliance: float, source
         return
     joint = _element(document, "joint", name, source)
     spring = document.createElement("joint")
-    kept = {key: joint.getAttribute(key) for key in ("type", "axis", "pos", "class") if joint.hasAttribute(key)}
+    copied = {key: joint.getAttribute(key) for key in ("type", "axis", "pos", "class") if joint.hasAttribute(key)}
     rest = {"limited": "false", "stiffness": numbers(1 / compliance), **armature_and_damping(1 / compliance)}
-    for key, value in ({"name": f"{name}_spring"} | kept | rest).items():
+    for key, value in ({"name": f"{name}_spring"} | copied | rest).items():
         spring.setAttribute(key, value)
     assert isinstance(joint.parentNode, minidom.Element)
     joint.parentNode.insertBefore(spring, joint)

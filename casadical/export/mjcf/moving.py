@@ -46,8 +46,8 @@ BALL_RADIUS_M = 0.005  # radius [m] of the ball at the measured point that touch
 
 def has_motion_parameters(robot: Robot) -> bool:
     """Return whether `[drive]` determines how joints move, and the robot is an open chain."""
-    known = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in REQUIRED_DRIVE_KEYS)
-    return known and not robot.loops
+    declared = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in REQUIRED_DRIVE_KEYS)
+    return declared and not robot.loops
 
 
 def moving_mjcf(robot: Robot) -> MjcfExport:
@@ -160,9 +160,9 @@ def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
     if robot.drive is None or not has_motion_parameters(robot):
         return ()
     droop = 1e3 * float(np.max(robot.torque_scale / _each(robot.drive, "kp", robot)))
-    late = 1e3 * float(np.max(_each(robot.drive, "delay", robot)))
+    delay_ms = 1e3 * float(np.max(_each(robot.drive, "delay", robot)))
     floor = "" if robot.drive.floor is None else f"; a surface where the tool is {1e3 * robot.drive.floor:.4g} mm high"
-    lost = f"droop up to {droop:.3g} mrad under gravity, {late:.3g} ms{floor}"
+    lost = f"droop up to {droop:.3g} mrad under gravity, {delay_ms:.3g} ms{floor}"
     return (f"gains, armature and delay of the drives: {lost}",)
 
 

@@ -100,12 +100,12 @@ class Cell:
         files = self.sources
         if tool is not None and files.nominal is not None:
             # Where the measured point is the tool's centre point, the real robot keeps that point.
-            real, nominal, held = robot_of(files.robot), robot_of(files.nominal), self.flange @ tool
-            of_real = frame(held[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else held
+            real, nominal, tool_frame = robot_of(files.robot), robot_of(files.nominal), self.flange @ tool
+            of_real = frame(tool_frame[:3, :3], real.tool.T[:3, 3]) if files.tool == "own" else tool_frame
             files = replace(
                 files,
                 robot=replace(real, tool=replace(real.tool, T=of_real), knowledge=None),
-                nominal=replace(nominal, tool=replace(nominal.tool, T=held), knowledge=None),
+                nominal=replace(nominal, tool=replace(nominal.tool, T=tool_frame), knowledge=None),
                 tool="own",
             )
         self._made[key] = self._tool_models(files)
@@ -116,8 +116,8 @@ class Cell:
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:
-            whole = command_of(sources, self.steps, orientation=True)
-            corrector = model_corrector(whole, corrector)
+            pose_command = command_of(sources, self.steps, orientation=True)
+            corrector = model_corrector(pose_command, corrector)
         real, nominal, turn = own_robots(sources)
         return ToolModels(
             corrector,
@@ -344,8 +344,8 @@ def _rewritten(
             yield CorrectedTarget(t, "LEAVES_BOX" if reached[k] else Status.NOT_CONVERGED.name)
         else:
             turned = language.turns_text(t, language.turns(new[k])) if t.turns is not None and t.turn_text else ()
-            known = {name: v[k].tolist() if v.ndim == 1 else tuple(v[k].tolist()) for name, v in off.items()}
-            yield CorrectedTarget(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **known)  # type: ignore[arg-type]
+            figures = {name: v[k].tolist() if v.ndim == 1 else tuple(v[k].tolist()) for name, v in off.items()}
+            yield CorrectedTarget(t, Status.OK.name, "", (*texts[k], *turned), q=(old[k], q[k]), **figures)  # type: ignore[arg-type]
 
 
 def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:

@@ -15,7 +15,7 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, repeated, whole, words
+from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts, repeated, words
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import M_PER_MM, Given, Number, Posture, Target, numbers
 
@@ -118,9 +118,9 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
         return Target(line, name, joints, (), skip_reason=f"has {twice} twice"), (tool, base)
     units = axes if joints else Fanuc.units
     for key, unit in zip(keys, units, strict=True):
-        said, allowed = str(items[key][-1]).lower(), "mm" if unit == M_PER_MM else "deg"
-        if said != allowed:
-            raise InputError(f"{source}: line {line}: {name}: {key} is given in {said}; it must be in {allowed}")
+        stated, allowed = str(items[key][-1]).lower(), "mm" if unit == M_PER_MM else "deg"
+        if stated != allowed:
+            raise InputError(f"{source}: line {line}: {name}: {key} is given in {stated}; it must be in {allowed}")
     external = any(re.fullmatch(r"E\d", key) and float(str(item[1])) != 0 for key, item in items.items())
     read = numbers((items[key][1] for key in keys), units, decimals=3)
     made = Target(line, name, joints, read, external=external)
@@ -134,7 +134,7 @@ def _configured(target: Target, config: object) -> Target:
         return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
     begin = config.start_pos or 0
     turn_text = tuple(Number(begin + match.start(k), begin + match.end(k), match[k], 1.0) for k in (4, 5, 6))
-    turns = whole(match.group(4, 5, 6))
+    turns = integers(match.group(4, 5, 6))
     if not turns:
         return target.leave(f"CONFIG {config[:40]} has a number that is too large")
     posture = Posture(match[3] == "B", match[2] == "D", match[1] == "N")

@@ -123,7 +123,7 @@ def is_number(node: Any) -> bool:
     return isinstance(node, Token) and node.type == "NUMBER"
 
 
-def whole(texts: Iterable[Any]) -> tuple[int, ...]:
+def integers(texts: Iterable[Any]) -> tuple[int, ...]:
     """Return numbers as integers; an empty tuple where one is too large for any controller."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()

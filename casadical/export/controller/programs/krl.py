@@ -13,7 +13,15 @@ import numpy as np
 from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
-from casadical.export.controller.programs.grammar import ParsedText, is_number, only_one, parts, repeated, whole, words
+from casadical.export.controller.programs.grammar import (
+    ParsedText,
+    integers,
+    is_number,
+    only_one,
+    parts,
+    repeated,
+    words,
+)
 from casadical.export.controller.programs.language import AngleLanguage
 from casadical.export.controller.programs.target import Given, Posture, Target, numbers
 
@@ -253,4 +261,4 @@ def _bits(token: Token | Tree[Token] | None) -> int | None:
         return None
     text = str(token)
     number = f"{int(text[2:-1][:99], 2 if text[1] in 'bB' else 16)}" if text.startswith("'") else text
-    return next(iter(whole([number])), None)
+    return next(iter(integers([number])), None)

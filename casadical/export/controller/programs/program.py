@@ -239,20 +239,20 @@ def _row(r: c.CorrectedTarget) -> list[str]:
 def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
     """Return the figures of the corrected targets that have them, each (k,) or (k, 2) [mm, deg]."""
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
-    known = {name: [v for v in values if v is not None] for name, values in tables.items()}
-    return {name: np.array(values) for name, values in known.items() if values}
+    figures = {name: [v for v in values if v is not None] for name, values in tables.items()}
+    return {name: np.array(values) for name, values in figures.items() if values}
 
 
 def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Table]:
     """Return tables of how far joints and tool move, and of the tool's deviation."""
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
-    known, moved = _figures(fine), dict[str, Array]()
+    figures, moved = _figures(fine), dict[str, Array]()
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
         word, factor = ("mm", 1e3) if unit == "m" else ("deg", 180 / np.pi)
         moved[f"joint {i} [{word}]"] = factor * column
-    made = [_table("", "moved by", {**moved, "tool [mm]": known["moved_mm"]})]
-    if "off_mm" in known:
-        (before, after), turned = known["off_mm"].T, 1e3 * known["off_deg"].T
+    made = [_table("", "moved by", {**moved, "tool [mm]": figures["moved_mm"]})]
+    if "off_mm" in figures:
+        (before, after), turned = figures["off_mm"].T, 1e3 * figures["off_deg"].T
         title = "the real tool off the nominal one, by the model, with the numbers as written"
         off = {"before [mm]": before, "after [um]": 1e3 * after}
         made.append(_table(title, "off by", {**off, "before [mdeg]": turned[0], "after [mdeg]": turned[1]}))
@@ -341,12 +341,12 @@ def correct_file(
         robot = robot_of(sources.robot)
         said += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
         said += measured_range(robot)
-    beside: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
+    reports: dict[Path, str | bytes] = {report_of(out): result.to_csv()} if spoken.report_beside else {}
     return replace(
         result,
         assumed=tuple(assumptions(result, cell)),
         said=tuple(said),
-        texts={**beside, out: result.content()},
+        texts={**reports, out: result.content()},
     )
 
 

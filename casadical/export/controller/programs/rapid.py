@@ -12,7 +12,7 @@ from lark import Token, Tree
 
 from casadical.core.basics import Array, InputError
 from casadical.core.transforms import frame, from_quaternion, quaternion
-from casadical.export.controller.programs.grammar import ParsedText, is_number, parts, whole
+from casadical.export.controller.programs.grammar import ParsedText, integers, is_number, parts
 from casadical.export.controller.programs.language import ProgramLanguage
 from casadical.export.controller.programs.target import M_PER_MM, Given, Posture, Target, numbers
 
@@ -138,8 +138,10 @@ class _Module:
                 typed.lower() in _TARGET_TYPES and sign.value == ":=" and variable.lower() not in self.known_targets
             )
             if unread:
-                left = Target(variable.line or 0, str(variable), False, (), skip_reason="its value is an expression")
-                made.append((variable.start_pos or 0, left, ""))
+                unread_target = Target(
+                    variable.line or 0, str(variable), False, (), skip_reason="its value is an expression"
+                )
+                made.append((variable.start_pos or 0, unread_target, ""))
         return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
@@ -153,7 +155,7 @@ class _Module:
         if joints:
             return Target(line, name, True, numbers(flat[0], self.given.joint_units(6)), external=external)
         pose = numbers([*flat[0], *flat[1]], self.language.units)
-        configuration = whole(flat[2])
+        configuration = integers(flat[2])
         if not configuration:
             return Target(line, name, False, pose, skip_reason="its configuration has a number that is too large")
         *turns, cfx = configuration
@@ -172,10 +174,10 @@ class _Module:
         frames: list[Array | None] = []
         givens = (self.given.tools, self.given.bases)
         for kind, word, given in zip(("tooldata", "wobjdata"), named, givens, strict=True):
-            known = self._frame_named(kind, word, given)
-            if isinstance(known, str):
-                target, known = target.leave(known), None
-            frames.append(known)
+            found = self._frame_named(kind, word, given)
+            if isinstance(found, str):
+                target, found = target.leave(found), None
+            frames.append(found)
         tool, work = (word or "?" for word in named)
         return replace(target, tool=frames[0], base=frames[1], about=f"tool {tool}, base {work}")
 
