@@ -93,8 +93,8 @@ def choose(
         allowed = [not any(c in m.conditions for e in v for c in e.only_without) for v in candidate.variants]
         if not any(allowed):
             continue
-        known = (v for v, lack, yes in zip(candidate.variants, lacking, allowed, strict=True) if yes and not lack)
-        variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in known)
+        usable = (v for v, lack, yes in zip(candidate.variants, lacking, allowed, strict=True) if yes and not lack)
+        variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in usable)
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
         elif candidate.listed and not candidate.variants[0][0].from_kind:

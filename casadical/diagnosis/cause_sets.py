@@ -130,10 +130,10 @@ def most_probable_set(
     _follow_unlisted(search, root)
     none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
     for _ in range(MAX_BEST_SET_UPDATES):
-        known = [k for k in search.mass if k <= listed]
-        if not known:
+        listed_sets = [k for k in search.mass if k <= listed]
+        if not listed_sets:
             return (), frozenset()
-        best = known[first_of_best([search.mass[k] for k in known], logs=True)]
+        best = listed_sets[first_of_best([search.mass[k] for k in listed_sets], logs=True)]
         if best in search.expanded:
             break
         search.expand([best])

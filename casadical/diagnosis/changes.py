@@ -74,10 +74,12 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     As in `Evidence`, prior standard deviations scale with the noise.
     fit : of the base model at noise of this sigma [m]
     """
-    mean, widths, known = case.prior_parts(prior)
+    mean, widths, covariances = case.prior_parts(prior)
     precision = np.diag(widths**-2.0)
-    log_det = -2 * float(np.log(np.delete(widths, np.concatenate([*(at for at, _ in known), []]).astype(int))).sum())
-    for at, C in known:
+    log_det = -2 * float(
+        np.log(np.delete(widths, np.concatenate([*(at for at, _ in covariances), []]).astype(int))).sum()
+    )
+    for at, C in covariances:
         unit = np.sqrt(np.diag(C))
         scaled = C / np.outer(unit, unit)
         precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)

@@ -45,8 +45,8 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
         if len(fits) == 3:
             fits.pop(next(iter(fits)))
         fits[key] = new_fit(e, columns, noise)
-    known: Fit = fits[key]
-    return known
+    cached: Fit = fits[key]
+    return cached
 
 
 def lengths(e: Evidence, residual: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
@@ -107,16 +107,16 @@ def residual_of_fit_without(e: Evidence, columns: Array, noise: Noise, test: Arr
     return fit.residual(fit.estimate_from(np.flatnonzero(~test)))
 
 
-def errors_and_distances(e: Evidence, columns: Array, noise: Noise, kept: Array) -> tuple[Array, Array]:
+def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Array) -> tuple[Array, Array]:
     """Return error [m] and squared Mahalanobis distance of every pose, shapes (n,).
 
     The fit is to the inliers. The distance of an inlier is from a fit without it, relative to the
     covariance of that prediction: a flexible model
-    would follow an outlier to which it was fitted. kept : mask of the inliers, shape (n,)
+    would follow an outlier to which it was fitted. inliers : mask of the inliers, shape (n,)
     """
     fit = new_fit(e, columns, noise)
-    x, pull = fit.estimate_from(np.flatnonzero(kept)), fit.leverage(np.flatnonzero(kept))
-    spread = np.eye(fit.rows_per_block) + np.where(kept[:, None, None], -pull, pull)
+    x, pull = fit.estimate_from(np.flatnonzero(inliers)), fit.leverage(np.flatnonzero(inliers))
+    spread = np.eye(fit.rows_per_block) + np.where(inliers[:, None, None], -pull, pull)
     return lengths(e, fit.residual(x)), fit.mahalanobis_squared(x, spread)
 
 

@@ -142,9 +142,9 @@ class _Question:
         """Return the case without a prior from another campaign; ratios : see `make_case`."""
         return make_case(self.base, self.candidates, self.prepared.free, ratios)
 
-    def with_known(self, case: Case, known: Prior) -> Case:
+    def with_unchanged_prior(self, case: Case, unchanged: Prior) -> Case:
         """Return the case with the prior of an earlier campaign on what did not change since."""
-        return case.with_prior(known, self.base.sigmas[0][0]) if known.free else case
+        return case.with_prior(unchanged, self.base.sigmas[0][0]) if unchanged.free else case
 
     def searched(self, case: Case) -> Diagnosis:
         """Return the diagnosis of a case, including causes that the noise of one joint hides.
@@ -172,11 +172,11 @@ class _Question:
     def answer(self) -> Diagnosis:
         """Return the diagnosis; the search is repeated if the noise differs from the assumption."""
         prior = self.prepared.prior
-        case, known, changed = self.case(), prior, tuple[Change, ...]()
+        case, unchanged, changed = self.case(), prior, tuple[Change, ...]()
         if prior.free:
             self.show("what changed since the campaign of the prior")
-            changed, known = changes(case, prior)
-        found = self.searched(case := self.with_known(case, known))
+            changed, unchanged = changes(case, prior)
+        found = self.searched(case := self.with_unchanged_prior(case, unchanged))
         # The ratios of the sets' noise are estimated again with the causes in the model, at most
         # twice.
         for _ in range(2):
@@ -184,7 +184,7 @@ class _Question:
             if ratios is None:
                 break
             self.show("the sets' noise differs from what the base model left: searched again")
-            found = self.searched(case := self.with_known(self.case(ratios), known))
+            found = self.searched(case := self.with_unchanged_prior(self.case(ratios), unchanged))
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
             self.show("the noise lies beyond the usual grid: searched again on a wider one")

@@ -31,8 +31,8 @@ from casadical.robot.kinematics import deflections, gravity_torques
 @lru_cache(maxsize=4096)
 def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
     """Return the formula of `composed` from the cache on disk where possible."""
-    kept = cached_formulas(s)
-    return kept.formula(template, settings) if kept.is_cacheable(template) else composed(s, template, settings)
+    cache = cached_formulas(s)
+    return cache.formula(template, settings) if cache.is_cacheable(template) else composed(s, template, settings)
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
@@ -120,9 +120,9 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
             parts.append(Part(formula, settings, starts[which], width))
             continue
         for k in which:
-            known = formula_of(s, effects[k], ())
-            assert known
-            parts.append(Part(known, [], starts[[k]], width))
+            own_formula = formula_of(s, effects[k], ())
+            assert own_formula
+            parts.append(Part(own_formula, [], starts[[k]], width))
     cached_formulas(s).write()
     return tuple(parts)
 
@@ -191,14 +191,14 @@ class FormulaCache:
         name = hashlib.sha256(f"{ca.CasadiMeta.version()} {code} {s.key}".encode()).hexdigest()[:32]
         folder = private_folder()
         self.path = None if folder is None else folder / f"formulas-{name}.json"
-        self._known: dict[str, Any] = {}
+        self._cached: dict[str, Any] = {}
         self._new = False
         if self.path is not None:
             with suppress(OSError, ValueError):
                 digest, _, text = read_text(self.path, MAX_JSON_BYTES).partition("\n")
                 # A damaged file is made again.
                 if digest == hashlib.sha256(text.encode()).hexdigest():
-                    self._known = json.loads(text)
+                    self._cached = json.loads(text)
 
     def is_cacheable(self, template: Effect) -> bool:
         """Return whether formulas of an effect are cached.
@@ -213,10 +213,10 @@ class FormulaCache:
     def formula(self, template: Effect, settings: tuple[str, ...]) -> Formula | None:
         """Return the formula of `composed`, which is composed only if it is not cached."""
         key = repr((template, settings))
-        if key not in self._known:
+        if key not in self._cached:
             made = composed(self._seams, template, settings)
-            self._known[key], self._new = made and made.as_data(), True
-        data = self._known[key]
+            self._cached[key], self._new = made and made.as_data(), True
+        data = self._cached[key]
         return data and Formula.from_data(data)
 
     def write(self) -> None:
@@ -224,7 +224,7 @@ class FormulaCache:
         if not self._new or self.path is None:
             return
         self._new = False
-        text = json.dumps(self._known)
+        text = json.dumps(self._cached)
         with suppress(InputError):
             write_whole(self.path, f"{hashlib.sha256(text.encode()).hexdigest()}\n{text}")
 

@@ -92,7 +92,7 @@ class Case:
     @property
     def rows(self) -> Array:
         """Return the index of the inlier pose of each inlier row of the sets, shape (rows,)."""
-        return self.observations.stops.kept(self.kept)
+        return self.observations.stops.indices_among(self.kept)
 
     @cached_property
     def positions(self) -> Array:
@@ -275,16 +275,16 @@ class Case:
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
-        held = self.whole.cause_prior_sigmas.copy()
+        cause_prior = self.whole.cause_prior_sigmas.copy()
         for part, places in effect.parts.items():
-            held[columns[places]] *= factors[part]
+            cause_prior[columns[places]] *= factors[part]
         candidates = tuple(
             replace(c, variants=tuple(tuple(learnt if e == effect else e for e in v) for v in c.variants))
             for c in self.candidates
         )
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
         near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHO_GRID))))
-        whole = replace(self.whole, cause_prior=held, reference=noise.sigma, near=near)
+        whole = replace(self.whole, cause_prior=cause_prior, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
         more.evidence.extending(self.evidence)
         if self.form is not WHITE_FORM:
@@ -312,12 +312,12 @@ class Case:
         assert isinstance(self.whole.E, EffectColumns)
         E = self.whole.E.plus(effects, m.conditions)
         # Learnt sizes are carried over.
-        held = (
+        cause_prior = (
             E.held if self.whole.cause_prior is None else np.append(self.whole.cause_prior, E.held[self.whole.width :])
         )
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
-        more = replace(more, whole=replace(self.whole, E=E, cause_prior=held))
-        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=held).extending(known))
+        more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
+        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=cause_prior).extending(known))
         if self.form is not WHITE_FORM:
             more.judged.extending(self.judged)
         return more

@@ -203,16 +203,16 @@ class EffectColumns:
     def sizes(self) -> Array:
         """Return the typical size of every parameter, shape (columns,) [SI]."""
         if self.cached.sizes is None:
-            known = np.zeros(0) if self.first is None else self.first.sizes
+            earlier = np.zeros(0) if self.first is None else self.first.sizes
             own = [self.growth * size for e in self._own for size, _ in e.sizes().values()]
-            self.cached.sizes = np.concatenate([known, own])
+            self.cached.sizes = np.concatenate([earlier, own])
         return self.cached.sizes
 
     @cached_property
     def held(self) -> Array:
         """Return each parameter's prior sd once it is in a model, in sizes, shape (columns,)."""
-        known = np.zeros(0) if self.first is None else self.first.held
-        return np.concatenate([known, [e.held for e in self._own for _ in e.sizes()]])
+        earlier = np.zeros(0) if self.first is None else self.first.held
+        return np.concatenate([earlier, [e.held for e in self._own for _ in e.sizes()]])
 
     @property
     def _own(self) -> tuple[Effect, ...]:
@@ -230,8 +230,8 @@ class EffectColumns:
 
     @cached_property
     def _edges(self) -> Array:
-        known = np.zeros(1, dtype=np.int64) if self.first is None else self.first._edges
-        return np.concatenate([known, known[-1] + np.cumsum([len(e.sizes()) for e in self._own], dtype=np.int64)])
+        earlier = np.zeros(1, dtype=np.int64) if self.first is None else self.first._edges
+        return np.concatenate([earlier, earlier[-1] + np.cumsum([len(e.sizes()) for e in self._own], dtype=np.int64)])
 
     @cached_property
     def _parts(self) -> tuple[Part, ...]:

@@ -84,14 +84,14 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
     """
     # More than 120 poses make these shares no more accurate, at a cost of the third power of their
     # number.
-    kept = _sample(np.flatnonzero(case.kept), 120, rng)
-    functions = _smooth_functions(case)[kept]
-    E = [(part, _products(lever[kept], functions)) for part, lever in _part_jacobians(case).items()]
+    indices = _sample(np.flatnonzero(case.kept), 120, rng)
+    functions = _smooth_functions(case)[indices]
+    E = [(part, _products(lever[indices], functions)) for part, lever in _part_jacobians(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
-            own = sines(case.m.q[kept, j - 1], FAST_HARMONICS)
-            E.append((f"joint {j}", UNIT_ERROR * case.whole.Jq[kept][:, :, [j - 1]] * own[:, None]))
-    some = remaining.at(np.searchsorted(np.flatnonzero(case.kept), kept))
+            own = sines(case.m.q[indices, j - 1], FAST_HARMONICS)
+            E.append((f"joint {j}", UNIT_ERROR * case.whole.Jq[indices][:, :, [j - 1]] * own[:, None]))
+    some = remaining.at(np.searchsorted(np.flatnonzero(case.kept), indices))
     projection = some.projected(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -106,9 +106,9 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
     return dict(zip(signal, _mean_squares([*signal.values()], some, rng), strict=True))
 
 
-def _sample(kept: Array, most: int, rng: np.random.Generator) -> Array:
+def _sample(indices: Array, most: int, rng: np.random.Generator) -> Array:
     """Return at most this many of the indices, drawn without replacement, in order."""
-    return kept if len(kept) <= most else np.sort(rng.choice(kept, most, replace=False))
+    return indices if len(indices) <= most else np.sort(rng.choice(indices, most, replace=False))
 
 
 def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generator) -> tuple[dict[str, Array], Evidence]:
@@ -275,10 +275,10 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     draws, each = [], POSTERIOR_DRAWS // VARIANCE_DRAWS
     for own in _drawn_variances(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
-        known = sum(g @ f for f, g in zip(prior, groups, strict=True))
+        prior_signal = sum(g @ f for f, g in zip(prior, groups, strict=True))
         of_poses = rng.standard_normal((len(y) - axes.shape[1], each))
         noise = sigma * np.concatenate([of_poses, axes.T @ rng.standard_normal((len(axes), each))])
-        missed = np.linalg.solve(_total(K, own, sigma**2), y[:, None] - known - noise)
+        missed = np.linalg.solve(_total(K, own, sigma**2), y[:, None] - prior_signal - noise)
         draws.append([f + v * (g.T @ missed) for f, v, g in zip(prior, own, groups, strict=True)])
     return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 

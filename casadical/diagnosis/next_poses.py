@@ -76,7 +76,7 @@ class Predictive:
 
     def __init__(self, prediction: Prediction, noise: Array) -> None:
         self.first, self.noise = prediction, noise
-        self._known: Array = np.eye(prediction.spread.shape[2])
+        self._covariance: Array = np.eye(prediction.spread.shape[2])
         self._set(prediction.spread @ prediction.spread.transpose(0, 2, 1) + noise)
 
     def _set(self, own: Array) -> None:
@@ -86,9 +86,9 @@ class Predictive:
     def learn(self, pose: int) -> Array:
         """Update with the data at a pose (Kalman filter); return the gain, shape (K, 3, 3)."""
         spread = self.first.spread
-        toward = self._known @ spread[pose].T
+        toward = self._covariance @ spread[pose].T
         gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
-        self._known = self._known - toward @ self.inverse[pose] @ toward.T
+        self._covariance = self._covariance - toward @ self.inverse[pose] @ toward.T
         self._set(self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1))
         return gain
 
@@ -207,8 +207,8 @@ def next_poses(
         labels = found.in_question
         if len(labels) < 2:
             return pd.DataFrame()
-        known = {c.label for c in case.candidates}
-        others = tuple(k for k in found.rankings[-1].order if k in known and k not in labels)[:1]
+        candidate_labels = {c.label for c in case.candidates}
+        others = tuple(k for k in found.rankings[-1].order if k in candidate_labels and k not in labels)[:1]
     causes = causes_in_question(case, labels, (NO_CAUSE, *others) if beside is None else beside)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))

@@ -82,14 +82,14 @@ class Problem:
         # Contribution to the log likelihood of the directions of the causes that no pose shows.
         combined, widths = e.combined(chosen), e.cause_prior_sigmas[chosen]
         self._lost = combined.sum_over_dropped(np.log(e.reference / widths))
-        self._known: dict[Form, Array] = {}
+        self._cache: dict[Form, Array] = {}
 
     def log_likelihood(self, form: Form) -> Array:
         """Return the log likelihood with the form's log_weight, shape (rhos, sigmas)."""
-        if form not in self._known:
+        if form not in self._cache:
             own, *others = (prewhitened(e, form, self._order).log_base() for e in (self._own, *self._others))
-            self._known[form] = self.e.averaged(own, others) + form.log_weight - self._lost
-        return self._known[form]
+            self._cache[form] = self.e.averaged(own, others) + form.log_weight - self._lost
+        return self._cache[form]
 
     def residual(self, form: Form, rho: int) -> Array:
         """Return the whitened residual of the fit, shape (n, 3) [m], in the order of measuring.

@@ -40,13 +40,13 @@ class Replicates:
 
 
 def replicates(
-    m: Measurements, r: Array, kept: Array, apart: Array | None = None, measured: Array | None = None
+    m: Measurements, r: Array, inliers: Array, apart: Array | None = None, measured: Array | None = None
 ) -> Replicates:
     """Return the standard deviation of residuals over repeated inlier poses.
 
     Poses are repeated if readings, payload, logged approach, tool, session and target are equal.
 
-    r : residuals, shape (n, 3) [m]; kept : mask of the inlier poses, shape (n,)
+    r : residuals, shape (n, 3) [m]; inliers : mask of the inlier poses, shape (n,)
     apart : index of the target of each pose, shape (n,), if there are several
     measured : mask of the numbers that were measured, shape (n, 3); all by default
     """
@@ -54,16 +54,16 @@ def replicates(
     circumstances += [] if apart is None else [apart]
     # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared,
     # so that the small modelled difference between such poses does not count as scatter.
-    key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[kept]
+    key = np.column_stack([np.round(m.q / 1e-3), *circumstances])[inliers]
     _, group, counts = np.unique(key, axis=0, return_inverse=True, return_counts=True)
     group = group.ravel()
     means = np.zeros((len(counts), r.shape[1]))
-    np.add.at(means, group, r[kept])
-    apart = r[kept] - (means / counts[:, None])[group]
+    np.add.at(means, group, r[inliers])
+    apart = r[inliers] - (means / counts[:, None])[group]
     several = counts[counts > 1]
     numbers = np.full(len(r), r.shape[1]) if measured is None else np.count_nonzero(measured, axis=1)
     # The mean of a group of k poses takes 1 / k of the degrees of freedom of each pose.
-    freedom = round(float((numbers[kept] * (1 - 1 / counts[group])).sum()))
+    freedom = round(float((numbers[inliers] * (1 - 1 / counts[group])).sum()))
     sigma = float(np.sqrt((apart**2).sum() / freedom)) if freedom else 0.0
     return Replicates(sigma, int(several.sum()), len(several), freedom)
 

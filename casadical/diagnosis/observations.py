@@ -51,7 +51,7 @@ class Stops:
         """Return the largest number of rows at one stop."""
         return int(self.turn.max()) + 1
 
-    def kept(self, mask: Array) -> Array:
+    def indices_among(self, mask: Array) -> Array:
         """Return, for each row at a stop in the mask, the stop's index among these, shape (k,)."""
         return np.asarray((np.cumsum(mask) - 1)[self.of[mask[self.of]]])
 

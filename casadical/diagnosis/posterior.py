@@ -71,9 +71,9 @@ class Ranking:
 
     def among(self, labels: Collection[str]) -> "Ranking":
         """Return the ranking renormalised over none and these candidates only."""
-        kept = {k: p for k, p in self.probability.items() if k in labels}
-        total = self.none + sum(kept.values())
-        return replace(self, none=self.none / total, probability={k: p / total for k, p in kept.items()})
+        chosen = {k: p for k, p in self.probability.items() if k in labels}
+        total = self.none + sum(chosen.values())
+        return replace(self, none=self.none / total, probability={k: p / total for k, p in chosen.items()})
 
 
 @dataclass(frozen=True)

@@ -107,12 +107,12 @@ class State:
             *(j for s in given for e in s.effects for j in e.parts),
         )
         # Rankings are cached: a search needs the same one again when it revisits its causes.
-        known: dict[object, Ranking] = self.case.judged.cache.setdefault("rankings", {})
+        cache: dict[object, Ranking] = self.case.judged.cache.setdefault("rankings", {})
         key = (chosen.tobytes(), skip, covered, not also, joints, keep)
-        if key not in known:
+        if key not in cache:
             ranking = self._without_single(rank(self.case, chosen, skip, covered), chosen, keep)
-            known[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
-        return known[key]
+            cache[key] = ranking if also else with_noise_forms(ranking, self.case, chosen, joints)
+        return cache[key]
 
     def _without_single(self, ranking: Ranking, chosen: Array, keep: str) -> Ranking:
         """Return the ranking without effects of several joints that too few joints show."""

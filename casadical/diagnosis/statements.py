@@ -79,11 +79,11 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
 
 def noise(d: Diagnosis) -> str:
     """Return in words what the residual of a campaign without causes is taken for."""
-    known = {
+    by_source = {
         Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared",
         Rule.SHEET: ", no larger than the data sheet allows",
     }  # fmt: skip
-    return (d.account.form or "noise") + known.get(d.account.rules, ", or a form that was not tried")
+    return (d.account.form or "noise") + by_source.get(d.account.rules, ", or a form that was not tried")
 
 
 def hidden(d: Diagnosis) -> bool:

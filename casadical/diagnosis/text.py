@@ -106,14 +106,14 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
     """Return at most three statements, doubts first, and always the one on the noise."""
     of_each: dict[str, Statement] = {}
     for s in every:
-        known = of_each.get(s.about)
+        previous = of_each.get(s.about)
         # Of the topics CANNOT, AFTER and SET only doubts are shown.
         if (
             s.about in SUBJECTS
             and (s.doubtful or s.about not in ("CANNOT", "AFTER", "SET"))
-            and (known is None or s.doubtful)
+            and (previous is None or s.doubtful)
         ):
-            of_each[s.about] = known if known and known.doubtful else s
+            of_each[s.about] = previous if previous and previous.doubtful else s
     if d.verdict == "none":
         of_each.pop("WHERE", None)
     first = sorted(of_each.values(), key=lambda s: (not s.doubtful, [*SUBJECTS].index(s.about)))[:3]

@@ -165,7 +165,7 @@ def test_rows_of_one_stop_are_one_pose_whatever_table_they_are_in() -> None:
     assert stops.of.tolist() == [*range(10), 4, 2, 9, *range(5)]
     assert stops.turn.tolist() == [0] * 10 + [1] * 3 + [1, 1, 2, 1, 2]
     kept = np.arange(10) != 2
-    assert stops.kept(kept).tolist() == [0, 1, *range(2, 9), 3, 8, 0, 1, 2, 3]
+    assert stops.indices_among(kept).tolist() == [0, 1, *range(2, 9), 3, 8, 0, 1, 2, 3]
 
 
 def test_a_robot_that_went_elsewhere_between_stopped_twice() -> None:
