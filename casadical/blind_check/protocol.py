@@ -75,6 +75,7 @@ class HiddenEffect(_Strict):
 
     @property
     def label(self) -> str:
+        """The label by which the effect is compared."""
         return label(self.effect, self.joint)
 
 
@@ -200,6 +201,7 @@ class NamedCause(_Loose):
 
     @property
     def label(self) -> str:
+        """The label by which the cause is compared."""
         return label(self.effect, self.joint)
 
     @property
@@ -250,6 +252,7 @@ def json_line(data: Mapping[str, Any]) -> str:
 
 
 def sha256(content: bytes) -> str:
+    """Return the SHA-256 of bytes as hexadecimal digits."""
     return hashlib.sha256(content).hexdigest()
 
 

@@ -132,9 +132,8 @@ def estimate(
     campaign : an identification, or a nominal robot and measurements, by which it is identified first
     label : of the campaign; empty: the source of its measurements
     day : when they were measured [d]
-    Raises InputError: known distances between touched points, which cannot be compared;
-    ConvergenceError:
-        Ipopt finds no optimum.
+    Raises InputError: given distances between touched points, which cannot be compared.
+    Raises ConvergenceError: Ipopt finds no optimum.
     """
     identified = campaign if isinstance(campaign, Identification) else identify(*campaign, loss="huber")
     fit = wide_fit(identified)

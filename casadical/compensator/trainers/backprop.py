@@ -74,10 +74,13 @@ class BackpropRun:
         self.steps += 1
 
     def reasons(self) -> tuple[str, ...]:
+        """Return why the descent is over; empty as long as it continues."""
         return (f"steps: all {self.trainer.steps} gradient steps done",) if self.steps >= self.trainer.steps else ()
 
     def best(self) -> Array:
+        """Return the weights of the lowest loss so far, shape (count,)."""
         return np.asarray(self.best_weights[0], dtype=np.float64)
 
     def note(self) -> str:
+        """Return an empty text: nothing is chosen here."""
         return ""

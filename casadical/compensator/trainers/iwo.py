@@ -48,18 +48,23 @@ class IwoRun:
 
     @property
     def steps(self) -> int:
+        """The number of generations done, the first colony included."""
         return self.search.iteration + 1
 
     def step(self) -> None:
+        """Do one generation."""
         self.search.tell(self._task.losses(self.search.ask().astype(self._dtype, copy=False)))
 
     def reasons(self) -> tuple[str, ...]:
+        """Return why the search is over; empty as long as it continues."""
         return self.search.stop()
 
     def best(self) -> Array:
+        """Return the weights of the best member so far, shape (count,)."""
         return self.search.result().x
 
     def note(self) -> str:
+        """Return an empty text: nothing is chosen here."""
         return ""
 
 
@@ -90,6 +95,7 @@ class IwoThenLmRun:
 
     @property
     def steps(self) -> int:
+        """The number of steps done in both parts."""
         return self.done + self.run.steps
 
     def step(self) -> None:
@@ -100,10 +106,13 @@ class IwoThenLmRun:
             self.run = self.trainer.lm.begin(self.task, self.seed, starts=start[None])
 
     def reasons(self) -> tuple[str, ...]:
+        """Return why the training is over; empty as long as the second part continues."""
         return () if isinstance(self.run, IwoRun) else self.run.reasons()
 
     def best(self) -> Array:
+        """Return the best weights of the current part, shape (count,)."""
         return self.run.best()
 
     def note(self) -> str:
+        """Return what the current part chose, in words."""
         return self.run.note()

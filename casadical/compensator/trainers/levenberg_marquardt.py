@@ -189,6 +189,7 @@ class LmRun:
         return (f"iterations: all {self.trainer.iterations} done",) if self.inner >= self.trainer.iterations else ()
 
     def best(self) -> Array:
+        """Return the weights of the lowest cost, shape (count,)."""
         return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
 
     def with_note(self, text: str) -> Self:
