@@ -14,7 +14,11 @@ from casadical.core.schema import VALUE_FORMS, FaultError, Quantity, TomlTable, 
 
 NonNegative = Annotated[float, Field(ge=0)]
 AboveZero = Annotated[float, Field(gt=0)]
-_ONE_NUMBER, _LIST_OF_NUMBERS = Tag(VALUE_FORMS[2]), (Field(min_length=1), Tag(VALUE_FORMS[3]))
+# Pydantic annotation of a field that is one number for all joints.
+_ONE_NUMBER = Tag(VALUE_FORMS[2])
+# Pydantic annotations of a field that is a list with a number for each joint.
+_LIST_OF_NUMBERS = (Field(min_length=1), Tag(VALUE_FORMS[3]))
+# Pydantic discriminator between both forms of a field.
 _NUMBER_OR_LIST = Discriminator(lambda value: VALUE_FORMS[2 + isinstance(value, list)])
 # One number for all joints or a list with one for each: zero or more; above zero; of either sign.
 Each = (
@@ -27,16 +31,27 @@ Positive = (
 EachSigned = (
     Annotated[Annotated[float, _ONE_NUMBER] | Annotated[list[float], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST] | None
 )
+# Units of a stiffness or position gain in keys of a robot file, and its largest value [SI].
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
+# Units of a damping or velocity gain, and its largest value [SI].
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
+# Units of an integral gain, and its largest value [SI].
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
+# Units of a torque or force, and its largest value [SI].
 _TORQUE = Quantity({"_Nm": 1.0, "_N": 1.0}, 1e9)
+# Units of a motor current, and its largest value [A].
 _CURRENT = Quantity({"_A": 1.0, "_mA": 1e-3}, 1e6)
+# Units of a joint speed, and its largest value [SI].
 _SPEED = Quantity({"_rad_s": 1.0, "_deg_s": np.pi / 180, "_m_s": 1.0, "_mm_s": 1e-3}, 1e5)
+# Units of a torque or force constant of a motor, and its largest value [SI].
 _CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
+# Units of a rotor inertia, and its largest value [SI].
 _INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
+# Units of a joint reading, and its largest value [SI].
 _ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
+# Units of a time, and its largest value [s].
 _TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
+# Units of a height, and its largest value [m].
 _HEIGHT = Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)
 
 

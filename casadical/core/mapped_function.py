@@ -12,18 +12,17 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.compile_cache import MachineCode, compiled
 
-# Numbers of evaluated points, since the start of the process, from which a compiled library is
-# looked for, and built.
-# Evaluating them takes as long; waiting for that costs at most twice the optimum (the ski rental
-# problem).
+# Number of evaluated points, since the start of the process, from which a compiled library is
+# looked for. Evaluating them takes as long, so that waiting costs at most twice the optimum (the
+# ski rental problem).
 LIBRARY_LOOKUP_POINTS = 10_000
+# Number of evaluated points from which a library is built; evaluating them takes as long.
 COMPILATION_POINTS = 500_000
-# Points are evaluated in chunks of at most this many points, and of at most this many output
-# numbers if that leaves
-# the minimum of points: their Jacobians fit the processor's cache, and mapping over more points
-# takes longer.
+# Number of points that are evaluated at a time; mapping over more takes longer.
 MAX_CHUNK_POINTS = 1024
+# Number of output numbers that are computed at a time: Jacobians then fit the processor's cache.
 MAX_CHUNK_NUMBERS = 400_000
+# Number of points that are evaluated at a time even if they have more output numbers.
 MIN_CHUNK_POINTS = 64
 # Number of chunk sizes for which mapped functions are cached.
 MAX_CACHED_MAPS = 64

@@ -21,8 +21,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 
-# Consecutive joint axes are nearly parallel below this angle [rad]; d is then replaced by beta and
-# b.
+# Consecutive joint axes are nearly parallel below this angle [rad]; beta and b then replace d.
 NEAR_PARALLEL_RAD = np.deg2rad(5.0)
 
 
@@ -263,7 +262,7 @@ def parallel(joints: tuple[Joint, ...], i: int) -> bool:
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL_RAD)
 
 
-# [m/s^2], ISO 80000-3.
+# Standard acceleration of gravity [m/s^2] (ISO 80000-3).
 STANDARD_GRAVITY = 9.80665
 # Columns of the direction of gravity, in the robot's base frame, where it was logged at every pose.
 GRAVITY_COLUMNS = ("gravity_x", "gravity_y", "gravity_z")

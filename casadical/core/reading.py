@@ -25,28 +25,29 @@ from typing import Any
 from casadical.core.basics import InputError, shown
 from casadical.core.files import own_stream
 
-# Size of a table of measurements [bytes].
+# Largest size of a table of measurements [bytes].
 MAX_TABLE_BYTES = 500_000_000
-# Size of a TOML file, an XML file or a robot program [bytes].
+# Largest size of a TOML file, an XML file or a robot program [bytes].
 MAX_TEXT_BYTES = 10_000_000
-# Size of a JSON file [bytes].
+# Largest size of a JSON file [bytes].
 MAX_JSON_BYTES = 100_000_000
-# Size of an archive after unpacking [bytes].
+# Largest size of an archive after unpacking [bytes].
 MAX_UNPACKED_BYTES = 100_000_000
+# Largest number of cells of a workbook.
 MAX_WORKBOOK_CELLS = 300_000
-# Numbers in a table that is in memory as a whole.
+# Largest number of numbers in a table that is in memory as a whole.
 MAX_TABLE_NUMBERS = 30_000_000
-# Number of parameters, harmonics, joints, or rows of a grid in a file.
+# Largest number of parameters, harmonics, joints, or rows of a grid in a file.
 MAX_ITEMS = 1000
-# Absolute values between these bounds, and zero, can be squared and multiplied in doubles; others
-# are taken for mistakes.
+# Largest absolute value in a file whose squares and products doubles can hold.
 LARGEST_NUMBER = 1e100
+# Smallest absolute value in a file other than zero; smaller ones are taken for mistakes.
 SMALLEST_NUMBER = 1e-100
-# Length of a name or title.
+# Largest length of a name or title.
 MAX_TEXT_CHARACTERS = 10_000
-# Depth of nested tables and lists.
+# Largest depth of nested tables and lists.
 MAX_NESTING = 50
-# Digits of an integer in JSON.
+# Largest number of digits of an integer in JSON.
 MAX_INTEGER_DIGITS = 100
 
 _XML_ENCODING = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")

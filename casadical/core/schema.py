@@ -34,8 +34,11 @@ class Quantity:
     most: float
 
 
+# A length: units of its keys, and its largest value [m].
 LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0}, 1e4)
+# An angle: units of its keys, and its largest value [rad].
 ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}, 1e3)
+# The reading of a joint, revolute or prismatic: units of its keys, and its largest value [SI].
 READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revolute or prismatic
 
 

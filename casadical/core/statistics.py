@@ -12,10 +12,9 @@ Item = TypeVar("Item")
 
 
 # Values within this share of the greatest are tied, and the first of them is taken, so that every
-# processor gives the
-# same answer; for logarithms it is the absolute difference. Rounding changes a gain by up to 2.2e-7
-# of itself if the
-# smallest eigenvalue of the information is 1e-9 of a unit diagonal (docs/reference.md).
+# processor gives the same answer; for logarithms it is the absolute difference. Rounding changes a
+# gain by up to 2.2e-7 of itself if the smallest eigenvalue of the information is 1e-9 of a unit
+# diagonal (docs/reference.md).
 TIE_TOLERANCE = 1e-6
 
 

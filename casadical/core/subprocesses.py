@@ -11,8 +11,9 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-# Time limits of a compilation and of the trial of its result.
+# Time limit of a compilation.
 COMPILE_SECONDS = 300.0
+# Time limit of the trial of a compiled library or of Python code in a separate process.
 TRIAL_SECONDS = 60.0
 
 

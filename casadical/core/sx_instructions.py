@@ -16,7 +16,9 @@ import numpy as np
 
 from casadical.core.basics import Array
 
+# Name in lower case of each CasADi operation code.
 _OPERATION_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
+# Instructions that are no operations on values.
 _SPECIAL = frozenset(("input", "const", "output", "call"))
 
 
@@ -129,6 +131,7 @@ def _binary(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
 # Functions of one number, and of two, that have the same name in CasADi, numpy and C.
 _UNARY_FUNCTIONS = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
 _BINARY_FUNCTIONS = ("fmin", "fmax", "hypot", "fmod", "copysign")
+# CasADi operations with their counterparts in numpy and C, by name in lower case.
 OPERATIONS = {
     "assign": Operation(lambda a: a, "{0}"),
     "add": Operation(np.add, "{0} + {1}"),

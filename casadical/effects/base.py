@@ -290,8 +290,8 @@ class Counterparts:
 
 
 # Prior standard deviation of an effect's parameters once it is in a model, in units of their
-# typical size: wide, because
-# a user had a reason to add it, and a robot's own value may be many times the typical one.
+# typical size. It is wide, because a user had a reason to add the effect, and a robot's own value
+# may be many times the typical one.
 CAUSE_PRIOR_SIGMA = 8.0
 
 

@@ -36,10 +36,11 @@ from casadical.effects.formula_effect import (
 )
 from casadical.effects.settings import MAX_SETTING_COUNT, NEAR_JOINTS, setting
 
-# The ramp TANH_SLOPE x between stops at +-TANH_STOP is closest to tanh(x), with this greatest
-# error.
+# Slope of the ramp between stops that is closest to tanh(x).
 TANH_SLOPE = 0.76
+# Value of the stops of the ramp that is closest to tanh(x).
 TANH_STOP = 0.92
+# Greatest difference between tanh(x) and the ramp between stops that is closest to it.
 TANH_MAX_ERROR = 0.083
 
 
@@ -112,6 +113,7 @@ def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> 
     return simulator.noted(text, payload=Body(declared.mass * factor, centre), payload_factor=factor)
 
 
+# Functions that add an effect's counterpart to a simulator, by the name that a definition gives.
 COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]], Counterparts]] = {
     "gear ratio": gear_ratio,
     "foot hinges": foot_hinges,
@@ -123,8 +125,11 @@ COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]],
 }
 
 
+# File with the definitions of the package's effects.
 LISTED_EFFECTS_FILE = Path(__file__).with_name("listed.effect.toml")
+# Pattern of the name of an effect, a setting or a parameter.
 _NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
+# Pattern of a joint or setting in braces in the texts of a definition.
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 _Value = bool | int | float | str
 

@@ -21,12 +21,17 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.reading import LARGEST_NUMBER
 
+# Largest length of a formula.
 MAX_FORMULA_CHARACTERS = 400
+# Largest number of names, numbers and operations in a formula.
 MAX_FORMULA_NODES = 120
+# Largest depth of nested operations in a formula.
 MAX_FORMULA_DEPTH = 20
+# Largest exponent in a formula.
 MAX_FORMULA_POWER = 6
-# Bounds on the absolute value of constants other than zero.
+# Smallest absolute value of a number in a formula other than zero.
 SMALLEST_CONSTANT = 1e-15
+# Largest absolute value of a number in a formula.
 LARGEST_CONSTANT = 1e9
 # Number of arguments, CasADi function and numpy function, by name.
 _FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
@@ -41,10 +46,15 @@ _FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]
     "min": (2, ca.fmin, np.minimum),
     "max": (2, ca.fmax, np.maximum),
 }
+# Number of arguments by function name.
 ARGUMENT_COUNTS = {name: count for name, (count, _, _) in _FUNCTION_TABLE.items()}
+# CasADi functions by name.
 SYMBOLIC_FUNCTIONS = {name: symbolic for name, (_, symbolic, _) in _FUNCTION_TABLE.items()}
+# numpy functions by name.
 NUMERIC_FUNCTIONS = {name: numeric for name, (_, _, numeric) in _FUNCTION_TABLE.items()}
+# Sign of each allowed operator.
 _OPERATOR_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
+# Function of each operator that acts component by component.
 _OPERATOR_FUNCTIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 
 

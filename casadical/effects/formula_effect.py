@@ -34,6 +34,7 @@ class Seam(NamedTuple):
     numbered: bool = False
 
 
+# Insertion points of formulas in the model, by the name that a definition or law gives.
 SEAMS = {
     "joint": Seam(1, "rad", True),
     "joints": Seam(1, "rad"),
@@ -56,9 +57,9 @@ SEAMS = {
     "response": Seam(1, "rad", True),
     "responses": Seam(1, "rad"),
 }
-# Insertion points in joint logs, and names of signals of its own joint that a formula there may use
-# (see `motion`).
+# Insertion points of formulas in joint logs.
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
+# Names of signals of its own joint that a formula in joint logs may use (see `motion`).
 MOTION_NAMES = frozenset({
     "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
     "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
@@ -68,33 +69,36 @@ MOTION_NAMES = frozenset({
 MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
 # Column of each name in a formula that differs from its column's.
 COLUMN_BY_NAME = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
+# Pattern of names in formulas that are columns.
 COLUMN_NAME = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
+# Pattern of names in formulas that are computed from a pose.
 _POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
+# Pattern of names in a formula for every joint, which stand for each joint's own.
 JOINT_NAME = re.compile(r"q|tau|approach|move")
+# Pattern of names with the number of a joint or link.
 _NUMBERED_NAME = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
-# Names for the beam of an instrument: its length [m], its direction about the vertical [rad], and
-# the cosine of its angle
-# with the target's direction (by default the flange's third axis). HEAD_NAME is the sense of the
-# last rotation of the
-# instrument's head about the vertical, -1 to 1.
+# Names of an instrument's range [m], direction about the vertical [rad], and cosine between beam
+# and target.
 _BEAM_NAMES = ("r", "azimuth", "incidence")
+# Name of the sense of an instrument head's last rotation about the vertical, -1 to 1.
 HEAD_NAME = "head"
+# Default direction of a target in the flange frame, the third axis.
 DEFAULT_TARGET_DIRECTION = (0.0, 0.0, 1.0)
 # Insertion points that need the position (station) of an instrument.
 STATION_SEAMS = ("beam", "across")
 # Names of the coordinates of the measured point [m], at insertion points behind it.
 _POINT_NAMES = ("point_x", "point_y", "point_z")
-# Instruments that measure distances: their largest number, columns of the anchor of a distance [m],
-# and columns that are 1
-# where an instrument measured a pose, numbered in the order of tables (see
-# `diagnosis.observations`).
+# Largest number of instruments that measure distances.
 MAX_DISTANCE_INSTRUMENTS = 4
+# Columns of the anchor of a measured distance, in the measuring frame [m].
 ANCHOR_COLUMNS = ("far_x_m", "far_y_m", "far_z_m")
+# Columns that are 1 where the instrument of a number measured the distance, in the order of tables.
 INSTRUMENT_FLAG_COLUMNS = tuple(f"wire{k}" for k in range(1, MAX_DISTANCE_INSTRUMENTS + 1))
 # Where a camera that measures poses is mounted: fixed, or on the flange.
 CAMERA_SIDES = ("fixed", "carried")
+# Description of the names in formulas, for error messages.
 ALLOWED_NAMES = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
@@ -265,11 +269,12 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
         raise InputError(f"formula {formula.text!r}: it is no number where {there}")
 
 
-# Ranges of values [SI] for which formulas are checked, by name, and for all other names.
+# Ranges of values [SI] for which formulas are checked, by name.
 _RANGE_BY_NAME = {
     "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
     "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD_NAME: (-1.0, 1.0),
 }  # fmt: skip
+# Range of values for which formulas are checked, of angles, lengths and parameters [SI].
 _DEFAULT_RANGE = (-4.0, 4.0)
 
 
@@ -365,6 +370,7 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
     return moved
 
 
+# Pattern of the name of a law's factor.
 _FACTOR_NAME = re.compile(r"[a-z]")
 
 

@@ -69,8 +69,8 @@ class FrameSettling(FrameDrift):
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
 
-# Times of candidate steps, as shares of the campaign; few, since a step of six parameters fits
-# between two times too.
+# Times of candidate steps, as shares of the campaign. They are few, since a step of six parameters
+# also fits the data at times between two of them.
 STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 
 

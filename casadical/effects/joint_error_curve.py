@@ -13,13 +13,13 @@ from casadical.effects.base import Context, Counterparts, Effect
 
 # Prior standard deviation of a harmonic of a joint without other information [rad].
 TYPICAL_HARMONIC_RAD = 60e-6
-# Up to this order harmonics have one prior size; above it the size is inversely proportional to the
-# order.
+# Order above which the prior size of a harmonic is inversely proportional to its order.
 DEFAULT_KNEE_ORDER = 17
 # Highest harmonic of each curve.
 DEFAULT_ORDERS = 60
-# Number of poses from which the readings determine more harmonics, and the highest harmonic then.
+# Number of poses from which the readings determine more harmonics.
 MIN_POSES_FOR_EXTENDED_ORDERS = 400
+# Highest harmonic of each curve where there are that many poses.
 EXTENDED_ORDERS = 90
 
 

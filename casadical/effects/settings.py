@@ -10,6 +10,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from casadical.core.basics import InputError
 
+# Configuration of pydantic for settings.
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 # Largest integer setting, and largest number of combinations of settings on their grids.
 MAX_SETTING_COUNT = 10_000

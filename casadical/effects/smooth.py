@@ -16,10 +16,9 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link
 
-# Prior standard deviation of the first term of a series: of a joint error [rad], and of a
-# displacement
-# [m].
+# Prior standard deviation of the first term of a smooth joint error.
 TYPICAL_ANGLE_RAD = 30e-6
+# Prior standard deviation of the first term of a smooth displacement.
 TYPICAL_LENGTH_M = 30e-6
 
 

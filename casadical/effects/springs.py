@@ -12,7 +12,7 @@ from casadical.core.parts import Arm, Body
 from casadical.core.transforms import Symbolic, apply, small_frame, translate
 from casadical.effects.base import Balancer, Context, Counterparts, Effect, setting
 
-# Phases of the candidates [rad].
+# Phases of the candidates of a balancing spring, readings of joint 2.
 PHASE_GRID_RAD = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 
 

@@ -7,8 +7,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Log likelihoods that are lower than a group's greatest one by more than this [nats] are not
-# computed.
+# A sigma of the grid is skipped for a group of columns if its log likelihood is below the group's
+# maximum by more than this [nats].
 SIGMA_LOG_LIKELIHOOD_WINDOW = 40.0
 
 

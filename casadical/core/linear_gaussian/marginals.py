@@ -23,12 +23,13 @@ from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, Cached
 if TYPE_CHECKING:
     from casadical.core.linear_gaussian.model import LinearModel
 
-# A wide group is judged at the likely points only: where its log likelihood is within this many
-# nats of its best.
+# A wide group of columns is judged at the grid points where its log likelihood is within this of
+# its maximum [nats].
 POINT_LOG_EVIDENCE_WINDOW = 25.0
 # Sums are updated rather than computed again where at most this share of the blocks has changed.
 MAX_CHANGED_BLOCK_SHARE = 0.2
 
+# The empty set of column indices.
 NO_COLUMNS = np.zeros(0, dtype=np.int64)
 
 

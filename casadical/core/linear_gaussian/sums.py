@@ -21,8 +21,8 @@ from casadical.core.linear_gaussian.noise import Axes
 if TYPE_CHECKING:
     from casadical.core.linear_gaussian.model import LinearModel
 
-# Narrow groups, of up to this many columns, are accumulated together at all points; wider ones one
-# by one.
+# Groups of up to this many columns (narrow ones) are accumulated together at all grid points, wider
+# ones one by one.
 MAX_NARROW_GROUP_COLUMNS = 64
 
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 else:
     Picture = Any
 
+# Message of the error where plotly is not installed.
 MISSING_PLOTLY = "a report needs plotly, which is not installed: pip install 'casadical[report]'"
 # Light and dark colour by role. Those of methods are of Okabe and Ito (2008), shifted for contrast
 # on both backgrounds.
@@ -36,17 +37,31 @@ COLOURS: dict[str, tuple[str, str]] = {
     "sky": ("#3d95c9", "#8cc9ee"),
     "grey": ("#868f9a", "#78838f"),
 }
+# Dark colour by light colour.
 DARK_BY_LIGHT = dict(COLOURS.values())
-INK_COLOUR, MUTED_COLOUR, LINE_COLOUR, GRID_COLOUR = (COLOURS[role][0] for role in ("ink", "muted", "line", "grid"))
+# Colour of titles and labels.
+INK_COLOUR = COLOURS["ink"][0]
+# Colour of the text of axes and legends.
+MUTED_COLOUR = COLOURS["muted"][0]
+# Colour of axes and frames.
+LINE_COLOUR = COLOURS["line"][0]
+# Colour of grid lines.
+GRID_COLOUR = COLOURS["grid"][0]
+# Background of a figure.
 PAPER_COLOUR = COLOURS["paper"][0]
+# Light grey, the colour of error bars.
 GREY_COLOUR = COLOURS["grey"][0]
+# CSS font families of all text.
 FONT_FAMILIES = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+# Mode of plotly by kind of a series.
 MODE_BY_KIND = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
+# Settings of plotly that all axes share.
 AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
 # Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.
 CAMERA_EYE = (1.15, 1.3, 0.55)
-# Heights reserved for title and legend of a figure whose panels have titles [px].
+# Height reserved for the title of a figure whose panels have titles.
 TITLE_HEIGHT_PX = 76
+# Height reserved for the legend of a figure whose panels have titles.
 LEGEND_HEIGHT_PX = 100
 
 

@@ -19,11 +19,15 @@ if TYPE_CHECKING:
 else:
     Sheet = Any
 
+# Message of the error where fpdf2 is not installed.
 MISSING_FPDF = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
-# Margin, width of the text and lowest position of the text on an A4 page [mm].
+# Margin at the sides of an A4 page.
 MARGIN_MM = 18.0
+# Width of the text of an A4 page.
 TEXT_WIDTH_MM = 174.0
+# Lowest position of text on an A4 page, from its top.
 TEXT_BOTTOM_MM = 297.0 - 18.0
+# Style and size [pt] of the font by kind of words.
 _FONT_BY_KIND = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
 # Letters outside of the built-in Latin-1 fonts of PDF readers, and their substitutes.
 _LATIN1_SUBSTITUTES = str.maketrans(

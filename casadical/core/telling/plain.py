@@ -10,7 +10,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
-# Number of each output unit in one SI unit.
+# Factor from the SI unit to each output unit.
 PER_SI_UNIT = {"mm": 1e3, "mm2": 1e6, "um": 1e6, "mrad": 1e3, "urad": 1e6, "deg": 180 / math.pi}
 
 
@@ -38,8 +38,9 @@ def written(name: str = "", unit: str = "", digits: int | None = None) -> dict[s
     return {"key": Key(name, "", unit, digits)}
 
 
-# Metadata of fields that are written as they are, and of lengths [m] that are written in mm.
+# Metadata of a dataclass field that is written as it is.
 WRITTEN = written()
+# Metadata of a dataclass field, a length [m], that is written in mm.
 IN_MM = written(unit="mm")
 
 

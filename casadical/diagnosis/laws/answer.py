@@ -35,7 +35,7 @@ from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-# Unit of reports and its number per SI unit, by the unit of a factor.
+# Unit of reports, and the factor to it, by SI unit of a law's factor.
 REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
 _FIGURE_CAPTION = (
     "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "

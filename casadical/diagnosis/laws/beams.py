@@ -26,30 +26,33 @@ from casadical.robot.robot import Robot
 # Position of an instrument in the measuring frame [m], or direction of its target in the flange
 # frame.
 Point: TypeAlias = tuple[float, float, float]
-# Stations that are tried: number of directions around the robot, and distances from it divided by
-# its reach.
+# Number of directions around the robot in which stations are tried.
 STATION_DIRECTIONS = 8
+# Distances from the robot at which stations are tried, divided by its reach.
 STATION_DISTANCES_OF_REACH = (1.5, 2.5, 4.0)
-# Moves of a refinement for a unit step of other settings: angle of a station about the robot [rad],
-# distance of a station
-# as a share of itself, and angle of a target [rad].
+# Angle about the robot [rad] by which a station moves for a unit step of a refinement.
 STATION_ANGLE_PER_STEP = 3.0
+# Share of its distance by which a station moves for a unit step of a refinement.
 STATION_DISTANCE_PER_STEP = 6.0
+# Angle [rad] by which a target turns for a unit step of a refinement.
 TARGET_ANGLE_PER_STEP = 9.0
-# Short waves over the range: edges of the bands, each with its own stations, and spacing of the
-# wave numbers.
+# Edges of the bands of short waves over the range, each band with its own stations.
 WAVE_BANDS_RAD_PER_M = (2.0, 4.0, 8.0, MAX_SLOW_CYCLES)
+# Spacing of the wave numbers of short waves over the range.
 WAVE_SPACING_RAD_PER_M = 0.25
-# Stations for short waves: distances divided by the reach, and angles above the horizontal.
+# Distances from the robot of stations for short waves, divided by its reach.
 WAVE_STATION_DISTANCES_OF_REACH = (1.0, 1.6, 3.0)
+# Lowest angle above the horizontal of stations for short waves.
 MIN_ELEVATION_RAD = -0.15
+# Highest angle above the horizontal of stations for short waves.
 MAX_ELEVATION_RAD = 0.6
-# Number of products computed at a time, which bounds memory, and of stations that are judged.
+# Number of products of residuals with waves computed at a time, which bounds memory.
 MAX_PRODUCTS_AT_A_TIME = 500_000
+# Number of stations for short waves whose laws are judged.
 MAX_JUDGED_STATIONS = 24
-# Stations are searched on at most this many poses, spread over all; bands with more products (some
-# seconds) are skipped.
+# Number of poses, spread over all, on which stations for short waves are searched.
 MAX_SEARCH_POSES = 200
+# A band of short waves that needs more products than this (some seconds) is skipped.
 MAX_BAND_PRODUCTS = 2e8
 # Directions of a target, up to sign: along the flange's axes, between two, and between all three.
 _TARGET_DIRECTIONS = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]

@@ -48,8 +48,7 @@ from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import Law
 from casadical.measurements.measurements import Noise
 
-# Laws are searched on at most this many poses, spread over the campaign, since the time grows with
-# their number.
+# Number of poses, spread over the campaign, on which laws are searched: the time grows with it.
 MAX_SEARCHED_POSES = 600
 # A law is a listed effect under another name if their columns correlate by more than this.
 MIN_ALIAS_CORRELATION = 0.95

@@ -34,8 +34,9 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Number of laws that are claimed at most, and of rounds in which laws or causes are added.
+# Number of laws that are claimed at most.
 MAX_LAWS = 2
+# Number of rounds at most, in each of which a law or a cause is added to the model.
 MAX_LAW_ROUNDS = 4
 
 

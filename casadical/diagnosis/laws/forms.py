@@ -19,6 +19,7 @@ from casadical.effects.formula_effect import COLUMN_NAME, Law, columns_of
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
 
+# Names of the factors in formulas that evaluate several names at once.
 VARIABLE_LETTERS = "abcdefghijklmnopqs"
 # Time constants of a warmth that lags behind the measured temperature.
 WARMTH_LAGS_S = (300, 600, 1200, 2400)
@@ -78,6 +79,7 @@ def drivers_of(arm: Arm) -> list[Driver]:
     return drivers
 
 
+# The name of the warmth in products of drivers.
 DEFAULT_WARMTH = "warmth_600s"
 
 
@@ -139,10 +141,11 @@ def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
     return values
 
 
-# Greatest frequencies of slow and of fine waves [cycles per revolution]; fine waves need a number
-# of poses.
+# Greatest frequency of slow waves over an angle [cycles per revolution].
 MAX_SLOW_CYCLES = 16.0
+# Greatest frequency of fine waves over an angle [cycles per revolution].
 MAX_FINE_CYCLES = 1100.0
+# Number of poses from which fine waves are tried.
 MIN_POSES_FOR_FINE_WAVES = 50
 # Changes of a wave's phase per unit of a second driver [rad].
 PHASE_RATES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
@@ -277,20 +280,35 @@ SQUARE = Form("square", ("x**2",), (), _none)
 CUBE = Form("cube", ("x**3",), (), _none)
 SIZE = Form("size", ("abs(x)",), (), _none)
 SIGNED_SQUARE = Form("signed square", ("x*abs(x)",), (), _none)
+# Zero below k, then a line.
 HINGE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
+# A line down to zero at k, then zero.
 HINGE_BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
+# Zero where the absolute value is below k, then a line to both sides.
 HINGE_OF_SIZE = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
+# Zero between -k and k, then a line with the sign of the driver.
 DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
+# Zero within w of k, then a line with the sign of the distance.
 BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
+# A smooth transition at k of width w, constant beyond.
 SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), with_widths(7, (0.03, 0.08, 0.16, 0.32)))
+# A step at k, at many places.
 STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
+# A step at k, at few places.
 RELAY = Form("relay", ("step(x - k)",), ("k",), _quantiles(10))
+# A Gaussian bump at k of width w.
 BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), with_widths(9, (0.05, 0.1, 0.2, 0.35)))
+# Two steps, at k and w, each with its own factor.
 LEVELS = Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10))
+# One between k and w, else zero.
 BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16))
+# Exponential decay with the constant w.
 FADE = Form("fading", ("exp(-x/w)",), ("w",), _decays)
+# A wave of frequency f of up to 16 cycles per revolution.
 WAVE = Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns)
+# A wave of frequency f of more than 16 cycles per revolution.
 FINE_WAVE = Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine)
+# A wave of frequency f with half a cycle to six over the driver's range.
 CYCLE = Form("cycle", ("sin(f*x)", "cos(f*x)"), ("f",), _cycles)
 
 # Forms that a driver may have, by its kind.

@@ -164,10 +164,11 @@ def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
     return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
 
 
-# Typical size (one sigma) of a law whose form varies by one: an angle, a length, and a share of a
-# mass.
+# Typical size (one sigma) of a law at an angle, where its form varies by one.
 LAW_ANGLE_RAD = 30e-6
+# Typical size (one sigma) of a law at a length, where its form varies by one.
 LAW_LENGTH_M = 30e-6
+# Typical size (one sigma) of a law of the payload, as a share of its mass.
 LAW_SHARE = 0.03
 # Names of the factors of a law; r and t are names of drivers.
 FACTOR_LETTERS = "abcdefghijklmnopqsuvwxyz"
@@ -227,18 +228,20 @@ def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[InsertionPo
     return [InsertionPoint(law, columns[:, :, a:b]) for law, a, b in zip(laws, edges[:-1], edges[1:], strict=True)]
 
 
-# Smallest scale of a function [its unit]; a constant function is in the base model already.
+# Smallest scale by which a function of a form is divided [unit of the function].
 MIN_FUNCTION_SCALE = 1e-3
-# Indices of the rhos at which laws are screened: the most probable one without a law says little of
-# that with it.
+# Indices in the grid of rho, the ratio of joint repeatability to sigma, at which laws are screened.
 SCREENED_RHO_INDICES = (2, 4)
-# Largest gain of a law at another rho over its bound at the most probable one.
+# A law whose bound at the most probable rho is lower than needed by more than this is not judged at
+# other rhos.
 MAX_GAIN_AT_OTHER_RHO_NATS = 20.0
-# A law is claimed if its score is at least this, and exceeds the best rival's by the margin.
+# Score that a law needs to be claimed.
 MIN_CLAIM_SCORE_NATS = 12.0
+# Margin over the best rival's score that a law needs to be claimed.
 MIN_CLAIM_MARGIN_NATS = 3.0
-# Laws with scores within this of the best one are reported as indistinguishable, up to the number.
+# Laws with scores within this of the best one are reported as indistinguishable.
 INDISTINGUISHABLE_NATS = 5.0
+# Number of indistinguishable laws that are reported.
 MAX_INDISTINGUISHABLE_LAWS = 6
 
 

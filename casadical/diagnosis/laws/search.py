@@ -52,14 +52,15 @@ from casadical.effects.formula import parse
 from casadical.effects.formula_effect import Law, head_column
 from casadical.measurements.derived_columns import derive
 
-# Numbers of laws whose evidence is computed exactly, whose settings are refined, and whose place is
-# moved in any case.
+# Number of laws, the best by screening, whose evidence is computed exactly.
 MAX_EXACT_LAWS = 24
+# Number of laws, the best by exact evidence, whose settings are refined.
 MAX_REFINED_LAWS = 6
+# Number of laws of an instrument's beam whose station is refined in any case.
 MIN_MOVED_LAWS = 4
-# Largest gains by refined settings over those of the grid, beyond the price of a law, without and
-# with a moved place.
+# Largest gain of a law's score by refining its settings.
 MAX_REFINEMENT_GAIN_NATS = 10.0
+# Largest gain of a law's score by refining its settings and its station.
 MAX_PLACEMENT_GAIN_NATS = 40.0
 
 
@@ -252,13 +253,13 @@ def search_laws(
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
-# Refinement of settings: the first step as a share of the driver's range (see `_moved` for widths,
-# frequencies and
-# stations), halved up to a number of times when no step gains enough evidence, in a limited number
-# of rounds.
+# First step of a refinement as a share of the driver's range (see `_moved` for other settings).
 FIRST_STEP_OF_RANGE = 0.03
+# Number of times that the step of a refinement is halved when no step gains enough.
 MAX_HALVINGS = 3
+# Number of rounds of a refinement without a station.
 MAX_REFINEMENT_ROUNDS = 10
+# Smallest gain of log evidence for which a refinement takes a step.
 MIN_REFINEMENT_GAIN_NATS = 0.1
 
 
