@@ -27,6 +27,7 @@ FIGURE_OF_UNIT = {
 MAX_POINTS_DRAWN = 600
 # At most this number of correlated_words pairs is named in a sentence.
 MAX_PAIRS_NAMED = 8
+# Captions of the figures of residuals, of joint coverage, and of correlated pairs.
 _RESIDUALS_CAPTION = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
@@ -238,12 +239,14 @@ def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
     )
 
 
+# The warning that follows a large condition number.
 _CONFOUNDED_WARNING = (
     f" A condition number above {CONFOUNDED_CONDITION_NUMBER} means that some parameters are nearly confounded: "
     "trust the robot as a "
     "whole, by its held-out errors, more than each value. Standard errors and correlations tell which; poses spread "
     "wider (casadical plan) would separate them."
 )
+# The note on the nominal values of base and tool in the table of parameters.
 _PLACED_NOTE = Words(
     "nominal of base and tool: as first placed on the data (base_* are what is added to that), not as in the robot "
     "file",

@@ -33,6 +33,7 @@ from casadical.identification.solver import Progress
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Knowledge, Robot
 
+# A method of the paper: without (KM) or with (SKCM) joint compliance.
 Method = Literal["KM", "SKCM"]
 # Method of the paper -> the parameter groups that it identifies.
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}

@@ -39,6 +39,7 @@ MIN_POINT_SINGULAR_SHARE = 1e-9
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
 # Up to this number of poses is cached with Jacobians; more are evaluated again each time.
 MAX_CACHED_POSES = 10_000
+# Metres in a millimetre.
 _MM = 1e-3
 
 
@@ -222,6 +223,7 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
+# Repeatability ratios of the joints, their fit, and its posterior mean.
 _Fit = tuple[tuple[float, ...], NoiseFit, Array]
 
 

@@ -21,6 +21,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import Expressions, expressions
 from casadical.robot.robot import Robot
 
+# A loss function of squared residuals.
 Loss = Literal["linear", "huber", "soft_l1"]
 # A loss, or auto: huber where that finds outliers, else linear.
 AnyLoss = Literal["auto", Loss]
@@ -107,6 +108,7 @@ class PoseFunctions:
         self.value = MappedFunction("value", of_pose, shared, [r])
 
 
+# Kernels are cached, because building one takes long.
 _kernel = lru_cache(maxsize=64)(PoseFunctions)
 
 

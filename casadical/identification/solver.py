@@ -237,6 +237,7 @@ class _Solvers(threading.local):
         self.of = lru_cache(maxsize=16)(_Solver)
 
 
+# A solver runs in one thread at a time, so each thread has its own.
 _solvers = _Solvers()
 
 

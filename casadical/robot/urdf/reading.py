@@ -14,6 +14,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import MAX_JOINTS, refuse_far
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
+# Limit of a continuous joint to either side [rad].
 _FULL_TURN = 2 * np.pi
 
 
