@@ -40,7 +40,7 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> 
     The data count as one more draw. ranking : of the data, without a cause in the model
     draws : number of draws; show : called with a line of progress
     """
-    ranking = ranking.among({c.label for c in case.candidates})
+    ranking = ranking.restricted_to({c.label for c in case.candidates})
     seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
     rng = np.random.default_rng(seed)
     beyond = done = 0

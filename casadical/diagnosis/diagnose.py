@@ -16,7 +16,7 @@ from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, scattering
+from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, noisy_joint
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import MAX_P_NOTHING_UNDER_FORM, State, next_cause, search, search_with_forms
@@ -157,7 +157,7 @@ class _Question:
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
         found = conclude(self.base, state, end, self.seed, p_nothing)
-        joint = scattering(case, found.rankings[-1]) if found.verdict == "unknown" else None
+        joint = noisy_joint(case, found.rankings[-1]) if found.verdict == "unknown" else None
         if joint is None:
             return found
         self.show(f"causes beside the scatter of joint {joint}")

@@ -229,9 +229,9 @@ class Case:
                 f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
                 "off; check the signs and zeros of the joints, their order, units and the DH convention"
             )
-        return self.with_kept(kept)
+        return self.with_inliers(kept)
 
-    def with_kept(self, kept: Array) -> Case:
+    def with_inliers(self, kept: Array) -> Case:
         """Return the case with other inliers; cached sums are updated if few poses change."""
         if np.array_equal(kept, self.kept):
             return self

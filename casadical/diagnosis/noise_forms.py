@@ -84,10 +84,10 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         log_noise=none - plain,
         noise_form=noise_form,
     )
-    return ranking.weighed(none)
+    return ranking.normalised(none)
 
 
-def scattering(case: Case, ranking: Ranking) -> int | None:
+def noisy_joint(case: Case, ranking: Ranking) -> int | None:
     """Return the joint (1-based) whose noise is the most probable cause in a ranking, else None."""
     labels = {noisy_joint_label(j): j for j in case.robot.numbers}
     return labels.get(ranking.order[0]) if ranking.none <= SETTINGS.max_p_nothing_further else None

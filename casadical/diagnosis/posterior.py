@@ -58,7 +58,7 @@ class Ranking:
         labels = list(self.probability)
         return tuple(labels[k] for k in ranked(list(self.probability.values())))
 
-    def weighed(self, none: float) -> "Ranking":
+    def normalised(self, none: float) -> "Ranking":
         """Return the ranking with probabilities normalised from its masses.
 
         none : log mass of no additional cause
@@ -69,7 +69,7 @@ class Ranking:
             self, none=float(share[0]), probability=dict(zip(self.log_mass, share[1:].tolist(), strict=True))
         )
 
-    def among(self, labels: Collection[str]) -> "Ranking":
+    def restricted_to(self, labels: Collection[str]) -> "Ranking":
         """Return the ranking renormalised over none and these candidates only."""
         chosen = {k: p for k, p in self.probability.items() if k in labels}
         total = self.none + sum(chosen.values())
@@ -123,7 +123,7 @@ def rank(
             variant[candidate.label] = case.variants[judged[best]][1]
             noise[candidate.label] = likely_noise(grids[best], case.judged.sigmas)
     mass = {k: float(np.log(weights[k])) + f for k, f in factor.items()}
-    return Ranking(1.0, {}, factor, mass, variant, noise).weighed(float(np.log(prior["none"])))
+    return Ranking(1.0, {}, factor, mass, variant, noise).normalised(float(np.log(prior["none"])))
 
 
 def prior_weights(

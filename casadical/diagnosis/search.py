@@ -130,7 +130,7 @@ class State:
             return ranking
         mass = {k: m for k, m in ranking.log_mass.items() if k not in lost}
         prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-        return replace(ranking, log_mass=mass).weighed(float(np.log(prior["none"])))
+        return replace(ranking, log_mass=mass).normalised(float(np.log(prior["none"])))
 
     def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
         """Return each effect's log evidence given the other effects and chosen columns."""

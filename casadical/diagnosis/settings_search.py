@@ -162,7 +162,7 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
     """Return the index of the best settings; ties are decided by the outliers, then by order."""
     equal = np.flatnonzero(log >= log.max() - EQUAL_LOG_EVIDENCE)
     if len(equal) > 1 and not case.kept.all():
-        every = case.with_kept(np.ones_like(case.kept))
+        every = case.with_inliers(np.ones_like(case.kept))
         of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
         equal = equal[of_all >= of_all.max() - EQUAL_LOG_EVIDENCE]
     return int(equal[0])

@@ -29,7 +29,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     # Effects at single joints of a cause at several joints are in the model, too.
     named = frozenset((*(c.label for c in found.causes), *(e.label for e in found.effects())))
     by_label = {c.label: c for c in case.candidates}
-    ranking = found.rankings[-1].among(by_label)
+    ranking = found.rankings[-1].restricted_to(by_label)
     if ranking.none > SETTINGS.max_p_nothing_further or by_label[ranking.order[0]].listed:
         return None
     forms: dict[str, tuple[Effect, ...]] = {}

@@ -69,7 +69,7 @@ if __name__ == "__main__":
     (grid,), (random,) = ([derive(m, approaches)[0] for m in problem.sets[name]] for name in ("identify", "report"))
     base = identify(problem.robot, grid, ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
     case = make_case(base, extended_candidates(problem.robot)).with_all_sigmas()
-    case = case.with_kept(np.ones(len(grid), dtype=bool))
+    case = case.with_inliers(np.ones(len(grid), dtype=bool))
     folds = random_folds(len(grid), 0)
     print(f"real data; mm; {len(grid)} poses of the grid, {len(random)} random ones")
     print(f"{'model':36} {'five folds':>10}   {'random':>6} {'max':>6}   log Bayes factor")

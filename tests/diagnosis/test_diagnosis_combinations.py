@@ -63,7 +63,7 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
     known.evidence.log_grids([curve, *backlash])
     kept = known.kept.copy()
     kept[[3, 11]] = False
-    fewer = known.with_kept(kept)
+    fewer = known.with_inliers(kept)
     anew = known.whole.at(np.flatnonzero(kept))
     for beside in (None, curve):
         found, expected = (e.log_grids(backlash, beside).max(axis=(1, 2, 3)) for e in (fewer.evidence, anew))
@@ -78,9 +78,9 @@ def test_sums_under_noise_that_follows_itself_are_those_of_the_other_poses(known
     for out in ([3, 11], [0, 1], [len(known.kept) - 1]):
         kept = known.kept.copy()
         kept[out] = False
-        fewer = followed.with_kept(kept)
+        fewer = followed.with_inliers(kept)
         assert "marginals" in fewer.judged.cache
-        back = fewer.with_kept(known.kept)
+        back = fewer.with_inliers(known.kept)
         for moved in (fewer, back):
             anew = replace(moved).judged
             assert "marginals" not in anew.cache

@@ -575,7 +575,7 @@ def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
     assert gain > 10
     # Poses that are left out later have no part in how likely this noise is.
     kept = usual.kept & (np.arange(len(usual.kept)) > 5)
-    fewer = usual.with_kept(kept)
+    fewer = usual.with_inliers(kept)
     anew = fewer.with_form(ar_form(0.6, int(kept.sum())))
     assert best_form_given_ar(fewer, NONE)[1] == pytest.approx(best_form_given_ar(anew, NONE)[1], abs=1e-6)
 

@@ -24,7 +24,7 @@ from casadical.diagnosis.noise_forms import (
     ar_form,
     heavy_tailed_form,
     noise_forms,
-    scattering,
+    noisy_joint,
 )
 from casadical.diagnosis.text import page_of
 from casadical.measurements.measurements import Measurements
@@ -161,8 +161,8 @@ def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None
 
 def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_there() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, scatter(2, 80e-6), n=60), ["backlash"])
-    assert scattering(d.case, d.rankings[0]) == 2
-    assert scattering(d.case, replace(d.rankings[0], none=0.5)) is None
+    assert noisy_joint(d.case, d.rankings[0]) == 2
+    assert noisy_joint(d.case, replace(d.rankings[0], none=0.5)) is None
 
 
 def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> None:
@@ -171,7 +171,7 @@ def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> No
     assert np.isfinite(known.judged.log_base()).all()
     kept = known.kept.copy()
     kept[np.flatnonzero(kept)[known.order[-1]]] = False
-    fewer = known.with_kept(kept)
+    fewer = known.with_inliers(kept)
     fresh = prewhitened(fewer.evidence, fewer.form, fewer.order)
     np.testing.assert_allclose(fewer.judged.log_base(), fresh.log_base(), rtol=1e-9)
 

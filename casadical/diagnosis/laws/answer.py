@@ -114,7 +114,7 @@ class Discovery(Result):
         Raises ConvergenceError: Ipopt finds no optimum.
         """
         noise = self.noise if self.kept == "law" else self.diagnosis.noise
-        return refit(self.case.with_kept(self.diagnosis.case.kept), self.effects, noise)
+        return refit(self.case.with_inliers(self.diagnosis.case.kept), self.effects, noise)
 
     @property
     def thinned(self) -> tuple[int, int] | None:

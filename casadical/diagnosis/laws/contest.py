@@ -169,7 +169,7 @@ def thinned(case: Case, poses: int) -> Case:
     at = np.flatnonzero(case.kept)[case.order]
     mask = np.zeros_like(case.kept)
     mask[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
-    fewer = case.with_kept(mask)
+    fewer = case.with_inliers(mask)
     if fewer is case or not case.form.stays:
         return fewer
     e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)

@@ -264,7 +264,7 @@ def _with_renewed_noise(case: MotionCase, found: tuple[Found, ...], ranking: Ran
     mass = {k: ranking.log_mass[k] + again.log_factor.get(k, f) - f for k, f in ranking.log_factor.items()}
     factor, variant = {**ranking.log_factor, **again.log_factor}, {**ranking.variant, **again.variant}
     none = float(np.log((PRIOR_FURTHER if found else PRIOR_FIRST)["none"]))
-    return replace(ranking, log_factor=factor, log_mass=mass, variant=variant).weighed(none), case
+    return replace(ranking, log_factor=factor, log_mass=mass, variant=variant).normalised(none), case
 
 
 def indistinguishable(case: MotionCase, one: str, other: str) -> bool:
