@@ -22,7 +22,7 @@ from casadical.measurements.measurements import Measurements
 def with_far_ends(
     m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
 ) -> Measurements:
-    """Return the joint table with columns of the distance instruments, if there are any.
+    """Return the combined table with columns of the distance instruments, if there are any.
 
     far_x_m .. : anchor in the measuring frame, given or as estimated by the base fit (see
     `Identification.unknown_points`); wire1 .. : 1 where the first such instrument was read, else 0.
@@ -48,7 +48,7 @@ def with_far_ends(
 
 
 def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
-    """Return the joint table with columns that are given by row.
+    """Return the combined table with columns that are given by row.
 
     of_row : values by name, shape (rows,) each; additional rows at a stop get names of their own
     """
@@ -62,7 +62,7 @@ def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops
 
 
 def with_camera_columns(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
-    """Return the joint table with columns for effects of cameras, if orientations exist."""
+    """Return the combined table with columns for effects of cameras, if orientations exist."""
     if not any(part.orientation is not None for part in sets):
         return m
     names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]

@@ -96,7 +96,8 @@ class Isolability(Result):
         for label, row in self.effects.iterrows():
             rivals = [f"{k} {v:.2f}" for k, v in list(self.rivals(str(label)).items())[:3]]
             figures = (f"{row['size_mm']:.3f}", f"{100 * row['absorbed']:.0f} %", f"{row['visible_mm']:.4f}")
-            times = row["findable_from"]  # of the realistic size
+            # This is a multiple of the realistic size.
+            times = row["findable_from"]
             multiple = f"{times:.2g} x" if np.isfinite(times) and times < 100 else "never"
             rows.append((str(label), *figures, f"{row['visible_to_noise']:.2f}", multiple, "\n".join(rivals)))
         blocks: list[Words | Table] = [

@@ -19,7 +19,7 @@ from casadical.diagnosis.instrument_columns import with_camera_columns, with_far
 from casadical.diagnosis.linearisation import ColumnCache, EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
-from casadical.diagnosis.observations import Observations, Ratios, joined, observe, stops_in
+from casadical.diagnosis.observations import Observations, Ratios, combined_table, observe, stops_in
 from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.identification.prior import Prior
@@ -349,9 +349,10 @@ def make_case(
     """
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
-    m = joined(sets, robot, stops)
+    m = combined_table(sets, robot, stops)
     m = with_camera_columns(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
-    if robot.payload and "payload_kg" not in m.conditions:  # it is the declared one throughout, as in the model
+    # A payload that was not logged is the declared one at all poses, as in the model.
+    if robot.payload and "payload_kg" not in m.conditions:
         m = replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
     possible, missing = choose(candidates, m, robot.loads)
     effects = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))

@@ -134,7 +134,7 @@ def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[flo
     picked, course, gained = list[int](), list[float](), np.zeros(len(comparisons))
     for _ in range(n):
         gains = np.stack([d.gains() for d in comparisons])
-        # The truth with the smallest sum so far matters most.
+        # The truth with the smallest sum so far has the largest weight.
         score = (gains / (1 + gained[:, None])).sum(axis=0)
         score[picked] = -np.inf
         best = first_of_best(score)
@@ -255,7 +255,7 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
         others = spread.tolist() if label in labels else []
         for k in dict.fromkeys([first_of_best(likely, logs=True), *others]):
             causes.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
-    # The cause that leaves the least noise comes first: its noise is taken for all.
+    # The cause that leaves the least noise comes first, because its noise is used for all.
     return sorted(causes, key=lambda cause: cause.noise.sigma)
 
 

@@ -108,7 +108,7 @@ class Observations:
         return self.layout.stops
 
 
-def joined(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
+def combined_table(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
     """Return all poses as one table with the columns that every set has.
 
     Conditions that the robot's model needs take the declared value where a set lacks them. With
@@ -169,8 +169,8 @@ def row_slices(sets: Sequence[Measurements]) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
-def with_joint_conditions(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
-    """Return the sets with the conditions of the joint table m.
+def with_combined_conditions(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
+    """Return the sets with the conditions of the combined table m.
 
     An additional reading at a stop has its own condition where there is one (see
     `condition_of_reading`).
@@ -232,7 +232,8 @@ def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
     rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
     counts = np.repeat(numbers, [len(m) for m in sets])
     order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)
-    before = np.cumsum(counts[order]) - counts[order]  # numbers of all rows up to each
+    # The count of numbers of all rows before each, in the order of the stops.
+    before = np.cumsum(counts[order]) - counts[order]
     first[order] = before - before[np.searchsorted(stops.of[order], stops.of[order])]
     places = [first[at, None] + np.arange(k) for at, k in zip(rows, numbers, strict=True)]
     return Layout(stops, rows, [stops.of[at, None] for at in rows], places)
@@ -248,11 +249,11 @@ def observe(
 ) -> Observations:
     """Return residuals and Jacobians of the sets at the base model's parameters.
 
-    m : table of `joined` with every condition that the effects need
+    m : table of `combined_table` with every condition that the effects need
     values : parameters of the base model, shape (P,) [SI]
     """
     robot, where = identification.given, identification.unknown_points
-    sets = with_joint_conditions(sets, m, stops)
+    sets = with_combined_conditions(sets, m, stops)
     parts = [_observe_set(robot, part, k, values, where, ratios) for k, part in enumerate(sets)]
     layout, ends = _layout(stops, sets), max(part.ends for part in parts)
     S = _seam_jacobian(parts, layout, ends)

@@ -7,7 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.observations import row_slices, with_joint_conditions
+from casadical.diagnosis.observations import row_slices, with_combined_conditions
 from casadical.effects import Effect
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.residuals import make_block
@@ -70,7 +70,7 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     seen = case.observations
     if not seen.plain:
         return selected_rows(
-            _with_sigmas(case, with_joint_conditions(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of]
+            _with_sigmas(case, with_combined_conditions(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of]
         )
     C = case.whole.covariance(noise)[case.kept]
     m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})

@@ -198,7 +198,7 @@ def learnt_sizes(
         determined = 1 - (root**2).sum(axis=0) / prior**2
         residual_square = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
-        # With more parameters than rows the noise would shrink to nothing.
+        # The lower bound prevents that the noise shrinks to zero with more parameters than rows.
         scale = max(float(residual_square / (rows - determined.sum())), MIN_SIZE_FACTOR**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
