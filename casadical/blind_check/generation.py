@@ -96,7 +96,8 @@ def make(
     executor : of `concurrent.futures`' kind, by default a process for each core
     show : called with a campaign's name, how many are done, and how many there are
     also : returns further files, which are written together with the campaigns
-    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns' folder.
+    Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns'
+    folder.
     """
     folder, key_folder = Path(folder), Path(key)
     if n < 4:

@@ -323,8 +323,9 @@ def check_robot(
     Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
 
     robot : nominal robot
-    poses : of a campaign: how many are drawn within the joint ranges; or those to measure, where what was logged of
-        them (time, temperature, payload, approach) is taken as it is, and the rest is simulated
+    poses : of a campaign: how many are drawn within the joint ranges; or those to measure, where
+        what was logged of them (time, temperature, payload, approach) is taken as it is, and the
+        rest is simulated
     noise_um : one sigma of a measured coordinate [um]
     n : number of campaigns
     seed : of everything drawn; by default a random one

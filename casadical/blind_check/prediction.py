@@ -154,7 +154,8 @@ def predict(
 
     out : file of answers, a line each; by default answers.diagnosis.jsonl in the folder
     executor, show : as of `make`
-    Raises InputError for no such folder, tables that cannot be read, or a file that answers another check.
+    Raises InputError for no such folder, tables that cannot be read, or a file that answers another
+    check.
     """
     folder = Path(folder)
     manifest = protocol.read_manifest(folder)

@@ -37,7 +37,8 @@ def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, bod
 def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
     """Return the fields of a file that `write_checksummed` wrote, without the checksum.
 
-    Raises InputError when it is not there, truncated, changed, of another kind, or of a later version.
+    Raises InputError when it is not there, truncated, changed, of another kind, or of a later
+    version.
     """
     try:
         text = read_text(Path(path), MAX_JSON_BYTES)

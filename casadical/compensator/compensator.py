@@ -131,7 +131,7 @@ class Compensator:
     network : the one in use; None: the null compensator, which corrects nothing
     layout : sizes of the network
     trained_box : the joint readings seen in training [rad]
-    training : errors of the training poses without and with the trained network, also when it was refused
+    training : errors of the training poses without and with the trained network, even if refused
     choice : the same of poses it was not trained on and that decided
     validation : the same of poses that had no part in any choice
     chosen_by : which poses decided, in words
@@ -196,17 +196,20 @@ class Compensator:
         q : shape (n, joints) [rad]: readings of the training poses
         residual_mm : shape (n, outputs) [mm]: their residuals, measured less computed
         validate : (q, residual_mm) of further poses, for the report only
-        choose : (q, residual_mm) of poses that decide whether the network helps, instead of a cross-validation
+        choose : (q, residual_mm) of poses that decide whether the network helps, instead of a
+            cross-validation
         trainer : one of `known_trainers` by its name, or one with its settings
         layout : default one hidden layer of 5
         joint_range : scales the inputs; default the box of the training poses
-        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean square residual
+        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean
+            square residual
         loss : what is minimised; default: the paper's
         seed : of everything random
         folds : trainings of the cross-validation, where `choose` is not given
         margin : number of its standard errors that the gain must exceed
         progress : see `train_all`
-        Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer than 10 poses.
+        Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer
+        than 10 poses.
         """
         rows = joint_angles(q, layout.joints if layout else None)
         targets = residuals(residual_mm, len(rows), layout.outputs if layout else None)
@@ -285,7 +288,8 @@ class Compensator:
 
         The null compensator returns zeros.
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]; extrapolated outside of ``trained_box``, see `inside`
+        q : joint readings, shape (n, joints) or (joints,) [rad]; extrapolated outside of
+            ``trained_box``, see `inside`
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))

@@ -31,7 +31,8 @@ class IwoSettings:
     sigma_initial : standard deviation of steps at the start, eq. 13 [unit of the bounds]
     sigma_final : standard deviation of steps at the end, eq. 13 [unit of the bounds]
     lower, upper : bounds of all coordinates, or one for each coordinate
-    dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform in [0, 1]
+    dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform
+        in [0, 1]
     iterations : largest number of generations
     target : loss at which the search stops; None: none
     patience : number of generations without a lower loss after which the search stops; None: none
@@ -220,7 +221,9 @@ class InvasiveWeeds:
         return tuple(reasons)
 
     def result(self) -> IwoResult:
-        """Return the best point so far with the history. Raises InputError: nothing was evaluated yet."""
+        """Return the best point so far with the history.
+
+        Raises InputError: nothing was evaluated yet."""
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
@@ -251,8 +254,8 @@ def iwo_minimise(
 ) -> IwoResult:
     """Return the minimum of an objective, found by invasive weed optimisation.
 
-    objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False`` one point, shape
-        (dimension,), and returns its loss
+    objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False``
+        one point, shape (dimension,), and returns its loss
     dimension, settings, seed, start : as of `InvasiveWeeds`
     vectorised : whether the objective takes all points at once
 

@@ -54,7 +54,8 @@ def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffer
     """
     first, *rest = layout.layers(weights)
     buffers, samples, dtype = buffers or OutputBuffers(), inputs.shape[1], np.result_type(weights, inputs)
-    # The first layer sees the same inputs in every network: one matrix product for the whole colony.
+    # The first layer sees the same inputs in every network: one matrix product for the whole
+    # colony.
     z = np.matmul(first.reshape(-1, first.shape[-1]), inputs, out=buffers(0, (first[..., 0].size, samples), dtype))
     z = z.reshape(len(weights), -1, samples)
     for level, layer in enumerate(rest, 1):
@@ -94,7 +95,7 @@ def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) 
 
 
 def outputs_and_jacobian(layout: Layout, weights: Array, inputs: Array) -> tuple[Array, Array]:
-    """Return outputs, shape (P, O, N), and their transposed Jacobian by the weights, shape (P, count, O, N)."""
+    """Return outputs, (P, O, N), and their Jacobian by the weights, (P, count, O, N)."""
     *enters, outputs = _activations(layout, weights, inputs)
     layers = layout.layers(weights)
     count, size, samples = outputs.shape
@@ -165,7 +166,7 @@ class Network:
         return np.asarray(out if np.ndim(q) == 2 else out[0], dtype=np.float64)
 
     def function(self) -> "casadi.Function":
-        """Return the CasADi function ``network:(q[joints])->(dp[outputs])``: q in radians, dp in millimetres."""
+        """Return the CasADi function ``network:(q[joints] rad)->(dp[outputs] mm)``."""
         import casadi
 
         q, centre, half = casadi.SX.sym("q", self.layout.joints), self.box.centre, self.box.half_width

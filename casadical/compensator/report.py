@@ -1,4 +1,4 @@
-"""Accuracy figures of a compensator: mean, max and standard deviation of the position error, before and after."""
+"""Accuracy of a compensator: mean, maximum and standard deviation of the position error."""
 
 from dataclasses import dataclass
 from typing import Self

@@ -57,7 +57,8 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     """Return the compensator in a file that `save_compensator` wrote, without its training history.
 
     path : JSON file
-    Raises InputError: the file is missing, truncated, changed, of another kind or version, or inconsistent.
+    Raises InputError: the file is missing, truncated, changed, of another kind or version, or
+    inconsistent.
 
     Examples
     --------

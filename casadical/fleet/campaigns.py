@@ -49,15 +49,18 @@ def compare_files(
 
     They are ordered by their dates, or else as they are given.
 
-    paths : robot files with a covariance, folders of results, problem folders, or tables of measurements; or one
-        problem folder, whose later campaigns are the tables in its folder `campaigns`
-    robot : problem folder or robot file by which tables are understood; None: the first of `paths` that is no table
+    paths : robot files with a covariance, folders of results, problem folders, or tables of
+        measurements; or one problem folder, whose later campaigns are the tables in its folder
+        `campaigns`
+    robot : problem folder or robot file by which tables are understood; None: the first of `paths`
+        that is no table
     same_tool : whether the same point of the same tool was measured
     same_frame : whether all positions are in one frame
     show : called with a line of progress
     Returns what changed; of three campaigns or more, unusable ones are dropped and named in its
     notes
-    Raises InputError: fewer than two campaigns that can be used, with what is wrong in them; a robot without tables.
+    Raises InputError: fewer than two campaigns that can be used, with what is wrong in them; a
+    robot without tables.
 
     Examples
     --------

@@ -160,7 +160,8 @@ class Comparison(Result):
     placements : (what, how) of base and tool, which were fitted again
     notes : what was assumed of the campaigns
     name : of the robot as its user knows it; empty: that of its type
-    sources : what the last campaign can be calibrated from: a problem folder or robot file, and its table
+    sources : what the last campaign can be calibrated from: a problem folder or robot file, and its
+        table
 
     Examples
     --------

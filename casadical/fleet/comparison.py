@@ -61,7 +61,8 @@ def compare(
     """Return what changed in a robot over campaigns: causes, times, sizes, probabilities.
 
     campaigns : in the order of time
-    same_tool : whether the same point of the same tool was measured, so that a moved one is a change
+    same_tool : whether the same point of the same tool was measured, so that a moved one is a
+        change
     same_frame : whether all positions are in one frame, so that a moved base is a change
     notes : what a reader must know of the campaigns
     Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.

@@ -129,7 +129,8 @@ def estimate(
 ) -> Estimate:
     """Return the estimate of all parameters from measurements of any kind.
 
-    campaign : an identification, or a nominal robot and measurements, by which it is identified first
+    campaign : an identification, or a nominal robot and measurements, by which it is identified
+        first
     label : of the campaign; empty: the source of its measurements
     day : when they were measured [d]
     Raises InputError: given distances between touched points, which cannot be compared.

@@ -33,7 +33,7 @@ def run_fleet(
     with_diagnosis: bool = True,
     show: Show = silent,
 ) -> Fleet:
-    """Calibrate, diagnose and compare every robot of a fleet; what a store has already is not computed again.
+    """Calibrate, diagnose and compare every robot of a fleet that is not yet in the store.
 
     folders : problem folders, one a robot, or folders that hold them
     store : folder that keeps a Parquet file with the row of each robot
@@ -42,7 +42,8 @@ def run_fleet(
     with_diagnosis : whether every robot is diagnosed, which takes longest
     show : called with a line of progress
     Returns all robots of the store that were asked for, and what they have in common
-    Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer; what was done until
+    Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer;
+    what was done until
         then is kept.
 
     Examples
@@ -150,7 +151,10 @@ def _to_compute(
 def _computed(
     names: Sequence[str], robots: dict[str, Path], scheduler: str | None, workers: int | None, with_diagnosis: bool
 ) -> Iterator[dict[str, Any]]:
-    """Yield the row of each robot as it is computed on a cluster. Raises InputError if the scheduler is lost."""
+    """Yield the row of each robot as it is computed on a cluster.
+
+    Raises InputError if the scheduler is lost.
+    """
     distributed = optional("distributed", MISSING_PACKAGES)
     with client_of(scheduler, workers) as client:
         folders = [robots[name].resolve() for name in names]

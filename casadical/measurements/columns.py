@@ -170,7 +170,8 @@ class Columns:
     def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
         """Return the columns of a pandas table. Raises InputError: a header occurs twice.
 
-        row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one, from 2
+        row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one,
+            from 2
         """
         table = table.rename(columns=lambda name: str(name).strip())
         refuse_repeated_names(table.columns, source)

@@ -71,7 +71,8 @@ class Measurements(Shown):
         identified
     other : readings at the other end of a pair distance, shape (n, joints) [rad or m]
     label : name of the unknown point that is touched, shape (n,), of kind contact
-    extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than these
+    extra : further observed arrays by name, each of shape (n, ...), of kinds that need others than
+        these
     separations : given distances (label, label, distance [m]) between touched points
     separation_sigma : standard deviation of these distances [m]
     conditions : logged columns by name, each of shape (n,)
@@ -216,9 +217,10 @@ class Measurements(Shown):
         sizes : of each set: below 1 a share of the poses, from 1 on their number
 
 
-        Poses at the same joint readings (replicates, several targets at one stop) stay together, so that no pose is
-        ever in two sets; a set may hold some more or less than its size for that. A pair distance whose ends fall in
-        two sets is left out; poses of one contact point may fall in two.
+        Poses at the same joint readings (replicates, several targets at one stop) stay together, so
+        that no pose is ever in two sets; a set may hold some more or less than its size for that. A
+        pair distance whose ends fall in two sets is left out; poses of one contact point may fall
+        in two.
 
         Raises InputError: impossible sizes.
         """
@@ -261,7 +263,8 @@ class Measurements(Shown):
 def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: str = "table") -> Measurements:
     """Return poses without measurements, for predictions: kind position, every position zero.
 
-    q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape (n,)
+    q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, each of shape
+        (n,)
     """
     zero = np.zeros((len(q), 3))
     return Measurements(q=q, kind="position", position=zero, conditions=dict(conditions or {}), source=source)

@@ -35,7 +35,8 @@ def read_measurements(
     point_from : columns that together name the touched point, of kind contact
     sigma_mm, sigma_deg : standard deviation of a measured coordinate [mm] and angle [deg]; None:
         estimated from the fit
-    Raises InputError: a table that cannot be used; it names the file, row and column where something is wrong.
+    Raises InputError: a table that cannot be used; it names the file, row and column where
+    something is wrong.
 
     Examples
     --------

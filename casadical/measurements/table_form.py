@@ -52,7 +52,8 @@ class Form:
     encoding, separator, decimal : of the text
     header_line : line of the file with the headings, 0 where there is none
     units : unit of each column, from a row of units below the headings; empty without one
-    skipped : lines that are no rows of the table (comments, titles, repeated headings), with their text
+    skipped : lines that are no rows of the table (comments, titles, repeated headings), with their
+        text
     sheet : name of a workbook's sheet
     """
 

@@ -1,4 +1,4 @@
-"""Words of column headings in five languages, and units with their factors, from `vocabulary.toml`."""
+"""Words of column headings in five languages, and units with factors, from `vocabulary.toml`."""
 
 import re
 import tomllib

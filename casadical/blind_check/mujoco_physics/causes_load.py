@@ -13,11 +13,11 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 
 @acts("built")
 def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, friction: float) -> Mechanism:
-    """Play of +-``size`` [rad] between gear and link: a hinge between hard stops.
+    """Return the mechanism with play of +-``size`` [rad] between a joint's gear and its link.
 
-    The link's bearing has dry friction: the torque that would wind the joint's spring by the share
-    ``friction`` of ``size``. Where the load is less, the link lags behind the motion; elsewhere the
-    load takes up the play.
+    The play is a hinge between hard stops. The link's bearing has dry friction: the torque that
+    would wind the joint's spring by the share ``friction`` of ``size``. Where the load is less, the
+    link lags behind the motion; elsewhere the load takes up the play.
     """
     name, stiffness = f"joint{joint}", float(plant.stiffness[joint - 1])
     k = 0.1 * stiffness
@@ -29,9 +29,10 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
 
 @acts("built")
 def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, load_share: float) -> Mechanism:
-    """Dry friction in the joint: its spring stays wound by up to ``size`` [rad] against the last motion.
+    """Return the mechanism with dry friction in a joint.
 
-    The rated torque adds the share ``load_share`` to the friction of the idle joint.
+    The joint's spring stays wound by up to ``size`` [rad] against the last motion. The rated torque
+    adds the share ``load_share`` to the friction of the idle joint.
     """
     j, held = joint - 1, mechanism.joint(f"joint{joint}")
     idle = size * float(plant.stiffness[j])
@@ -43,11 +44,12 @@ def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: flo
 def nonlinear_stiffness(
     mechanism: Mechanism, plant: Plant, *, joint: int, size: float, knee: float, linear: float
 ) -> Mechanism:
-    """A strain-wave gear, soft at small torques: with ``knee`` > 0 a second spring grips beyond that share of the rated
-    torque, else the gear has a flexible wheel in series with torque a x + b x^3.
+    """Return the mechanism with a strain-wave gear, which is soft at small torques.
 
-    ``size`` [rad] is what it gives at the rated torque beyond the joint's own spring; ``linear`` the share of that
-    torque which the flexible wheel carries linearly there.
+    With ``knee`` > 0 a second spring engages beyond that share of the rated torque; otherwise the
+    gear has a flexible wheel in series with the torque a x + b x^3. ``size`` [rad] is its
+    deflection at the rated torque beyond that of the joint's own spring; ``linear`` is the share of
+    that torque which the flexible wheel carries linearly there.
     """
     name, rated = f"joint{joint}", rated_torque(plant)[joint - 1]
     held = mechanism.joint(name)
@@ -65,10 +67,12 @@ def nonlinear_stiffness(
 
 @acts("built")
 def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean: float, post: float) -> Mechanism:
-    """A spring from a post above joint 2 to the upper arm; it carries up to the share ``size`` of the rated torque.
+    """Return the mechanism with a balancing spring from a post above joint 2 to the upper arm.
 
-    The post stands ``post`` times as far from the joint as the spring's lug on the arm, so that the spring never
-    folds; unstretched it is four fifths as long as where the two pass each other.
+    The spring carries up to the share ``size`` of the rated torque. The post stands ``post`` times
+    as far from the joint as the spring's lug on the arm, so that the spring never folds, and leans
+    by ``lean`` [rad]. The unstretched spring is four fifths as long as where the two pass each
+    other.
     """
     shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
     lever = 0.2 * float(np.linalg.norm(arm))
@@ -90,9 +94,10 @@ def greatest_torque(lever: float, post: float, rest: float) -> float:
 
 @acts("built")
 def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
-    """A hose from the forearm to the tool, slack at first, pulls when it is drawn out; on no list.
+    """Return the mechanism with a hose from the forearm to the tool; not a listed effect.
 
-    ``size`` [rad] is about the windup of joint 5 when the hose is drawn out by a third of its length.
+    The hose is slack at first, and pulls when it is drawn out. ``size`` [rad] is roughly the windup
+    of joint 5 when the hose is drawn out by a third of its length.
     """
     wrist, end = plant.centres[4], plant.at_home(plant.n, plant.reflector)
     forearm = plant.centres[2] - wrist
@@ -108,9 +113,10 @@ def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
 
 @acts("built")
 def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, free: float) -> Mechanism:
-    """A cable package too short for its joint: it tightens towards both ends of the joint's range; on no list.
+    """Return the mechanism with a cable package that is too short for its joint; not listed.
 
-    ``size`` [rad] is how far it winds the joint at either end, ``free`` the share of the range in which it is slack.
+    It tightens towards both ends of the joint's range: ``size`` [rad] is the windup of the joint at
+    either end, ``free`` the share of the range in which it is slack.
     """
     half = float(np.ptp(plant.ranges[joint - 1])) / 2
     k = size * float(plant.stiffness[joint - 1]) / ((1 - free) * half)
@@ -120,10 +126,13 @@ def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, 
 
 @acts("motors")
 def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_minutes: float) -> Array:
-    """A rubber coupling creeps, depending on the loads of the previous poses; on no list.
+    """Return the joint error of a rubber coupling that creeps under load; not listed.
 
-    ``size`` [rad] is what it gives under the rated torque in the end, beyond the joint's own spring; it gets there with
-    the time constant ``lag_minutes``. The robot starts unloaded, and waits at each pose until it is measured.
+    The error has shape (n,) [rad].
+
+    It depends on the loads of the previous poses. ``size`` [rad] is the final deflection under the
+    rated torque, beyond that of the joint's own spring; its time constant is ``lag_minutes``. The
+    robot starts unloaded, and waits at each pose until it is measured.
     """
     j = joint - 1
     end = size * settle(plant, stops).load[:, j] / rated_torque(plant)[j]

@@ -12,7 +12,11 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 def frame_drift(
     plant: Plant, stops: Stops, *, shift_m: Vector, turn_rad: Vector, settling_minutes: float
 ) -> list[Setting]:
-    """The tracker's stand creeps and turns, by ``shift_m`` (3,) and ``turn_rad`` (3,) in an hour, fast at first."""
+    """Return the settings of a tracker whose stand creeps and turns, fast at first.
+
+    It moves by ``shift_m`` (3,) and ``turn_rad`` (3,) in an hour, with the time constant
+    ``settling_minutes``.
+    """
     crept = np.expm1(-stops.time_s / 60 / settling_minutes) / np.expm1(-60 / settling_minutes)
     shift, turn = np.outer(crept, shift_m), np.outer(crept, turn_rad)
     return [Setting("shift", "tracker", shift), Setting("turn", "tracker", turn)]
@@ -20,13 +24,19 @@ def frame_drift(
 
 @acts("settings")
 def target_shift(plant: Plant, stops: Stops, *, shift_m: Vector, at_s: float) -> list[Setting]:
-    """The reflector moves in its nest by ``shift_m`` (3,) in the last frame at the time ``at_s``."""
+    """Return the settings of a reflector that moves in its nest at the time ``at_s``.
+
+    shift_m : in the last frame, shape (3,)
+    """
     return [Setting("mark", "reflector", np.outer(stops.time_s >= at_s, shift_m))]
 
 
 @acts("measured")
 def outliers(xyz: Array, stops: Stops, rng: np.random.Generator, *, share: float, size: float) -> Array:
-    """The share ``share`` of the points is wrong by some ``size`` [m], half of them by far more."""
+    """Return the positions with a share of wrong points, shape (n, 3) [m].
+
+    They are wrong by some ``size`` [m], half of them by far more.
+    """
     direction = rng.standard_normal(xyz.shape)
     length = size * (0.5 + rng.pareto(2.0, len(xyz)))
     length /= np.linalg.norm(direction, axis=-1)
@@ -36,7 +46,12 @@ def outliers(xyz: Array, stops: Stops, rng: np.random.Generator, *, share: float
 
 @acts("settings")
 def range_offset(plant: Plant, stops: Stops, *, size: float, stand_m: Vector) -> list[Setting]:
-    """The tracker, standing at ``stand_m`` (3,), reads every distance too long by ``size`` [m]; on no list."""
+    """Return the settings of a tracker with a range offset of ``size`` [m]; not listed.
+
+    It reads every distance too long by that.
+
+    stand_m : position of the tracker in the measuring frame, shape (3,)
+    """
     sight = reflector(settle(plant, stops)) - np.array(stand_m)
     away = sight / np.linalg.norm(sight, axis=1, keepdims=True)
     return [Setting("shift", "tracker", -size * away)]

@@ -15,10 +15,11 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 
 @acts("built")
 def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, torsion: float) -> Mechanism:
-    """Link ``link`` is a beam: cut at a quarter and at three quarters of its length, with three sprung hinges each.
+    """Return the mechanism with a link that bends and twists like a beam.
 
-    ``size`` [rad] is the slope of its end by the moment there if all beyond hung at full stretch; ``torsion`` is twist
-    over bend stiffness.
+    The link is cut at a quarter and at three quarters of its length, with three sprung hinges each.
+    ``size`` [rad] is the slope of its end by the moment there if all beyond hung at full stretch;
+    ``torsion`` is twist over bend stiffness.
     """
     name = f"link{link}"
     whole, length = mechanism.body(name), length_of(plant, link)
@@ -36,9 +37,10 @@ def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
 
 @acts("built")
 def base_compliance(mechanism: Mechanism, plant: Plant, *, size: float, across: float, height_m: float) -> Mechanism:
-    """The pedestal stands on compliant anchors: it tilts about two axes ``height_m`` below the base, and sinks.
+    """Return the mechanism with a pedestal on compliant anchors.
 
-    ``size`` [rad] is its tilt by the full overturning moment, ``across`` the share of that across its foot.
+    It tilts about two axes ``height_m`` below the base, and sinks. ``size`` [rad] is its tilt by
+    the full overturning moment, ``across`` the share of that about the other axis.
     """
     k, at = stretched_moments(plant, 0)[1] / size, (0.0, 0.0, -height_m)
     width = 0.15 * float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
@@ -54,10 +56,11 @@ def base_compliance(mechanism: Mechanism, plant: Plant, *, size: float, across: 
 def axis_wobble(
     plant: Plant, stops: Stops, *, joint: int, size: float, shift_m: float, cycles: int, phase: float
 ) -> list[Setting]:
-    """A joint's turning ring rests on three pads; its track waves ``cycles`` times a turn over two of them.
+    """Return the settings of a joint whose turning ring wobbles.
 
-    ``size`` [rad] is about the tilt of the plane through the pads when one of them is on a crest; the ring also shifts
-    by up to ``shift_m`` sideways.
+    The ring rests on three pads; its track has ``cycles`` waves a turn over two of them. ``size``
+    [rad] is roughly the tilt of the plane through the pads when one of them is on a crest; the ring
+    also shifts by up to ``shift_m`` sideways.
     """
     pads = np.array([0.0, 2.0, 4.2])
     track = cycles * (cause.link_angles(plant, stops.q)[:, [joint - 1]] - pads) + phase
@@ -72,7 +75,10 @@ def axis_wobble(
 
 @acts("settings")
 def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: float) -> list[Setting]:
-    """All links lengthen by ``size`` [1/K]; the cores of the first are the last to get warm, the tool stays cooler."""
+    """Return the settings of links that lengthen by ``size`` [1/K].
+
+    The cores of the first links are the last to become warm; the tool stays cooler.
+    """
     n = plant.n
 
     def longer(warmth: Array, length: Array) -> Array:
@@ -99,7 +105,10 @@ def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: floa
 
 @acts("built")
 def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: Vector) -> Mechanism:
-    """The payload is heavier than declared by the share ``size``, its mass centre off by ``shift_m`` on the flange."""
+    """Return the mechanism with a payload that is heavier than declared by the share ``size``.
+
+    shift_m : displacement of its mass centre in the flange's frame, shape (3,)
+    """
     body = mechanism.body("payload")
     shifted = replace(body, place=slide(np.array(shift_m)) @ body.place)
     return replace(mechanism.with_body(shifted), payload_factor=mechanism.payload_factor * (1 + size))
@@ -107,7 +116,10 @@ def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: V
 
 @acts("settings")
 def thermal_bend(plant: Plant, stops: Stops, *, size: float, towards: float, lag_minutes: float) -> list[Setting]:
-    """The column is warmed from one side: it leans by ``size`` [rad/K] towards ``towards``; on no list."""
+    """Return the settings of a column that is warmed from one side; not a listed effect.
+
+    It leans by ``size`` [rad/K] towards the direction ``towards`` [rad].
+    """
     lean = np.array([np.cos(towards), np.sin(towards), 0.0])
     difference = stops.warmth_K - cause.warmth_inside(stops, lag_minutes)
     turn = np.outer(size * difference, lean) @ plant.home[0, :3, :3]
@@ -119,7 +131,10 @@ def thermal_bend(plant: Plant, stops: Stops, *, size: float, towards: float, lag
 
 @acts("built")
 def bearing_play(mechanism: Mechanism, plant: Plant, *, joint: int, size: float) -> Mechanism:
-    """The joint's bearing is worn: its ring drops up to ``size`` [m] across its axis, between stops; on no list."""
+    """Return the mechanism with a worn bearing of a joint; not a listed effect.
+
+    Its ring drops by up to ``size`` [m] across its axis, between stops.
+    """
     weight = plant.weight * (plant.mass[joint - 1 :].sum() + plant.payload_kg)
     k = 0.1 * weight / size
     slides = springs(f"worn{joint}", k, size, "xy", kind="slide")
@@ -129,9 +144,11 @@ def bearing_play(mechanism: Mechanism, plant: Plant, *, joint: int, size: float)
 
 @acts("built")
 def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, towards: float) -> Mechanism:
-    """A crack in link ``link`` opens under load from one side and closes under load from the other; on no list.
+    """Return the mechanism with a link that has a crack; not a listed effect.
 
-    ``size`` [rad] is how far it opens if all beyond hung at full stretch; ``towards`` is where around the beam it is.
+    The crack opens under load from one side and closes under load from the other. ``size`` [rad] is
+    how far it opens if all beyond hung at full stretch; ``towards`` [rad] is its place around the
+    beam.
     """
     length = length_of(plant, link)
     _, across, aside = cause.beam_axes(length)
@@ -142,7 +159,11 @@ def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
 
 @acts("built")
 def loose_anchor(mechanism: Mechanism, plant: Plant, *, size: float, towards: float) -> Mechanism:
-    """One anchor of the pedestal is loose: it tips by +-``size`` [rad] about the line of the others; on no list."""
+    """Return the mechanism with a pedestal of which one anchor is loose; not a listed effect.
+
+    It tips by +-``size`` [rad] about the line of the other anchors, in the direction ``towards``
+    [rad].
+    """
     moment = 0.3 * stretched_moments(plant, 0)[1]
     axis = (float(np.cos(towards)), float(np.sin(towards)), 0.0)
     tip = spring("tip", 0.2 * moment / size, axis=axis, limits=(-size, size))
@@ -151,7 +172,10 @@ def loose_anchor(mechanism: Mechanism, plant: Plant, *, size: float, towards: fl
 
 @acts("built")
 def loose_flange(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
-    """Loose bolts: the payload tips the tool by up to ``size`` [rad] about each axis of the flange; on no list."""
+    """Return the mechanism with loose bolts of the flange; not a listed effect.
+
+    The payload tips the tool by up to ``size`` [rad] about each axis of the flange.
+    """
     moment = plant.weight * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
     hinges = springs("flange", 0.3 * moment / size, size, "xy")
     return mechanism.with_body(replace(mechanism.body("tool"), joints=hinges))
@@ -159,9 +183,10 @@ def loose_flange(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanis
 
 @acts("built")
 def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -> Mechanism:
-    """The tool plate slips on the flange, within its bolt holes (+-``size`` [m]), once its weight overcomes friction.
+    """Return the mechanism with a tool plate that slips on the flange; not a listed effect.
 
-    It stays where it slipped to until it slips again; on no list. ``grip`` is the friction over the payload's weight.
+    It slips within its bolt holes (+-``size`` [m]) once its weight overcomes the friction, and
+    stays there until it slips again. ``grip`` is the friction over the payload's weight.
     """
     weight = plant.weight * plant.payload_kg
     k = weight / size
@@ -173,10 +198,11 @@ def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -
 
 @acts("built")
 def loose_cargo(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
-    """The payload is loose in its crate and slides against the lowest walls; on no list.
+    """Return the mechanism with a payload that is loose in its crate; not a listed effect.
 
-    ``size`` [rad] is the windup of joint 5 by half the crate's clearance: the slide is ``size`` times the joint's
-    stiffness over the payload's weight. A pad holds it in the middle until a tenth of its weight pushes.
+    It slides against the lowest walls. ``size`` [rad] is the windup of joint 5 by half the crate's
+    clearance: the slide is ``size`` times the joint's stiffness over the payload's weight. A pad
+    holds it in the middle until a tenth of its weight pushes.
     """
     weight = plant.weight * plant.payload_kg
     way = size * float(plant.stiffness[min(4, plant.n - 1)]) / weight

@@ -32,7 +32,8 @@ class Joint:
     motor : 1-based number of the motor whose angle is the spring's rest; None: the rest is 0
     friction, rubbing : dry friction [N m, N], and its increase per unit of the spring's torque
     limits : coordinates of hard stops, or None
-    inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N s/m]
+    inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N
+        s/m]
     keeps : whether the coordinate at one pose is where the motion to the next begins
     """
 

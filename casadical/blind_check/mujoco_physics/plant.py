@@ -97,20 +97,22 @@ class FourBar:
 class Plant(Shown):
     """A robot of n axes, described at zero readings, in SI units.
 
-    home : Array, shape (n, 4, 4) [m]: frame of every link in the robot's base at zero readings; joint i turns about its
-        z axis, or slides along it
-    reflector : Array, shape (3,) [m]: in the last frame
-    mass : Array, shape (n,) [kg]: of the links
-    com : Array, shape (n, 3) [m]: mass centres in the link frames
+    name : of the robot
+    home : frame of every link in the robot's base at zero readings, shape (n, 4, 4) [m]; joint i
+        turns about its z axis, or slides along it
+    reflector : in the last frame, shape (3,) [m]
+    mass : of the links, shape (n,) [kg]
+    com : mass centres in the link frames, shape (n, 3) [m]
     payload_kg : declared payload [kg]
-    payload_com : Array, shape (3,) [m]: its mass centre in the last frame
-    stiffness : Array, shape (n,) [N m/rad or N/m]: of the actuated joints (a joint driven by a four-bar: of the crank)
-    ranges : Array, shape (n, 2) [rad or m]: joint ranges
-    base : Array, shape (4, 4) [m]: the robot's base in the measuring frame
-    four_bar : loop that drives a joint
+    payload_com : its mass centre in the last frame, shape (3,) [m]
+    stiffness : of the actuated joints, shape (n,) [N m/rad or N/m]; for a joint driven by a
+        four-bar, of the crank
+    ranges : joint ranges, shape (n, 2) [rad or m]
+    base : the robot's base in the measuring frame, shape (4, 4) [m]
+    four_bar : loop that drives a joint; None without one
     payload_factor : true mass of the payload over the declared one
     slides : prismatic joints, 1-based
-    gravity : Array, shape (3,) [m/s^2]: in the measuring frame
+    gravity : in the measuring frame, shape (3,) [m/s^2]
     """
 
     line: ClassVar[str] = " {{ it.name | repr }} of {{ it.home | length }} joints"

@@ -18,9 +18,9 @@ def mechanism(plant: Plant) -> Mechanism:
 
     Bodies are ``pedestal``, ``link1`` .., ``tool`` and ``payload``, joints are ``joint1`` ..
 
-    A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of joint 2) and
-    ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends in a ball
-    joint on link 3. The mechanism is described in the middle of the joint ranges.
+    A four-bar that drives joint 3 adds the bodies ``crank`` (turned by ``joint3`` on the axis of
+    joint 2) and ``coupler``, and the free hinge ``elbow`` between links 2 and 3; the coupler ends
+    in a ball joint on link 3. The mechanism is described in the middle of the joint ranges.
     """
     middle = np.mean(plant.ranges, 1)
     bodies = [Body("pedestal", "world", plant.base)]

@@ -45,16 +45,21 @@ def in_si(plant: Plant, shown: Array) -> Array:
 class Options(TypedDict, total=False):
     """Keywords of ``simulate`` that have a default.
 
-    noise_mm : one sigma of each measured coordinate [mm], 0.02
-    repeatability_urad : one sigma of each joint about its reading [urad, or um of a prismatic joint], 5
-    payload_states : declared payloads [kg], in alternating blocks; by default none and the plant's
-    warmup : the arm's temperature; by default 7 K in some 35 minutes
-    approach : direction of each joint's last motion, random or (``"motion"``) as it follows from the order of the poses
-    q_deg : Array, shape (n, joints) [deg, or mm of a prismatic joint]: readings to take instead of drawing them
-    given : of the columns time_s, temperature_degC, payload_kg, approach1 .., those that are not drawn but as here
-    ranges_deg : Array, shape (joints, 2) [deg or mm]: between which readings are drawn; None: the plant's
-    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away from the folds
-    truth : add x_true_mm, y_true_mm, z_true_mm: no noise, joints exactly repeated, and the instrument right
+    noise_mm : standard deviation of each measured coordinate [mm]; default 0.02
+    repeatability_urad : standard deviation of each joint about its reading [urad, or um of a
+        prismatic joint]; default 5
+    payload_states : declared payloads [kg], in alternating blocks; default: none, and the plant's
+    warmup : the arm's temperature; default: 7 K in some 35 minutes
+    approach : direction of each joint's last motion: random, or with ``"motion"`` by the order of
+        the poses
+    q_deg : readings that are taken instead of random ones, shape (n, joints) [deg or mm]
+    given : columns time_s, temperature_degC, payload_kg, approach1 .. that are taken instead of
+        random ones
+    ranges_deg : ranges of random readings, shape (joints, 2) [deg or mm]; None: the plant's
+    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away
+        from the singular poses
+    truth : whether to add x_true_mm, y_true_mm, z_true_mm: without noise, joints exactly repeated,
+        and the instrument without errors
     """
 
     noise_mm: float

@@ -93,7 +93,7 @@ def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ri
 
 
 def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) -> tuple[Array, Array]:
-    """Return half the gradient, shape (P, count), and half the Gauss-Newton Hessian, shape (P, count, count)."""
+    """Return half the gradient, (P, count), half the Gauss-Newton Hessian, (P, count, count)."""
     outputs, jacobian = outputs_and_jacobian(task.layout, weights, task.inputs)
     count, total = weights.shape
     root = np.sqrt(samples)[:, None]

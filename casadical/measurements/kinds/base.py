@@ -87,7 +87,8 @@ class MeasurementKind(ABC):
     pattern : of the columns that it reads, which are no conditions
     signs : patterns, each of a column by which a table of this kind is recognised
     fill : columns that are left empty for it in a table of poses to be measured
-    arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its `extra`
+    arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its
+        `extra`
     lengths, angles : numbers that are observed at a pose [m] and [rad], together one to six
     places : whether its unknown points are places, between which distances may be given
     touches : whether the tool touches what is measured, so that poses must hold it there

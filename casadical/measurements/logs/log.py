@@ -53,7 +53,8 @@ class JointLog(Shown):
     row : line of the source, shape (n,), for messages
     source : file name or description
     findings : sentences: what was understood, and what is unusual
-    Raises InputError: arrays that do not fit each other, a time that does not grow, or nothing to diagnose.
+    Raises InputError: arrays that do not fit each other, a time that does not grow, or nothing to
+    diagnose.
     """
 
     time: Array

@@ -42,8 +42,9 @@ def read_log(
 ) -> JointLog:
     """Return the joint log in a file of a controller, a simulator or a recorder.
 
-    path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known, too), a folder of
-        SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag, or the folder with metadata.yaml)
+    path : table (csv, csv.gz, parquet; docs/log-files.md has the columns, RTDE's names are known,
+        too), a folder of SAGE, a Parquet file of a LeRobot dataset, a ROS bag (.db3, .mcap, .bag,
+        or the folder with metadata.yaml)
     robot : its joints, by their names or their order, are those of the log; others are dropped
     unit : of angles whose unit the file does not state; percent: of half a joint's range about its
         middle; None: as [drive] of the robot states
