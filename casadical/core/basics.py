@@ -1,5 +1,4 @@
-"""What nearly every module needs: the array type, the errors, and the callback that reports
-progress.
+"""What nearly every module needs: the array type, the errors, and the progress callback.
 
 An error message says what is wrong, the value, what is allowed, and what to do.
 """
@@ -100,8 +99,9 @@ class FaultsError(InputError):
 
     @staticmethod
     def joined(errors: Iterable[InputError]) -> InputError:
-        """Return errors as one, without duplicates; of the same fault in a column, the most
-        rows.
+        """Return errors as one, without duplicates.
+
+        Of faults that differ in their rows only, the one with the most rows is kept.
         """
         all_errors = list(errors)
         faults = list(dict.fromkeys(f for e in all_errors if isinstance(e, FaultsError) for f in e.faults))
@@ -158,8 +158,9 @@ def optional(module: str, otherwise: str) -> Any:
 
 
 def visible(text: str) -> str:
-    """Return text that is safe for a terminal: control characters but line feeds and tabs
-    escaped.
+    """Return text that is safe for a terminal, with control characters escaped.
+
+    Line feeds and tabs are unchanged.
     """
     return re.sub(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", lambda found: repr(found[0])[1:-1], text)
 

@@ -1,5 +1,6 @@
-"""Properties of a robot's drives, the table [drive] of a robot file; an omitted value is
-unknown.
+"""Properties of a robot's drives, the table [drive] of a robot file.
+
+An omitted value is unknown.
 """
 
 from pathlib import Path

@@ -78,8 +78,9 @@ def _view(values: Array) -> Any:
 
 
 class MappedFunction:
-    """A function of one point, evaluated at many in chunks; the graph does not grow with their
-    number.
+    """A function of one point, evaluated at many in chunks.
+
+    The graph does not grow with the number of points.
 
     Expressions of the shared inputs only, a third of a robot's model, are computed once, and common
     subexpressions are eliminated. The other operations are unchanged, and so is every bit of the

@@ -74,8 +74,9 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
-        """Return the index of a parameter. Raises InputError, with all names, for an unknown
-        one.
+        """Return the index of a parameter.
+
+        Raises InputError, with all names, for an unknown one.
         """
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")

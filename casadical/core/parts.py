@@ -21,7 +21,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 
-# Consecutive joint axes are nearly parallel below this angle [rad]; beta and b then replace d.
+# Consecutive joint axes are nearly parallel below this angle [rad]; the parameter beta replaces d.
 NEAR_PARALLEL_RAD = np.deg2rad(5.0)
 
 
@@ -345,9 +345,7 @@ class Arm:
         return lower, upper
 
     def coupled(self, q: Array) -> Array:
-        """Return readings, (poses, n) [rad or m], with those of coupled and locked joints
-        computed.
-        """
+        """Return readings, (poses, n) [rad or m], with coupled and locked joints computed."""
         made = np.array(q, dtype=float)
         for i, joint in enumerate(self.joints):
             if joint.coupling is not None:
@@ -377,8 +375,9 @@ def _refuse_couplings(arm: Arm) -> None:
 
 
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
-    """Check that a four-bar drives a revolute joint from its parallel neighbour. Raises
-    InputError.
+    """Check that a four-bar drives a revolute joint from its parallel neighbour.
+
+    Raises InputError.
     """
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
     if not 1 <= loop.carrier < loop.driven <= arm.n or loop.driven - loop.carrier != 1:
@@ -427,8 +426,9 @@ def with_estimated_masses(robot: A) -> A:
 
 
 def _middle(robot: Arm, i: int) -> Array:
-    """Return the midpoint of a link, in its frame, shape (3,) [m]: half way to the next or the
-    tool.
+    """Return the midpoint of a link in its frame, shape (3,) [m].
+
+    It is half way to the next link's origin, or to the tool point.
     """
     if i + 1 == robot.n:
         return np.asarray(robot.tool.T[:3, 3] / 2)

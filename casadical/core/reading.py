@@ -275,9 +275,7 @@ def text_fault(text: str) -> str:
 
 
 def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
-    """Yield the places of unusable numbers and texts in nested tables and lists, and their
-    faults.
-    """
+    """Yield places and faults of unusable numbers and texts in nested tables and lists."""
     if depth > MAX_NESTING:
         yield place[:60], "is nested too deeply"
     elif isinstance(value, dict):

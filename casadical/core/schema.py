@@ -1,5 +1,6 @@
-"""Validation of TOML tables: units in the keys; messages name file, key, value and what is
-allowed.
+"""Validation of TOML tables with units in the keys.
+
+Messages name file, key, value and what is allowed.
 """
 
 import difflib
@@ -59,9 +60,7 @@ Schema = TypeVar("Schema", bound=BaseModel)
 
 
 class TomlTable(BaseModel):
-    """A TOML table; a field that is a `Quantity` has its unit in the key of the file and is SI
-    here.
-    """
+    """A TOML table; a `Quantity` has its unit in the key of the file and is SI in the field."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
@@ -84,8 +83,9 @@ class TomlTable(BaseModel):
 
     @classmethod
     def field_of(cls, key: str) -> tuple[str, float | None]:
-        """Return the field of a key of the file, and its factor to SI; None for fields without
-        unit.
+        """Return the field of a key of the file, and its factor to SI.
+
+        The factor is None for fields without a unit. Raises FaultError for a key without its unit.
         """
         for name, field in cls.model_fields.items():
             quantity = _quantity(field.metadata)
@@ -118,8 +118,9 @@ def _to_si(value: Any, factor: float) -> Any:
 
 
 def _size(value: Any) -> float:
-    """Return the largest absolute value of a number or list; 0 for other types, refused
-    elsewhere.
+    """Return the largest absolute value of a number or list.
+
+    It is 0 for other types, which are refused elsewhere.
     """
     if isinstance(value, list):
         return max(map(_size, value), default=0.0)

@@ -60,15 +60,19 @@ def thirds(values: Array) -> tuple[Array, Array]:
 
 
 def known_digits(value: float, size: float, digits: int) -> float:
-    """Return a value rounded to `digits` digits after the leading digit of `size`."""
+    """Return a value rounded to `digits` digits after the leading digit of `size`.
+
+    The digits that rounding errors decide are dropped.
+    """
     if not (size and math.isfinite(size)):
         return float(value)
     return round(float(value), digits - math.floor(math.log10(abs(size)))) + 0.0
 
 
 def robust_std(r: Array) -> float:
-    """Return the standard deviation of residuals by their median absolute value; zeros are
-    ignored.
+    """Return a robust standard deviation of residuals, 1.4826 times their median absolute value.
+
+    Zeros are ignored, since they have weight zero.
     """
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0

@@ -1,5 +1,4 @@
-"""Programs run with a time limit in separate processes, such as compilers and trials of their
-output.
+"""Programs run with a time limit in separate processes: compilers, and trials of their output.
 
 Also limits linear algebra to one thread: the matrices are small, and threads would mostly wait.
 """
@@ -56,8 +55,9 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread unless the environment sets it; call before loading
-    numpy.
+    """Limit linear algebra to one thread, unless the environment sets the number.
+
+    To be called before numpy is loaded.
     """
     if not any(name in os.environ for name in _THREAD_VARIABLES):
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))

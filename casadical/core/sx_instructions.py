@@ -68,8 +68,9 @@ class SxInstructions:
         zero: Any = 0.0,
         call: Callable[[list[Any]], Sequence[Any]] | None = None,
     ) -> list[list[Any]]:
-        """Return the structural nonzeros of every output, in CasADi's order, for values of any
-        type.
+        """Return the structural nonzeros of every output, for values of any type.
+
+        They are in CasADi's order.
 
         inputs : for each input of the function the values of its nonzeros
         operation : name of an operation -> function of the values of its operands; constant : number -> value
@@ -110,8 +111,9 @@ class SxInstructions:
 
 
 class Operation(NamedTuple):
-    """An operation as a numpy function and as C of `compile_cache`; {0} and {1} are its
-    operands.
+    """An operation as a numpy function and as C of `compile_cache`.
+
+    In C, {0} and {1} are its operands.
     """
 
     numpy: Callable[..., Any]

@@ -102,8 +102,9 @@ class Context:
 
     @property
     def great_moment(self) -> Symbolic:
-        """Return the greatest peak gravity torque of the revolute joints [N m]; forces [N] if
-        none.
+        """Return the greatest peak gravity torque of the revolute joints [N m].
+
+        It is a force [N] where no joint is revolute.
         """
         return self.greatest(1, self.arm.n)
 
@@ -117,8 +118,9 @@ class Context:
 
 
 def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
-    """Return the joints (1-based) whose peak torques are compared: the revolute ones, or all if
-    none.
+    """Return the joints (1-based) whose peak torques are compared.
+
+    They are the revolute ones from first to last, or all of these if none is revolute.
     """
     there = range(first, last + 1)
     return [j for j in there if j in turning] or there
@@ -153,8 +155,9 @@ class Drive:
 
     @property
     def stiffness(self) -> float:
-        """Return the stiffness of the actuator [N m/rad]; a hardening spring is separate from
-        it.
+        """Return the stiffness of the actuator [N m/rad].
+
+        It is that of a rigid joint where a hardening spring is separate from the actuator.
         """
         return RIGID_STIFFNESS if self.k1 or not self.compliance else 1 / self.compliance
 
@@ -238,15 +241,11 @@ class Counterparts:
         return self.greatest(joint or 1, joint or len(self.torque_scale))
 
     def greatest(self, first: int, last: int) -> float:
-        """Return the greatest peak gravity torque from first to last joint, as
-        `Context.greatest`.
-        """
+        """Return the greatest peak gravity torque of the joints from first to last [N m or N]."""
         return float(max(self.torque_scale[j - 1] for j in compared(self.revolute, first, last)))
 
     def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
-        """Return the counterparts with changes of the drive of an effect's joint, and a line on
-        it.
-        """
+        """Return the counterparts with a changed drive of an effect's joint, and a line on it."""
         drives = list(self.drives)
         drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
         return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
@@ -380,8 +379,7 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Yield the sets of effects that are judged as one: each candidate, and all joints'
-        together.
+        """Yield sets of effects that are judged as one: each candidate, and those of all joints.
 
         The latter, for each combination of settings, only if `together`.
         """
@@ -405,8 +403,9 @@ class Effect:
         return {key: value for key, value in entries.items() if value not in (None, {})}
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that the arm has the effect's joint, and those in its settings. Raises
-        InputError.
+        """Check that the arm has the effect's joint, and those in its settings.
+
+        Raises InputError.
         """
         for f in fields(self):
             number = getattr(self, f.name)
@@ -443,9 +442,7 @@ class Effect:
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return its parameters [SI] by short name, from those of a model; zero for missing
-        ones.
-        """
+        """Return its parameters [SI] by short name, from those of a model; 0 for missing ones."""
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
@@ -468,8 +465,9 @@ class Effect:
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
-        """Return (name, value, unit) shown in place of parameters that are too many; default:
-        none.
+        """Return (name, value, unit) shown in place of parameters that are too many.
+
+        By default there are none.
         """
         return ()
 
@@ -482,8 +480,9 @@ class Effect:
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return what it adds to the joint variables, (n,) [rad or m]; default: `angle` at its
-        joint.
+        """Return what it adds to the joint variables, shape (n,) [rad or m].
+
+        The default is `angle` at its own joint.
         """
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
@@ -506,14 +505,16 @@ class Effect:
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] before the tool, in the flange frame; default:
-        identity.
+        """Return the transform (4, 4) [m] before the tool, in the flange frame.
+
+        The default is the identity.
         """
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the measured point, (3,) [m] in the measuring frame, as the instrument reports
-        it.
+        """Return the measured point, (3,) [m], as the instrument reports it.
+
+        Both points are in the measuring frame.
         """
         return point
 

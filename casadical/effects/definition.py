@@ -45,19 +45,26 @@ TANH_MAX_ERROR = 0.083
 
 
 def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return the gear ratio of an effect with `k`, the share by which the joint turns too much."""
+    """Return a simulator's counterparts with a changed gear ratio of the effect's joint.
+
+    The effect has `k`, the share by which the joint turns too much.
+    """
     return simulator.with_drive(effect, "gear of the drive", ratio=1 + v["k"])
 
 
 def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return hinges of the pedestal for an effect with its tilt `rx`, `ry` under peak moment
-    [rad].
+    """Return a simulator's counterparts with hinges of the pedestal.
+
+    The effect has `rx` and `ry`, the tilt of the pedestal under the peak moment [rad].
     """
     return simulator.with_springs(effect.label, v, 0)
 
 
 def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a softer joint spring for an effect with `deflection` under the peak torque [rad]."""
+    """Return a simulator's counterparts with a softer spring of the effect's joint.
+
+    The effect has `deflection`, under the peak gravity torque of the joint [rad].
+    """
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
     soft = simulator.drive(effect.joint).compliance + v["deflection"] / simulator.peak_torque(effect.joint)
@@ -65,7 +72,10 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return dry friction for an effect with windup [rad] `constant`, and `load` at peak torque."""
+    """Return a simulator's counterparts with dry friction in the effect's joint.
+
+    The effect has `constant`, a windup [rad], and `load`, its increase at the peak torque [rad].
+    """
     soft = simulator.drive(effect.joint).compliance
     if soft <= 0:
         return simulator.without_sign(effect.label)
@@ -78,7 +88,9 @@ def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a second spring between stops for a deflection that saturates at `bend` [rad].
+    """Return a simulator's counterparts with a second spring between stops.
+
+    The effect has `bend`, at which the deflection saturates [rad].
 
     The setting `knee` is the torque of saturation as a share of the peak gravity torque.
     """
@@ -90,7 +102,10 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
 
 
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return the spring k1 d + k3 d^3 closest to a deflection c tau - bend (tau / peak)^3 [rad]."""
+    """Return a simulator's counterparts with a spring k1 d + k3 d^3 in the effect's joint.
+
+    It is the closest one to the deflection c tau - bend (tau / peak)^3 [rad].
+    """
     peak, load = simulator.peak_torque(effect.joint), np.linspace(-1.2, 1.2, 97)
     d = simulator.drive(effect.joint).compliance * peak * load - v["bend"] * load**3
     if (np.diff(d) <= 0).any():
@@ -103,7 +118,10 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return the true payload of an effect with `mass`, a share, and first moment x, y, z."""
+    """Return a simulator's counterparts with the true payload.
+
+    The effect has `mass`, a share, and `x`, `y`, `z`, the first moment by declared mass [m].
+    """
     declared = simulator.payload
     if declared is None:
         return simulator.without(effect.label, "no counterpart in MuJoCo")
@@ -254,8 +272,9 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Return the columns that must have been logged; a warmth is derived from the
-        temperature.
+        """Return the columns that must have been logged.
+
+        A warmth is derived from the logged temperature.
         """
         return self._texts.needs
 
@@ -279,8 +298,9 @@ class DefinedEffect(FormulaEffect):
         return self._texts.sizes
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that the effect has a joint if it needs one, and that the arm has it. Raises
-        InputError.
+        """Check that the effect has a joint if it needs one, and that the arm has it.
+
+        Raises InputError.
         """
         if "joints" in self.acts_at and self.joint is None:
             raise InputError(f"{self.name}: joint is missing")

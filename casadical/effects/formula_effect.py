@@ -138,8 +138,9 @@ class FormulaEffect(Effect):
         raise NotImplementedError
 
     def values_at(self, seam: str, context: Context, more: Mapping[str, Symbolic] | None = None) -> list[Symbolic]:
-        """Return the components, one or three, of the formula at an insertion point; [] without
-        one.
+        """Return the components of the formula at an insertion point, one or three.
+
+        The list is empty where there is no formula.
 
         more : values of additional names at this point
         """
@@ -172,9 +173,7 @@ class FormulaEffect(Effect):
         return moved
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] behind a link: growth of all links, or tilt and shift of
-        one.
-        """
+        """Return the transform (4, 4) [m] behind a link: its growth, or its tilt and shift."""
         if "growth" in self.formulas:
             return grown_link(number, context, self.values_at("growth", context)[0])
         return self._frame("", context) if number == self.joint else ca.SX.eye(4)
@@ -195,8 +194,7 @@ class FormulaEffect(Effect):
         return translate(*shift) if shift else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] with errors of the point, of a distance, and along or across a
-        beam.
+        """Return the point (3,) [m] with errors of the point, a distance, or a beam.
 
         All are in the measuring frame.
         """
@@ -302,8 +300,9 @@ def _known(name: str, seam: str) -> bool:
 
 
 def head_column(station: Iterable[float]) -> str:
-    """Return the column of the sense of the last head rotation of an instrument at a station
-    [m].
+    """Return the column of the sense of the head's last rotation.
+
+    station : position of the instrument in the measuring frame [m]
     """
     return f"head_{'_'.join(f'{1e3 * v:.0f}' for v in station)}mm".replace("-", "m")
 
@@ -491,15 +490,14 @@ class Law(FormulaEffect):
         return {f"{name}{j}": (size, unit) for j in range(1, self.count + 1) for name, size in self.factors}
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return the symbols of its factors by name; none for `joints`, where each joint has its
-        own.
+        """Return the symbols of its factors by name.
+
+        There are none for `joints`, where each joint has its own.
         """
         return {name: self.value(context, name) for name, _ in self.factors} if self.seam != "joints" else {}
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the change of the joint variables, (n,) [rad or m], for `joints` of every
-        joint.
-        """
+        """Return the change of the joint variables, shape (n,) [rad or m]."""
         moved = super().joint_angle(context)
         for j in range(1, context.arm.n + 1) if self.seam == "joints" else ():
             own = {name: variable(context, f"{name}{j}") for name in self.drivers if JOINT_NAME.fullmatch(name)}

@@ -103,9 +103,7 @@ class FrameStep(Effect):
         return [self.value(context, name) * after for name in self.size]
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the step of its link's frame as a transform (4, 4) [m]; the identity for
-        others.
-        """
+        """Return the step of its link's frame, (4, 4) [m]; the identity for other links."""
         return small_frame(*self._six(context)) if number == self.joint else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:

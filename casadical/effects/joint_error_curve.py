@@ -81,9 +81,7 @@ class JointErrorCurve(Effect):
 
     @property
     def parts(self) -> dict[int, Array]:
-        """Return the indices, shape (k,), of each joint's parameters among the effect's, by
-        joint.
-        """
+        """Return the indices, shape (k,), of each joint's parameters, by joint."""
         joints = [j for j, spread in enumerate(self.spread, 1) if spread > 0]
         return {j: np.arange(2 * self.orders * k, 2 * self.orders * (k + 1)) for k, j in enumerate(joints)}
 

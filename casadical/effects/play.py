@@ -15,8 +15,9 @@ FRICTION_GRID = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 
 @dataclass(frozen=True)
 class Backlash(Effect):
-    """Backlash of a gear, taken up by the gravity torque, or by the approach where the torque is
-    small.
+    """Backlash of a gear, taken up by the gravity torque or by the direction of approach.
+
+    The approach counts where the gravity torque is small.
 
     The contact changes its flank where gravity overcomes friction.
 
@@ -119,9 +120,7 @@ class AxisWobble(Effect):
         return {p: (25e-6, "rad") if p[0] == "r" else (20e-6, "m") for p in parts}
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return tilt and shift of its joint's axis as a transform (4, 4) [m]; else the
-        identity.
-        """
+        """Return tilt and shift of its joint's axis, (4, 4) [m]; the identity for other links."""
         if number != self.joint:
             return ca.SX.eye(4)
         q = context.turned(number)
@@ -142,8 +141,7 @@ def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbo
 
 @dataclass(frozen=True)
 class BearingPlay(Effect):
-    """Play of a bearing: it tilts under the moment of the weight beyond it and moves along the
-    load.
+    """Play of a bearing, which tilts under the moment of weight and moves along the load.
 
     soft : moment at which the play is taken up, as a share of the peak gravity torques there; above
         1 it acts as a spring

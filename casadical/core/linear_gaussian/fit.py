@@ -113,8 +113,9 @@ class Fit:
 
     @property
     def causes(self) -> tuple[Array, Array]:
-        """Return values and standard errors of the causes' parameters, in typical sizes,
-        (columns,).
+        """Return estimates and standard errors of the causes' parameters, in typical sizes.
+
+        Both have the shape (columns,).
         """
         first = len(self.prior) - self.combined.width
         directions = self.combined.values(np.eye(self.combined.width))
@@ -144,7 +145,7 @@ class Fit:
         return np.asarray((whitened * np.linalg.solve(spread, whitened)).sum(axis=(1, 2)))
 
     def leverage(self, blocks: Array) -> Array:
-        """Return the leverage of each block, shape (n, m, m): its diagonal block of the hat matrix.
+        """Return the leverage of each block, its diagonal block of the hat matrix, (n, m, m).
 
         It is the covariance of the prediction by a fit to `blocks`, in units of the noise.
         """

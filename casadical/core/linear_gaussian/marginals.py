@@ -104,7 +104,10 @@ class Marginals:
         return more
 
     def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:
-        """Return the marginals of a model without the lost and with the gained blocks."""
+        """Return the marginals of a model without the lost and with the gained blocks.
+
+        The sums of this model are updated.
+        """
         more = Marginals(model)
         more.sums.move(self.sums, Marginals(lost).sums, Marginals(gained).sums)
         return more

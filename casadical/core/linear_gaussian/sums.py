@@ -144,9 +144,7 @@ class GridSums:
                 self._own[g.tobytes()] = totals[w][:, i]
 
     def gram_matrices(self, groups: Sequence[Array]) -> Array:
-        """Return the cached Gram matrices of groups of one width, (groups, points, width,
-        width).
-        """
+        """Return cached Gram matrices of groups of one width, (groups, points, width, width)."""
         return np.stack([self._own[g.tobytes()] for g in groups])
 
     def wide_gram_matrix(self, group: Array, k: int) -> Array:

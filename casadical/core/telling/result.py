@@ -148,8 +148,9 @@ def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title:
 
 
 class Result(Shown):
-    """Base of results, shown on terminals, in notebooks, reports and JSON; showing computes
-    nothing.
+    """Base of results that are shown on terminals, in notebooks, reports and JSON.
+
+    Showing a result computes nothing.
 
     report : file name of the template of its sentences, beside the code of the class
     kept_as : name of the files it is saved in, without the ending

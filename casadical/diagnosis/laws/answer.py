@@ -54,8 +54,7 @@ KeptModel = Literal["law", "smooth", "causes", "base"]
 
 @dataclass(frozen=True, eq=False)
 class Discovery(Result):
-    """Laws (symbolic expressions of unlisted effects) that were found in the residuals of a
-    diagnosis.
+    """Laws (symbolic expressions of unlisted effects) found in the residuals of a diagnosis.
 
     diagnosis : of the same data
     rounds : comparisons of laws with their rivals, each given the laws of the rounds before
@@ -133,9 +132,7 @@ class Discovery(Result):
 
     @property
     def in_words(self) -> str:
-        """Return the claimed laws and their held-out error in a sentence, or why none is
-        claimed.
-        """
+        """Return the claimed laws with held-out errors as a sentence, or why none is claimed."""
         if not self.laws:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
@@ -162,9 +159,7 @@ class Discovery(Result):
 
     @cached_property
     def remainder(self) -> Array:
-        """Return the residuals given the laws and causes, shape (n, 3) [m], as of
-        `Fit.residual`.
-        """
+        """Return the residuals given the laws and causes, shape (n, 3) [m]."""
         columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
         fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
         return fit.residual(fit.x)

@@ -71,9 +71,7 @@ _DRIVERS_BY_SEAM: Mapping[str, Mapping[str, str]] = {
 
 
 def stations(robot: Robot) -> list[Point]:
-    """Return stations to try: the origin of the measuring frame, and points around the robot
-    [m].
-    """
+    """Return stations to try: the measuring frame's origin, and points around the robot [m]."""
     middle, reach = robot.base.T[:3, 3], robot.reach
     places = [np.zeros(3)]
     for far in STATION_DISTANCES_OF_REACH:
@@ -150,8 +148,7 @@ class Beam:
         )
 
     def nearby(self, law: Law, step: float) -> list[tuple[InsertionPoint, Array]]:
-        """Return a law's place with its station moved by a step in six directions, or target
-        turned.
+        """Return neighbours of a law's place: its station moved by a step, or its target turned.
 
         The values of the driver are returned with each.
         """

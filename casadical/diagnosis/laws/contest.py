@@ -1,5 +1,4 @@
-"""Laws compared with listed causes, smooth effects and noise: which is claimed, and what it
-replaces.
+"""Laws compared with listed causes, smooth effects and noise, and what they replace.
 
 A law is claimed if its score (see `search`) is 12 nats or more and exceeds by 3 that of the best
 listed effect, of the best smooth effect, and of other forms of noise; the settings of rivals are
@@ -221,9 +220,7 @@ def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranki
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
-    """Return label and log evidence of a rival, the mean over settings plus the gain by
-    refining.
-    """
+    """Return label and score of a rival: log evidence plus the gain by refining its settings."""
     label = candidate.label
     score, variant = ranking.log_factor[label], candidate.variants[ranking.variant[label]]
     if len(variant) != 1 or variant[0].parts:

@@ -1,5 +1,4 @@
-"""The building blocks of laws: drivers, on which an error may depend, and forms, functions of a
-driver.
+"""The building blocks of laws: drivers, on which errors may depend, and functions of a driver.
 
 A form is text in x (the driver) and its settings k, w, f, in which it is not linear. Values of
 settings have four digits, so that the formula that is written is the one that was judged.
@@ -86,9 +85,7 @@ DEFAULT_WARMTH = "warmth_600s"
 def with_columns(
     m: Measurements, drivers: Sequence[Driver], loads: Loads | None = None
 ) -> tuple[Measurements, list[Driver]]:
-    """Return measurements with the drivers' columns, and the drivers with logged or derived
-    ones.
-    """
+    """Return measurements with the drivers' columns, and the drivers that have all of theirs."""
     needed = {d: columns_of(parse(d.text).names) for d in drivers}
     m, missing = derive(m, [c for columns in needed.values() for c in columns], loads)
     return m, [d for d in drivers if not set(needed[d]) & set(missing)]

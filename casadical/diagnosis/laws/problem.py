@@ -115,8 +115,9 @@ class Screen:
         return G, np.einsum("naik,na->ki", B, self.y, optimize=True)
 
     def reach(self, G: Array, b: Array) -> Array:
-        """Return an upper bound of each law's log evidence over none, at any size and noise,
-        (K,).
+        """Return an upper bound of each law's log evidence over none, shape (K,).
+
+        It holds for any size and noise of the grids.
         """
         free = (SIGMA_GRID_M[0] / KAPPA_GRID[-1]) ** 2 * np.eye(G.shape[1])
         taken = (b * np.linalg.solve(G + free, b[:, :, None])[:, :, 0]).sum(axis=1)
@@ -191,8 +192,9 @@ class InsertionPoint:
         return {"rad": LAW_ANGLE_RAD, "m": LAW_LENGTH_M}.get(SEAMS[self.law.seam][1], LAW_SHARE)
 
     def takes(self, driver: Driver) -> bool:
-        """Return whether a driver may act there; for the payload it must depend on logged columns
-        only.
+        """Return whether a driver may act there.
+
+        For the payload it must depend on logged columns only.
         """
         return self.law.seam != "payload" or driver.columns_only
 
@@ -247,8 +249,7 @@ MAX_INDISTINGUISHABLE_LAWS = 6
 
 @dataclass(frozen=True, eq=False)
 class TriedLaws:
-    """The laws of one form and one driver at one place, or at several, with all settings of the
-    form.
+    """The laws of one form and one driver, at one or several places, with all settings.
 
     seams : the places; more than one for the beam of an instrument, whose stations are settings
     driver : of the laws; form : see `Form`
@@ -468,9 +469,7 @@ class Problem:
 
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
-        """Return screens at the selected rhos, with their log shares of the evidence without a
-        law.
-        """
+        """Return screens at the selected rhos, with log shares of the evidence without a law."""
         near = list(self.evidence.near)
         by_rho = dict(zip(near, np.logaddexp.reduce(self.log_base[near], axis=1), strict=True))
         total = float(np.logaddexp.reduce(self.log_base[near], axis=None))
@@ -480,7 +479,7 @@ class Problem:
 
     @property
     def residual_weights(self) -> Array:
-        """Return w, (n, numbers): sum(w * column) is a column's whitened product with the
+        """Return w, shape (n, numbers), with sum(w * column) = whitened column * whitened
         residual.
         """
         screen = self.screens[0][1]
@@ -500,9 +499,7 @@ class Problem:
         )
 
     def in_order(self, columns: Array, functions: Array) -> tuple[Array, Array, Array | None]:
-        """Return columns and functions of a place, and `later`, as arguments of
-        `Screen.products`.
-        """
+        """Return a place's columns, functions and `later`, arguments of `Screen.products`."""
         if self.noise is None:
             return columns, functions, None
         own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))

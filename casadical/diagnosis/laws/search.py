@@ -186,8 +186,9 @@ def _every_joint(
 
 
 def _linearised(case: Case) -> tuple[Linearisation, list[Driver]]:
-    """Return the linearised robot at the inliers with drivers' columns, and the available
-    drivers.
+    """Return the linearised robot with drivers' columns, and the available drivers.
+
+    It is linearised at the inliers.
     """
     assert isinstance(case.whole.E, EffectColumns)
     m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
@@ -197,9 +198,7 @@ def _linearised(case: Case) -> tuple[Linearisation, list[Driver]]:
 
 
 def _last_resort_price(tried: TriedLaws) -> float:
-    """Return the additional price [nats] of a law that can follow anything that varied with
-    time.
-    """
+    """Return the additional price [nats] of a law of time that can follow nearly anything."""
     # Such a law pays 5 nats, since the driver itself may be among the candidates.
     return 5.0 if tried.driver.kind == "time" and tried.form in LAST_RESORT_TIME_FORMS else 0.0
 
@@ -342,9 +341,7 @@ def refined_settings(
 
 
 def _sigmas(problem: Problem, tried: TriedLaws, seam: int, settings: Array, evidence: float) -> Array:
-    """Return the standard error of each setting, where the log evidence falls by 0.5,
-    (settings,).
-    """
+    """Return the standard error of each setting, where the log evidence falls by 0.5."""
     sigmas = np.empty(len(settings))
     for k in range(len(settings)):
         steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
