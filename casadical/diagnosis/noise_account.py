@@ -162,9 +162,8 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     elif noise_prior.stated:
         far, rules, anchor = _by_statement(case, columns, noise, remainder)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
-    stated = [
-        m.datasheet for m in case.observations.sets if m.datasheet
-    ]  # noise_prior.sheet is in units of the first table
+    # The limits are read from the sets, because noise_prior.sheet is scaled to the first set's noise.
+    stated = [m.datasheet for m in case.observations.sets if m.datasheet]
     sheet = min(stated) if noise_prior.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
     return NoiseAccount(
