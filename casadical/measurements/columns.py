@@ -374,9 +374,9 @@ class Columns:
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
-        """Return the numeric columns that are neither readings nor observations, shape (n,) each.
+        """Return the numeric columns that are no readings or observations, (n,) [their own units].
 
-        Their units are those of their names. Columns of words (remarks, operators) are left out.
+        Columns of words (remarks, operators) are not among them.
 
         observations : patterns of the columns that the kinds of measurement read
         Raises InputError: words among numbers.
@@ -394,14 +394,14 @@ class Columns:
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """Return an indicator (1 or 0) per name in the column `tool`, shape (n,); empty without it.
+        """Return an indicator [1 or 0] per name in the column `tool`, shape (n,); empty without it.
 
         Raises InputError: an empty cell.
         """
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Return an indicator (1 or 0) per name in the column `session`, shape (n,); or nothing.
+        """Return an indicator [1 or 0] per name in the column `session`, shape (n,); or nothing.
 
         Raises InputError: an empty cell.
         """

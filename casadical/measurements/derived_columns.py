@@ -24,18 +24,18 @@ def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) ->
 
     A column cannot be derived where a logged column or joint that it needs is missing. Columns:
 
-    progress : place in the order of measuring, 0 to 1 (by column pose or time_s; else by the rows)
-    warmth_600s : temperature_degC through a first-order lag of 600 s, less its mean [K]
-    approach2 : direction of joint 2's last motion, -1 or 1, from the order of the poses
-    move2 : joint 2's change since the pose before, 0 for the first pose [rad or m]
-    memory2_300mrad : hysteresis state of joint 2, -1 to 1, that approaches the direction of motion
-        exponentially over 0.3 rad (Dahl 1968)
-    play2_300mrad : position of a part that joint 2 drives through a play of 0.3 rad to each side
-        [rad or m]; a relay with play is a step function of it
-    heat2_600s : square of joint 2's load through a first-order lag of 600 s
-    head_1500_m200_0mm : sense of the last rotation, -1 or 1, of the head of an instrument that
-        stands at [1.5, -0.2, 0] m in the measuring frame and follows the measured point; motions of
-        the point of less than 10 mm across the beam are ignored
+    - progress: place in the order of measuring, 0 to 1 (by pose or time_s; else by the rows)
+    - warmth_600s: temperature_degC through a first-order lag of 600 s, less its mean [K]
+    - approach2: direction of joint 2's last motion, -1 or 1, from the order of the poses
+    - move2: joint 2's change since the pose before, 0 for the first pose [rad or m]
+    - memory2_300mrad: hysteresis state of joint 2, -1 to 1, that approaches the direction of
+      motion exponentially over 0.3 rad (Dahl 1968)
+    - play2_300mrad: position of a part that joint 2 drives through a play of 0.3 rad to each
+      side [rad or m]; a relay with play is a step function of it
+    - heat2_600s: square of joint 2's load through a first-order lag of 600 s
+    - head_1500_m200_0mm: sense of the last rotation, -1 or 1, of the head of an instrument that
+      stands at [1.5, -0.2, 0] m in the measuring frame and follows the measured point; motions
+      of the point of less than 10 mm across the beam are ignored
 
     m : campaign with its logged columns
     names : columns to derive, of the forms above with other joints and numbers
