@@ -35,7 +35,10 @@ class Candidate:
 
     @property
     def covers(self) -> frozenset[str]:
-        """Return the names of the effects that it includes; one of several joints has theirs."""
+        """Return the names of the effects that are no candidates once this one is in the model.
+
+        This candidate includes them; one of several joints includes the effect at each joint.
+        """
         first = self.variants[0][0]
         return first.covers | ({first.name} if self.together else frozenset())
 

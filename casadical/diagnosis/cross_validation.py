@@ -74,7 +74,7 @@ def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> 
 
 
 def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
-    """Return held-out errors as `held_out_errors` does, for a given fit to all poses."""
+    """Return the held-out error of each pose for a given fit to all poses, shape (n,) [m]."""
     if len(np.unique(folds)) == len(folds):
         return lengths(e, fit.leave_one_out_residuals())
     errors = np.empty(len(folds))

@@ -85,7 +85,8 @@ def diagnose(
 
     Examples
     --------
-    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity", "backlash"])
+    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity",
+        "backlash"])
     >>> diagnosis.verdict, [cause.label for cause in diagnosis.causes]
     ('explained', ['gear_eccentricity@2'])
     """

@@ -110,7 +110,7 @@ class Part:
 
 @lru_cache(maxsize=32)
 def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
-    """Return the formulas that make the columns of effects, grouped by common formula."""
+    """Return the formulas that make the columns of effects, with the effects that share each."""
     starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
     parts = []
     for (template, names), which in _templates(effects).items():

@@ -199,7 +199,7 @@ def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...
 def _judged(
     evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
 ) -> Isolability:
-    """Return the isolability of groups of columns; groups : those of each label's settings."""
+    """Return the isolability of candidates; groups : columns of each setting, by label."""
     n, rho = len(evidence.r), noise.repeatability / noise.sigma
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]

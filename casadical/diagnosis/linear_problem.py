@@ -470,7 +470,7 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
 
 
 def widths(effects: Sequence[Effect]) -> Array:
-    """Return the typical size of every parameter of the effects, shape (parameters,) [SI]."""
+    """Return the typical size (SI) of every parameter of the effects, shape (parameters,)."""
     return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 

@@ -206,8 +206,9 @@ def _smooth_functions(case: Case) -> Array:
 
 
 def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
-    """Return the maximum-likelihood variance of each group, shape (groups,), and the noise.
+    """Return the maximum-likelihood variance of each group of columns, and the noise.
 
+    The variances have the shape (groups,); the noise is a standard deviation [m].
     y : whitened residual, shape (n,); K : see `products_of_rows`
     sigma : lower bound of the noise, which grows where no group explains the residual
     """
@@ -223,7 +224,7 @@ def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]
 
 
 def _even_variances(y: Array, K: Array) -> Array:
-    """Return the variance at which each group explains an equal part, shape (groups,)."""
+    """Return the variance at which each group of columns explains an equal part, (groups,)."""
     return np.asarray(float(y @ y) / len(K) / np.maximum(K[:, :: len(y) + 1].sum(axis=1), 1e-30))
 
 

@@ -113,7 +113,10 @@ class Comparison:
         return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
 
     def follow(self, pose: int, gain: Array) -> None:
-        """Update after the model was updated at a pose with this gain."""
+        """Update the difference after the model was updated with the data at a pose.
+
+        gain : of this update at all poses, shape (K, 3, 3)
+        """
         own = np.linalg.cholesky(self.model.noise[pose])
         self.mean = self.mean - gain @ self.mean[pose]
         self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ own], axis=2)

@@ -85,7 +85,7 @@ class NoiseAccount:
 
     @property
     def anchor(self) -> float:
-        """Return the independent figure of a coordinate's noise [m]; zero without one."""
+        """Return a coordinate's noise sd as known independently of the fit [m], else zero."""
         if self.rules == Rule.REPEATS:
             return self.repeats
         return float(np.sqrt(self.taken**2 - self.excess**2)) if self.excess else 0.0
@@ -162,7 +162,8 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     elif noise_prior.stated:
         far, rules, anchor = _by_statement(case, columns, noise, remainder)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
-    # The limits are read from the sets, because noise_prior.sheet is scaled to the first set's noise.
+    # The limits are read from the sets, because noise_prior.sheet is scaled to the first set's
+    # noise.
     stated = [m.datasheet for m in case.observations.sets if m.datasheet]
     sheet = min(stated) if noise_prior.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0

@@ -37,7 +37,7 @@ class Form:
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
-        """Return the serial noise of this many poses in the order of measuring."""
+        """Return the AR(1) coefficient and weights of the poses, in the order of measuring."""
         weight = 1.0 if self.times is None else 1 / self.times
         return serial_noise(self.stays, np.arange(poses) == 0, weight)
 
@@ -85,7 +85,10 @@ class Problem:
         self._cache: dict[Form, Array] = {}
 
     def log_likelihood(self, form: Form) -> Array:
-        """Return the log likelihood with the form's log_weight, shape (rhos, sigmas)."""
+        """Return the log likelihood under a form of noise, shape (rhos, sigmas).
+
+        The form's log_weight is included; results are cached by form.
+        """
         if form not in self._cache:
             own, *others = (prewhitened(e, form, self._order).log_base() for e in (self._own, *self._others))
             self._cache[form] = self.e.averaged(own, others) + form.log_weight - self._lost

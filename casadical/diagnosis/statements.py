@@ -87,7 +87,7 @@ def noise(d: Diagnosis) -> str:
 
 
 def hidden(d: Diagnosis) -> bool:
-    """Return whether structure taken as noise exceeds the remaining error beyond the noise."""
+    """Return whether structure that was taken as noise exceeds the error beyond the noise."""
     beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 
