@@ -25,7 +25,7 @@ FIGURE_OF_UNIT = {
 # At most this number of residuals (their quantiles) or of readings is drawn, to keep the page
 # small.
 MAX_POINTS_DRAWN = 600
-# At most this number of correlated_words pairs is named in a sentence.
+# At most this number of correlated pairs is named in a sentence.
 MAX_PAIRS_NAMED = 8
 # Captions of the figures of residuals, of joint coverage, and of correlated pairs.
 _RESIDUALS_CAPTION = (
@@ -194,7 +194,6 @@ def most_correlated(result: Identification) -> tuple[str, ...]:
 
     Only pairs with an absolute correlation above 0.5 count; () where there is none.
     """
-    # Four parameters at most, of pairs that are correlated_words above 0.5.
     return tuple(dict.fromkeys(name for a, b, _ in _pairs(result, 0.5) for name in (a, b)))[:4]
 
 

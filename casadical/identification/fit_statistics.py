@@ -66,7 +66,7 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
 
 
 def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield (weights of the loss, Jacobian of shape (rows, size)) for some rows at a time."""
+    """Yield weights of the loss, and Jacobian (rows, size), for some residuals at a time."""
     for k, r, J in problem.parts(v):
         yield np.repeat(loss_slope(problem.loss_of(k), r), r.shape[1]), J
 

@@ -72,7 +72,7 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
 
 
 def as_json(found: Identification) -> list[dict[str, float]]:
-    """Return the deflections that the poses determine as plain data, in mrad."""
+    """Return the gravity deflections that the poses determine as plain data, in mrad."""
     return [
         {"joint": d.joint, "deflection_mrad": round(1e3 * d.change, 5), "std_error_mrad": round(1e3 * d.error, 5)}
         for d in gravity_deflections(found)

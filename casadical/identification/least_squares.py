@@ -45,7 +45,7 @@ from casadical.robot.robot import Robot
 
 # Initial standard deviation of a coordinate [m] where none is given, until residuals estimate it.
 INITIAL_SIGMA_M = 1e-4
-# The same of an angle [rad].
+# Initial standard deviation of an angle [rad] where none is given, until residuals estimate it.
 INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # Gain of one more step [cost, half of chi-squared] below which a slow search has converged: a tenth
 # of a standard error. A search is slow along what only priors determine, such as the common scale
@@ -54,7 +54,7 @@ SETTLED_COST_GAIN = 5e-3
 # Above this number of parameters with priors, those of effects are not tested for independence, and
 # a solve starts with Gauss-Newton steps.
 MANY_PARAMETERS = 200
-# Maximum number of these first steps.
+# Maximum number of Gauss-Newton steps with which a solve of many parameters starts.
 MAX_APPROACH_STEPS = 8
 # Groups of parameters that belong to a campaign, not to the robot.
 FRAME_GROUPS = ("base", "tool")
@@ -188,7 +188,7 @@ class LeastSquares:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of v, shape (size,) each."""
+        """Lower and upper bounds of the scaled variables v, shape (size,) each."""
         free = np.full(3 * len(self.labels), np.inf)
         value = self._parameter_values("value")
         lower = (self._parameter_values("lower") - value) / self.scale
@@ -246,7 +246,7 @@ class LeastSquares:
         return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._free_parameters]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
-        """Return the two parts of v: x, shape (p,), and u, shape (K, 3)."""
+        """Return the parts of the variables v: parameters x (p,) and unknown points u (K, 3)."""
         p = len(self.names)
         return v[:p], v[p:].reshape(-1, 3)
 
@@ -317,7 +317,7 @@ class LeastSquares:
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
-        """Compute what `gradient` returns."""
+        """Compute gradient and Gauss-Newton Hessian of the cost at v, with the priors."""
         sums = self._sums(v)
         if self._without_priors:
             return sums.gradient, sums.information
@@ -373,7 +373,7 @@ class LeastSquares:
 
     @staticmethod
     def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:
-        """Return the parts of each set joined, in the order of the sets."""
+        """Return the residuals of each set, joined from parts, in the order of the sets."""
         of_set: dict[int, list[Array]] = {}
         for k, r in parts:
             of_set.setdefault(k, []).append(r)
@@ -439,7 +439,7 @@ class LeastSquares:
         return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
-        """Evaluate what `parts` returns."""
+        """Evaluate residuals and Jacobian at v, some poses at a time."""
         x, u = self.separate(v)
         for k, block in enumerate(self.blocks):
             for some, r, J in block.parts(x, u):
@@ -508,7 +508,7 @@ class LeastSquares:
         return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
-        """Return the problem with other initial unknown points, shape (K, 3) [m]."""
+        """Return the problem with other initial positions of the points, shape (K, 3) [m]."""
         other = replace(self)
         other.cache.made.update(points=points)
         return other
@@ -584,7 +584,7 @@ class Linearised(LeastSquares):
         return v
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
-        """Evaluate the linear residuals and their constant Jacobian, in units of the own sigmas."""
+        """Yield the residuals at v, linear about a point, with their constant Jacobian, by parts."""
         kinds = [find_kind(m.kind) for m in self.sets]
         ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
         for k, r, J in self.of.parts(self.at):

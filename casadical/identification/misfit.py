@@ -130,7 +130,7 @@ class WideFit:
         return self.poses.joints
 
     def at(self, rhos: tuple[float, ...]) -> NoiseFit:
-        """Return the fit with a repeatability ratio for each revolute joint."""
+        """Return the fit with one ratio of repeatability to coordinate noise per revolute joint."""
         if rhos not in self._last:
             self._last.clear()
             self._last[rhos] = _fit_at(rhos, self.poses, self.doubts)[0]

@@ -21,8 +21,8 @@ from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# A direction is freed of the priors if the readings determine it this much better, as a ratio of
-# variances.
+# A direction of the frames is freed of the priors if the readings determine it better by this ratio
+# of variances.
 MIN_FREED_VARIANCE_RATIO = 100.0
 # For vectors a and t, t @ (a @ _CROSS).reshape(3, 3) is the cross product a x t.
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
@@ -167,7 +167,7 @@ class PlacementProblem:
             )
 
         def move(x: Array, step: Array) -> Array:
-            """Return x after a step: a rotation in the measuring frame, and shifts."""
+            """Return frames x after a step: a rotation in the measuring frame, and shifts."""
             turned = nearest_rotation(from_xyz(step[0, :3]) @ x[0, :9].reshape(3, 3))
             return np.concatenate([turned.ravel(), x[0, 9:] + step[0, 3:]])[None]
 

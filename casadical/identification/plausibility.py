@@ -26,7 +26,8 @@ MIN_MOVEMENT_OF_REACH = 0.3
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
 # Median error of orientations [rad] with the given tool up to which the tool is not questioned.
 MAX_GIVEN_TOOL_ERROR_RAD = np.deg2rad(1.0)
-# Beyond that, the error may be this many times the error with a rotated tool.
+# Maximum ratio of the orientations' error with the tool (or base) as given to that with it rotated to
+# fit.
 MAX_ORIENTATION_ERROR_RATIO = 3.0
 # Maximum median error of orientations [rad] with the base as positions determine it; above, they
 # are of another frame than the positions.
@@ -280,7 +281,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def beside(k: int, few: Array = few) -> bool:
-            """Return whether row k has the same fault as the part."""
+            """Return whether row k is in another unit, too, like those of the part."""
             # The row is repeated to outweigh the others, for faults that a median shows.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
             return bool(_unit_fault(robot, m, p, which))

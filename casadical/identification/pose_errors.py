@@ -61,7 +61,7 @@ class ModelErrors:
 
     @property
     def words(self) -> str:
-        """Its entry in a legend."""
+        """The model's entry in a legend."""
         return f"{self.model}, {self.note}" if self.note else self.model
 
     @property
@@ -96,7 +96,7 @@ class PoseErrors:
 
     @property
     def words(self) -> str:
-        """Title of the set."""
+        """The title of the set of poses."""
         name, *more = self.name.split("/")
         return SET_TITLES.get(name, name) + (f" ({', '.join(more)})" if more else "")
 
@@ -161,7 +161,7 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
 
 
 def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: float) -> Series:
-    """Return one model's errors by row; errors beyond the axis are triangles at its edge."""
+    """Return one model's errors by row as points; errors beyond the axis are triangles."""
     colour, symbol, _ = left.style
     far = left.length > top
     return Series(

@@ -29,11 +29,12 @@ from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.robot.robot import Covariance, Robot
 
-# Standard deviations of the logarithms of the arm's size and of that of base and tool.
+# A size is an unknown factor on prior widths. These are the prior standard deviations of its
+# logarithm, for the arm and for base and tool.
 SIZE_LOG_SIGMAS = (1.0, 1.5)
-# The grid of sizes extends from the inverse of this to this.
+# Largest factor on prior widths of the grid, which starts at its inverse.
 MAX_SIZE = 50.0
-# Number of sizes on the grid.
+# Number of factors on prior widths of the grid, in geometric progression.
 SIZE_GRID_POINTS = 61
 
 

@@ -49,7 +49,7 @@ MIN_SIGMA = 1e-9
 
 
 def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima: Optima) -> Solved:
-    """Solve; where undeclared sigmas matter, estimate them from residuals and solve again."""
+    """Solve; estimate noise sigmas that matter and were not declared, and solve again."""
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several or problem.guesses.any()
@@ -351,7 +351,7 @@ def _with_visible(
 def _with_added_parameters(
     problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]
 ) -> tuple[LeastSquares, Array]:
-    """Return the problem with more parameters at nominal values, and the point v in it."""
+    """Return the problem with more free parameters, at nominal values, and the point v in it."""
     names = [n for n in order if n in more or n in problem.names]
     own = np.zeros(len(names))
     own[[names.index(n) for n in problem.names]] = v[: len(problem.names)]

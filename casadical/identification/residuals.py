@@ -230,7 +230,7 @@ def make_block(
     compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
 
     def data(m: Measurements, at: slice) -> Array:
-        """Return the data of some poses."""
+        """Return the kernel's data of some poses, shape (numbers, k)."""
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
         return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 

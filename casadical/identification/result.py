@@ -183,7 +183,7 @@ class Identification(Result):
         return places
 
     def bars(self) -> list[tuple[str, float]]:
-        """Return mean and 95th percentile of the errors of each set that was used [m]."""
+        """Return mean and 95th percentile of the position errors of each set [m], for a bar chart."""
         each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
         return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 
@@ -246,7 +246,7 @@ class Identification(Result):
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """The outliers, the one with the largest error first."""
+        """The poses left out as outliers, the one with the largest error first."""
         out = []
         for k, m in enumerate(self.measurements):
             poses = [i for place, i in self.outliers if place == k]
@@ -257,7 +257,7 @@ class Identification(Result):
 
     @property
     def sources(self) -> tuple[str, ...]:
-        """Names of the tables."""
+        """Names of the tables of measurements."""
         return tuple(m.source for m in self.measurements)
 
     @property
@@ -411,7 +411,7 @@ class Identification(Result):
 
     @property
     def verdict(self) -> str:
-        """The result in one sentence."""
+        """The result of the identification in one sentence."""
         used = sum(len(m) for m in self.measurements) - len(self.outliers)
         masses = len(self.names) - len(self.identified)
         text = (

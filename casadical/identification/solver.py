@@ -19,7 +19,7 @@ Progress = Callable[[int, float], None]
 # whether it is at the optimum. Convergence is slow along what only priors determine, such as the
 # common scale of estimated masses and compliances.
 MIN_COST_REDUCTION = 1e-3
-# Number of these last iterations.
+# Number of last iterations over which a slow reduction of the cost is measured.
 SLOW_ITERATIONS = 10
 
 # The message of a sharp optimum.
@@ -112,7 +112,7 @@ class _Evaluation(ca.Callback):
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview | None], res: Sequence[memoryview | None]) -> int:
-        """Compute the outputs in place; return 0 for success."""
+        """Compute a CasADi callback's outputs in place; return 0 for success."""
         given = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arg]
         for place, value in zip(res, self.compute(*given), strict=False):
             if place is not None:
@@ -206,7 +206,7 @@ class _Solver:
         del self._run, self._buffer, self._solve, self._keep
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
-        """Return 1 to stop: the last iterations gained little, and the point is the optimum."""
+        """Tell Ipopt to stop (1) if its last iterations gained little and the optimum is reached."""
         flat = (
             len(self.history) > SLOW_ITERATIONS
             and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < MIN_COST_REDUCTION
@@ -214,7 +214,7 @@ class _Solver:
         return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
-        """Return the scaled cost at v."""
+        """Return the cost at v over the problem's scale, for Ipopt."""
         return (self.cost(v) / self.scale,)
 
     def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
@@ -334,7 +334,7 @@ class Sums:
     triangle: Array | None = None
 
     def for_variables(self, columns: Sequence[int]) -> "Sums":
-        """Return the sums for some of the variables, by their indices."""
+        """Return the sums over all residuals for some of the variables, by their indices."""
         at = np.array(columns, dtype=int)
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)
 
@@ -379,7 +379,7 @@ class ProblemCache:
         self.redundancies = LastValueCache()
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the constant of this name, computed the first time."""
+        """Return the cached value of this name, computed the first time."""
         if name not in self.made:
             self.made[name] = compute()
         answer: T = self.made[name]

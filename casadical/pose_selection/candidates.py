@@ -243,7 +243,7 @@ def later_poses(
     lower, upper = room.ranges(robot)
 
     def drawn(wanted: int, low: Array, high: Array) -> Array:
-        """Return at most `wanted` allowed random readings between two limits."""
+        """Return at most `wanted` random readings between two limits that the workspace allows."""
         q = robot.coupled(rng.uniform(low, high, (4 * wanted, robot.n)))
         return np.asarray(q[room.allows(robot, q)][:wanted])
 

@@ -127,7 +127,7 @@ def prepare(
     extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
 
     def before(kept: Sequence[str]) -> Array:
-        """Return the information before any pose, for some parameters and the unknown places."""
+        """Return the information before any pose, of some parameters and the unknown places."""
         size = len(kept) + extra
         known = known_before(robot, kept, prior, size)
         return known + (instrument.before(size, noise) if instrument else 0.0)

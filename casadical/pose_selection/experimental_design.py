@@ -54,7 +54,7 @@ class Design:
         return np.asarray((np.abs(self.places - place).max(axis=1) <= self.apart).astype(int))
 
     def start(self, chosen: list[int]) -> None:
-        """Restart with these candidates chosen."""
+        """Restart with these candidates chosen, indices of the pool."""
         self.chosen = list(chosen)
         self.closed = self._taken + sum((self._near(self.places[k]) for k in chosen), np.zeros(self.N, dtype=int))
         A = self.rows[self.chosen].reshape(-1, self.p)
@@ -68,7 +68,7 @@ class Design:
         self._update(self.rows[k], sign)
 
     def add(self, k: int) -> None:
-        """Add candidate k."""
+        """Add candidate k to the chosen poses, and update the gains."""
         self.chosen.append(k)
         self._change(k, 1)
 
@@ -118,14 +118,14 @@ class Design:
         return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
 
     def _refresh(self) -> None:
-        """Compute C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from the information M."""
+        """Compute the covariance C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from the information."""
         self.C: Array = inverse(self.M)
         self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
         self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
         self._age = 0
 
     def _update(self, A: Array, sign: int) -> None:
-        """Update C, D and L after rows A, shape (m, p), were added (1) or removed (-1)."""
+        """Update covariance and gains after rows A, shape (m, p), were added (1) or removed (-1)."""
         self._age += 1
         U = self.C @ A.T
         small = np.eye(len(A)) + sign * A @ U

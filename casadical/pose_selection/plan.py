@@ -48,7 +48,7 @@ class MeasurementPlan(Result):
     noise: Noise | None = None
 
     def blocks(self) -> list[Block]:
-        """Return the plan as text, tables and figures."""
+        """Return the measuring plan as text and tables."""
         plan, forecast = self.selection, self.forecast
         more: dict[str, Any] = {"shown": np.unique(np.linspace(0, len(forecast.poses) - 1, 6).astype(int))}
         if plan is not None:

@@ -249,7 +249,7 @@ class _Box(TomlTable):
 
     @model_validator(mode="after")
     def _ordered(self) -> _Box:
-        """Check that the corners are in order."""
+        """Refuse a box unless its corners are in order."""
         if not np.less(self.low, self.high).all():
             raise FaultError("high", "each of its coordinates must be greater than that of low")
         return self
@@ -268,7 +268,7 @@ class _Tracker(TomlTable):
 
     @model_validator(mode="after")
     def _sees(self) -> _Tracker:
-        """Check that the keys are complete and the cone is not empty."""
+        """Refuse a tracker whose keys are incomplete or whose cone is empty."""
         for needed, key in (("towards", "half_angle"), ("opening", "acceptance")):
             if key in self.model_fields_set and getattr(self, needed) is None:
                 raise FaultError(key, f"has no effect without {needed}; give both")

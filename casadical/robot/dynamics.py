@@ -26,11 +26,11 @@ Couplings = tuple[Coupling | None, ...]
 BODY_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 # Prior standard deviation of the logarithm of a declared link inertia.
 INERTIA_LOG_SIGMA = 0.3
-# The same of an estimated link inertia.
+# Prior standard deviation of the logarithm of a link inertia that is estimated.
 ESTIMATED_INERTIA_LOG_SIGMA = 1.0
-# The same of a declared rotor inertia.
+# Prior standard deviation of the logarithm of a declared rotor inertia.
 ROTOR_LOG_SIGMA = 0.1
-# The same of an estimated rotor inertia.
+# Prior standard deviation of the logarithm of a rotor inertia that is estimated.
 ESTIMATED_ROTOR_LOG_SIGMA = 2.0
 
 
@@ -102,7 +102,7 @@ class Dynamics:
         return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
     def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
-        """Evaluate regressor or torque at many states."""
+        """Evaluate the dynamics' regressor or torque at many states."""
         shared = (pi, self.robot.parameters.values, gravity)
         return _mapped(self.robot.structure, self._couplings, what)(np.hstack([q, v, a]).T, np.concatenate(shared))
 

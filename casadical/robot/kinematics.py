@@ -59,7 +59,7 @@ def loop_angles(
 
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the margin of every loop (see `fourbar.margin`)."""
+    """Return the margin of every four-bar: 1 perpendicular, 0 folded (see `fourbar.margin`)."""
     own = own_variables(arm, actuated, values)
     return [
         fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))

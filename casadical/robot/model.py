@@ -164,7 +164,7 @@ class Structure:
 
     @cached_property
     def key(self) -> tuple[object, ...]:
-        """What two equal structures have in common."""
+        """What robots with equal symbolic models have in common, hashable."""
         arm = self.arm
         joints = tuple(
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))

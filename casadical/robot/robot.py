@@ -67,7 +67,7 @@ class Covariance:
             )
 
     def only(self, names: Iterable[str]) -> Covariance:
-        """Return the covariance of some of the parameters."""
+        """Return the covariance of some of the parameters, by name."""
         wanted = set(names)
         which = [k for k, name in enumerate(self.names) if name in wanted]
         return Covariance(tuple(self.names[k] for k in which), self.matrix[np.ix_(which, which)])
@@ -375,7 +375,7 @@ class Robot(Shown, Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """Return a robot whose model has only these of its effects."""
+        """Return a robot with only these of its effects in the model."""
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}

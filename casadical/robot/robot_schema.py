@@ -46,7 +46,7 @@ MAX_JOINTS = 100
 MAX_GRAVITY = 30.0
 # The twists [rad] that result when a right or a straight angle in radians is read as degrees.
 TWISTS_READ_AS_DEGREES = np.deg2rad([np.pi / 2, np.pi])
-# Tolerance of this test [rad].
+# Twists this close [rad] to one that results from radians read as degrees are refused.
 TWIST_TOLERANCE = np.deg2rad(1e-3)
 
 # A positive length.
@@ -86,7 +86,7 @@ class _Body(TomlTable):
         return self
 
     def body(self) -> parts.Body:
-        """Return the body of the table."""
+        """Return the body that the table describes."""
         inertia = None if self.inertia_kgm2 is None else _moments(self.inertia_kgm2)
         return parts.Body(self.mass_kg, np.array(self.com), inertia)
 
@@ -148,7 +148,7 @@ class _Joint(TomlTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> _Joint:
-        """Refuse keys that contradict each other."""
+        """Refuse a joint with keys that contradict each other."""
         if self.limits and self.limits[0] >= self.limits[1]:
             raise FaultError("limits", "the lower one must come first")
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -159,7 +159,7 @@ class _Joint(TomlTable):
         return self
 
     def joint(self) -> parts.Joint:
-        """Return the joint of the table."""
+        """Return the joint that the table describes."""
         default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
         lower, upper = self.limits or default
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -189,7 +189,7 @@ class _Frame(TomlTable):
     unknown: Literal["none", "position", "pose"] = "none"
 
     def placement(self) -> parts.Placement:
-        """Return the placement of the table."""
+        """Return the base or tool placement that the table describes."""
         return parts.Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 

@@ -136,7 +136,7 @@ class Tree:
 
     @property
     def root(self) -> str:
-        """The one link that is no joint's child. Raises InputError for several."""
+        """The root link, which is no joint's child. Raises InputError for several."""
         roots = [name for name in self.names if name not in self.above]
         if len(roots) > 1:
             raise InputError(
@@ -145,7 +145,7 @@ class Tree:
         return roots[0]
 
     def link(self, name: str, role: str) -> str:
-        """Return the name if it is a link. Raises InputError otherwise."""
+        """Return the name if it is a link of the file. Raises InputError otherwise."""
         if name not in self.below:
             raise InputError(f"{self.source}: {role} {name!r} is not there; links: {', '.join(self.names)}")
         return name

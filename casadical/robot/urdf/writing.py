@@ -124,7 +124,7 @@ def _children(element: minidom.Element, tag: str) -> list[minidom.Element]:
 
 
 def _root(document: minidom.Document) -> minidom.Element:
-    """Return the root element."""
+    """Return the root element of the XML."""
     assert document.documentElement is not None
     return document.documentElement
 
@@ -185,7 +185,7 @@ def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> N
 
 
 def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
-    """Add a comment on what the file does and does not contain."""
+    """Add a comment on what the calibrated URDF contains and what it lacks."""
     foot = "the robot's foot" if base == "robot" else "the measuring frame"
     text = (
         f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the "
@@ -253,7 +253,7 @@ def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
 
 
 def _about(robot: Robot) -> str:
-    """Return the comment of a new file."""
+    """Return the comment of a new URDF: what it contains and what has no place in it."""
     springs = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     guessed = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.body and j.body.inertia is None]
     lines = [f"Written by casadical: geometry{', masses and inertias' if any(j.body for j in robot.joints) else ''}."]
