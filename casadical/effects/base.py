@@ -419,12 +419,14 @@ class Effect:
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the columns that the model needs, logged or derived (see `derived_columns`)."""
+        """Return the names of columns that the model needs, logged or derived from logged ones."""
         return self.needs
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Return columns that make it no candidate if logged, since a better effect uses them."""
+        """Return the names of columns that make it no candidate, since a better effect uses
+        them.
+        """
         return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:

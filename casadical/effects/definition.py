@@ -272,7 +272,7 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def needs(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Return the columns that must have been logged.
+        """Return the names of the columns that must have been logged.
 
         A warmth is derived from the logged temperature.
         """
@@ -280,7 +280,7 @@ class DefinedEffect(FormulaEffect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the columns that the formulas use."""
+        """Return the names of the columns that the formulas use."""
         return (*self._texts.conditions, *self.of_head)
 
     @property

@@ -151,7 +151,7 @@ class FormulaEffect(Effect):
         return formula.values({n: values[n] if n in values else variable(context, n, moments) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
-        """Return the energy [J] of the formula, and that of a payload with wrong mass or centre."""
+        """Return the energy [J] that it adds: its formula, and errors of the payload."""
         payload, T = context.arm.payload, context.frames[-1]
         total: Symbolic = sum(self.values_at("energy", context))
         share, shift = (self.values_at(seam, context) for seam in ("payload", "payload shift"))
@@ -217,7 +217,7 @@ class FormulaEffect(Effect):
 
     @property
     def of_head(self) -> tuple[str, ...]:
-        """Return the column of the sense of the head's last rotation, if a formula uses it."""
+        """Return the name of the column of the head's last rotation, if a formula uses it."""
         named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
         return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
 
@@ -300,7 +300,7 @@ def _known(name: str, seam: str) -> bool:
 
 
 def head_column(station: Iterable[float]) -> str:
-    """Return the column of the sense of the head's last rotation.
+    """Return the name of the column of the sense of an instrument head's last rotation.
 
     station : position of the instrument in the measuring frame [m]
     """
@@ -308,7 +308,9 @@ def head_column(station: Iterable[float]) -> str:
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:
-    """Return the columns of a camera's vector [m] in the measuring frame, computed from poses.
+    """Return the names of the columns of a camera's vector in the measuring frame [m].
+
+    They are computed from measured poses.
 
     side : one of CAMERA_SIDES
     what : depth, the component of the vector to the target along the optical axis, or radial, the
@@ -321,7 +323,7 @@ def image_columns(side: str, what: str) -> tuple[str, str, str]:
 
 
 def columns_of(names: Collection[str]) -> list[str]:
-    """Return the columns of those names in a formula that are columns."""
+    """Return the names of the columns among the names in a formula."""
     return [COLUMN_BY_NAME.get(n, n) for n in names if COLUMN_NAME.fullmatch(n)]
 
 
@@ -463,7 +465,7 @@ class Law(FormulaEffect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the columns that its formula and insertion point need."""
+        """Return the names of the columns that its formula and insertion point need."""
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]

@@ -180,7 +180,7 @@ class Session(Effect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the column that marks its poses."""
+        """Return the name of the column that marks its poses."""
         return (self.column,)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:

@@ -47,7 +47,7 @@ class Backlash(Effect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the column of the direction of approach of its joint."""
+        """Return the name of the column of its joint's direction of approach."""
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
@@ -85,7 +85,7 @@ class BacklashByLoad(Backlash):
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Return the column of the approach, with which `Backlash` is the candidate."""
+        """Return the name of the column of the approach, with which `Backlash` is the candidate."""
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:

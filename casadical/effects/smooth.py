@@ -279,7 +279,7 @@ class SmoothInLoad(_Series):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the columns of the directions of approach of all joints."""
+        """Return the names of the columns of the directions of approach of all joints."""
         return tuple(f"approach{i}" for i in range(1, self.moved + 1))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:

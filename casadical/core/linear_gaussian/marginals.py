@@ -106,6 +106,8 @@ class Marginals:
     def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:
         """Return the marginals of a model without the lost and with the gained blocks.
 
+        Its sums are those of this model, updated.
+
         The sums of this model are updated.
         """
         more = Marginals(model)

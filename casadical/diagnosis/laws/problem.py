@@ -479,8 +479,9 @@ class Problem:
 
     @property
     def residual_weights(self) -> Array:
-        """Return w, shape (n, numbers), with sum(w * column) = whitened column * whitened
-        residual.
+        """Return w, shape (n, numbers), by which small columns act on the residual.
+
+        sum(w * column) is the product of a whitened column with the whitened residual.
         """
         screen = self.screens[0][1]
         weights = np.einsum("nab,na->nb", screen.W, screen.y)
