@@ -98,7 +98,10 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """A diagnosis in progress: robot, measurements and the arguments of `diagnose`."""
+    """A diagnosis in progress.
+
+    prepared : robot, measurements and prior; effects, seed, bootstrap, laws, show : see `diagnose`
+    """
 
     prepared: Prepared
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"]

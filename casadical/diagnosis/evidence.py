@@ -92,6 +92,8 @@ class Evidence(LinearModel):
     other kinds of measurement than positions, 3 stands for the numbers of a pose (see
     `observations`).
 
+    log_noise : log prior of the noise on the grid, shape (rhos, sigmas)
+    reference : sigma at which the priors are as given [m]; they scale with the noise
     Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
     noise_prior : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]

@@ -112,7 +112,10 @@ def depends_on_time(effects: Sequence[Effect]) -> bool:
 
 @dataclass(frozen=True)
 class Check:
-    """Mean held-out gap [m], in fifths, of the nonlinear refit and of the linear model."""
+    """Mean held-out gap of two models, with fifths of the poses predicted by the others.
+
+    refit : of the nonlinear refit [m]; linearised : of the linear model [m]
+    """
 
     refit: float
     linearised: float

@@ -171,7 +171,11 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 
 @dataclass(eq=False)
 class ColumnCache:
-    """Cached seam derivatives of columns at all poses, and sizes of the columns' parameters."""
+    """Cached results of `EffectColumns`; None until they were computed.
+
+    factors : seam derivatives of the columns at all poses; sizes : of the parameters, shape
+        (columns,) [SI]
+    """
 
     factors: Factors | None = None
     sizes: Array | None = None

@@ -228,7 +228,10 @@ def next_poses(
 
 
 class _Cause(NamedTuple):
-    """A label with settings that the data allow, and the most likely noise with these."""
+    """A cause to distinguish with settings that the data allow.
+
+    label : of the candidate; variant : its effects; noise : most likely noise with these
+    """
 
     label: str
     variant: tuple[Effect, ...]

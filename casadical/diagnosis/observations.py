@@ -58,7 +58,10 @@ class Stops:
 
 @dataclass(frozen=True)
 class Ratios:
-    """Noise standard deviations of a length [m] and an angle [rad] of every set; ratios matter."""
+    """Noise standard deviations of every set, of which only the ratios matter.
+
+    sigmas : of a length [m] and of an angle [rad], for each set
+    """
 
     sigmas: tuple[tuple[float, float], ...]
 
@@ -349,7 +352,17 @@ def _equal_rows_before(keys: Array) -> Array:
 
 
 class _SetObservations(NamedTuple):
-    """Residuals and Jacobians of one set, row by row; q and seen have one entry for each end."""
+    """Residuals and Jacobians of one measurement set, scaled to the noise of the first set's lengths.
+
+    r : measured minus modelled, shape (rows, numbers)
+    J, S, U : Jacobians by base parameters, seam variables of all ends, and the unknown point,
+        shapes (rows, numbers, P), (rows, numbers, seams) and (rows, numbers, 3 or 0)
+    seen, q : what effects depend on and joint readings, one array for each end, shape (rows, ...)
+    measured : mask of the numbers that count, shape (rows, numbers)
+    size : factors to the reported error, zero for angles, shape (rows, numbers)
+    point : index of each row's unknown point, -1 without one, shape (rows,)
+    ends : number of poses that a measurement involves, one or two
+    """
 
     r: Array
     J: Array

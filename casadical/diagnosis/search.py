@@ -57,8 +57,11 @@ class Step:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """State of a search: case with its inliers, causes in the model, ranking of each round.
+    """State of a search for causes.
 
+    case : with its present inliers; steps : causes in the model, in the order in which they were
+        added
+    rankings : posterior over the next cause in each round
     doubted : labels of causes that are in the model so that others can be judged given them, but
         that are not named
     """
