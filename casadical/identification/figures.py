@@ -339,7 +339,7 @@ def unidentifiable_table(result: Identification) -> Table | Words:
 
 
 def correlated(result: Identification) -> list[Words]:
-    """Return a sentence with the most correlated pairs of estimates; empty without any above 0.95."""
+    """Return a sentence with the pairs of estimates correlated above 0.95; empty without."""
     pairs = _pairs(result, 0.95)
     text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MAX_PAIRS_NAMED])
     return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MAX_PAIRS_NAMED else ""))] if text else []

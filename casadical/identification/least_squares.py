@@ -584,7 +584,7 @@ class Linearised(LeastSquares):
         return v
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
-        """Yield the residuals at v, linear about a point, with their constant Jacobian, by parts."""
+        """Yield the linear residuals at v and their constant Jacobian, by parts."""
         kinds = [find_kind(m.kind) for m in self.sets]
         ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
         for k, r, J in self.of.parts(self.at):

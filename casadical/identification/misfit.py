@@ -246,7 +246,7 @@ def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
 def _fit_at(
     rhos: tuple[float, ...], poses: _Poses, doubts: UncertainParameters, rounds: int = EM_ITERATIONS
 ) -> tuple[NoiseFit, Array]:
-    """Return the fit with noise s2 (I + Jq Jq') and the posterior mean; Jq as in `_normal_equations`."""
+    """Return the fit with noise s2 (I + Jq Jq') and its mean; Jq as in `_normal_equations`."""
     (sums,), spread = _normal_equations(rhos, poses)
     sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)

@@ -183,7 +183,7 @@ class Identification(Result):
         return places
 
     def bars(self) -> list[tuple[str, float]]:
-        """Return mean and 95th percentile of the position errors of each set [m], for a bar chart."""
+        """Return mean and 95th percentile of each set's errors [m], for a bar chart."""
         each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
         return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 

@@ -206,7 +206,7 @@ class _Solver:
         del self._run, self._buffer, self._solve, self._keep
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
-        """Tell Ipopt to stop (1) if its last iterations gained little and the optimum is reached."""
+        """Tell Ipopt to stop (1) if its last iterations gained little at the optimum."""
         flat = (
             len(self.history) > SLOW_ITERATIONS
             and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < MIN_COST_REDUCTION
@@ -264,7 +264,7 @@ def minimise(
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
-    # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB and is built quickly.
+    # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and is built fast.
     kept = len(lower) <= 100
     ipopt = (_solvers.of if kept else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []

@@ -118,14 +118,14 @@ class Design:
         return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
 
     def _refresh(self) -> None:
-        """Compute the covariance C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from the information."""
+        """Compute covariance C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from information M."""
         self.C: Array = inverse(self.M)
         self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
         self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
         self._age = 0
 
     def _update(self, A: Array, sign: int) -> None:
-        """Update covariance and gains after rows A, shape (m, p), were added (1) or removed (-1)."""
+        """Update covariance and gains after rows A (m, p) were added (1) or removed (-1)."""
         self._age += 1
         U = self.C @ A.T
         small = np.eye(len(A)) + sign * A @ U
