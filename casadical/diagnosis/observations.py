@@ -352,7 +352,7 @@ def _equal_rows_before(keys: Array) -> Array:
 
 
 class _SetObservations(NamedTuple):
-    """Residuals and Jacobians of one measurement set, scaled to the noise of the first set's lengths.
+    """Residuals and Jacobians of one measurement set, scaled to equal noise of all sets.
 
     r : measured minus modelled, shape (rows, numbers)
     J, S, U : Jacobians by base parameters, seam variables of all ends, and the unknown point,
