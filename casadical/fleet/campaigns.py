@@ -27,8 +27,7 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03. 1970 comes from a clock that was not
-# set.
+# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03. A clock that was not set gives 1970.
 _DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 # Name of the folder of a problem's later campaigns.
 CAMPAIGNS_FOLDER = "campaigns"

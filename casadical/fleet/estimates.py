@@ -248,8 +248,7 @@ def readings_of(robot: Robot, n: int) -> Array:
     return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 
-# If the residual sigmas of two campaigns differ by more, they were measured by different
-# instruments.
+# Largest ratio of the residual sigmas of two campaigns that one instrument measured.
 MAX_SIGMA_RATIO = 3.0
 
 

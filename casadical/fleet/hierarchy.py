@@ -48,8 +48,7 @@ ROBOTS_IN_USUAL_SPREAD = 4.0
 MIN_FAULT_SIGMAS = 5.0
 # Mean deviation that is also required for that, in units of the parameter's scale (1 mm or 1 mrad).
 MIN_FAULT_SIZE = 0.05
-# Smallest spread of a parameter, in units of its scale, because few robots do not show an exact
-# value.
+# Smallest spread of a parameter, in units of its scale: few robots show no exact value.
 MIN_SPREAD = 1e-3
 
 

@@ -62,8 +62,8 @@ class Draws:
     label : of the change, "" for none, shape (n,)
     since : first day that shows it, counted from 1, shape (n,)
     d : deviations of the parameters by the change, in units of scale, shape (n, p)
-    x : deviations that the calibration left and those of today alone, in units of scale, shape (n,
-        p)
+    x : deviations that the calibration left and those of today alone, in units of scale,
+        shape (n, p)
     extra : rms of a change that no parameter explains [mm], shape (n,)
     """
 
@@ -114,8 +114,8 @@ class TouchModel:
     robot : with the first harmonics of its joints, which the file's remaining errors include
     days : touched positions in the frame of the calibration
     names : parameters that may change, p of them
-    factor : root F of the second moment F F' of the remaining errors, in units of scale, shape (p,
-        r)
+    factor : root F of the second moment F F' of the remaining errors, in units of scale,
+        shape (p, r)
     rest : rms distance that no parameter explains [mm]
     weights : relative frequency of each kind of change
     noise : standard deviation of a coordinate [mm]; None: not known
@@ -172,8 +172,8 @@ class TouchModel:
         columns, sizes = np.hstack([c.columns for c in parts]), np.concatenate([c.sizes for c in parts])
         crash = Candidate(CRASH, None, tuple(n for c in parts for n in c.names), columns, sizes)
         none = np.zeros((len(self.names), 0))
-        # An unknown change displaces each coordinate of each pose independently by 0.3 mm, one
-        # sigma.
+        # An unknown change displaces each coordinate of each pose independently, by 0.3 mm
+        # (standard deviation).
         return (*usual, crash, Candidate(UNKNOWN, None, (), none, np.full(3 * self._poses.max() + 3, 0.3)))
 
     @cached_property

@@ -41,8 +41,7 @@ class Noise:
             )
 
 
-# Names of the sets into which poses are split: identification, training, choice of the model,
-# report.
+# Names of the sets of poses: identification, training of networks, choice among them, report.
 SETS = ("identify", "train", "choose", "report")
 
 # Poses whose readings differ by less in every joint count as the same pose [rad or m].

@@ -11,8 +11,7 @@ _FILE = tomllib.loads(files("casadical.measurements").joinpath("vocabulary.toml"
 UNITS: Mapping[str, tuple[str, float]] = {
     word: (str(ours), float(factor)) for factor, ours, words in _FILE["units"].values() for word in words.split()
 }
-# Words that a heading may have, by their role: joint, filler, measured, nominal, about, time and so
-# on.
+# Words that a heading may have, by their role, such as joint, filler, measured, nominal or time.
 WORDS: Mapping[str, frozenset[str]] = {kind: frozenset(words.split()) for kind, words in _FILE["words"].items()}
 
 # All known words that are not ASCII, the longest first.
