@@ -9,7 +9,9 @@ import platformdirs
 
 
 def private_folder(name: str = "") -> Path | None:
-    """Return the cache folder (CASADICAL_CACHE, else the user's), or one in it; made with mode 0700.
+    """Return the user's cache folder (CASADICAL_CACHE, else the system's), or one in it.
+
+    It is made with mode 0700.
 
     If others could write to it, their permission and the cached files are removed. None where it
     cannot be made, is a link, or belongs to another user.
@@ -29,7 +31,10 @@ def private_folder(name: str = "") -> Path | None:
 
 
 def _own(folder: Path) -> bool:
-    """Return whether a folder is the user's; one that others could write to is emptied and closed to them."""
+    """Return whether a folder is the user's.
+
+    One that others could write to is emptied and closed to them.
+    """
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode):
         return False

@@ -26,7 +26,7 @@ try:
 except ImportError:  # a system without flock: nothing is locked there
     fcntl = None  # type: ignore[assignment]
 
-# Real paths of the folders that this thread or task has claimed, each with whether the claim made it.
+# Real paths of the output folders that this thread or task has claimed, and whether it made them.
 _claimed: ContextVar[Mapping[Path, bool]] = ContextVar("claimed", default={})  # noqa: B039 never changed
 
 
@@ -52,7 +52,8 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
 
     A symbolic link is followed; devices and pipes are written into.
 
-    Raises InputError: two outputs of one name, a folder in place of a file, no space, no permission.
+    Raises InputError: two outputs of one name, a folder in place of a file, no space, no
+    permission.
     """
     written: list[str] = []
     path = Path()
@@ -161,6 +162,7 @@ def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
             raise _failure(path, error) from error
 
         def add(line: str) -> None:
+            """Add a line and write it to disk. Raises InputError: it cannot be written."""
             try:
                 file.write(line.encode())
                 os.fsync(handle)

@@ -31,7 +31,8 @@ class Body:
 
     mass : of the link or load [kg]
     com : shape (3,) [m]: mass centre in the link's frame
-    inertia : shape (3, 3) [kg m^2]: about the mass centre, along the axes of the link's frame; None: unknown
+    inertia : shape (3, 3) [kg m^2]: about the mass centre, along the axes of the link's frame;
+        None: unknown
 
     Examples
     --------
@@ -151,10 +152,13 @@ def refuse_joint(robot: str, i: int, joint: Joint) -> None:
 
 @dataclass(frozen=True)
 class FourBar:
-    """A closed loop: the reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
+    """A closed four-bar loop, by which one joint drives the next.
 
-    The ground bar is the link between the two joints (its length is the driven row's a). The driven link's angle
-    against the carrier is: direction of the rocker - angle of the carrier + offset. Lengths in metres.
+    The reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
+
+    The ground bar is the link between the two joints (its length is the driven row's a). The driven
+    link's angle against the carrier is: direction of the rocker - angle of the carrier + offset.
+    Lengths in metres.
 
     crank, coupler, rocker : length [m]
     offset : angle between rocker and driven link [rad]
@@ -175,7 +179,7 @@ class FourBar:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A frame given by its nominal transform T, shape (4, 4) [m], and which part of it is identified.
+    """A frame by its nominal pose T, shape (4, 4) [m], and the part of it to identify.
 
     Examples
     --------

@@ -72,7 +72,8 @@ def missing(path: str | Path, what: str = "file") -> InputError:
 def read_bytes(path: str | Path, most: int = MAX_TABLE_BYTES) -> bytes:
     """Return the content of a file.
 
-    Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to be read.
+    Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to
+    be read.
     """
     path = Path(path)
     with _opening(path):

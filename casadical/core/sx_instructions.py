@@ -23,7 +23,9 @@ _SPECIAL = frozenset(("input", "const", "output", "call"))
 
 
 class Instruction(NamedTuple):
-    """One operation by CasADi's name in lower case: "add", "if_else_zero", "input", "const", "output", "call", ..
+    """One operation of a CasADi function, by CasADi's name in lower case.
+
+    Names are "add", "if_else_zero", "input", "const", "output", "call" and so on.
 
     operands, results : indices in the work vector; the operands of an input, and the results of an
         output, are instead the index of the argument and the position of its nonzero
@@ -73,7 +75,8 @@ class SxInstructions:
         They are in CasADi's order.
 
         inputs : for each input of the function the values of its nonzeros
-        operation : name of an operation -> function of the values of its operands; constant : number -> value
+        operation : name of an operation -> function of the values of its operands; constant :
+            number -> value
         zero : value of an output that no instruction writes
         call : values of the operands of a called function -> its results
         """
@@ -96,9 +99,11 @@ class SxInstructions:
     def on_arrays(self, *inputs: Sequence[Any]) -> list[list[Array | float]]:
         """Return the structural nonzeros of every output, each operation done once on whole arrays.
 
-        For short functions at many points this is many times faster than CasADi, which goes point by point.
+        For short functions at many points this is many times faster than CasADi, which goes point
+        by point.
 
-        inputs : for each input of the function its nonzeros, numbers or arrays that broadcast together
+        inputs : for each input of the function its nonzeros, numbers or arrays that broadcast
+            together
         """
         with np.errstate(all="ignore"):  # as in CasADi, NaN appears in the results
             return self.evaluate(inputs, self._numpy, float)

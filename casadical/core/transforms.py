@@ -76,9 +76,12 @@ def from_rpy(rpy: Array) -> Array:
 
 
 def to_rpy(R: Array) -> Array:
-    """Return roll, pitch and yaw [rad] of a rotation, shape (3, 3); at pitch +-90 deg the yaw is zero.
+    """Return roll, pitch and yaw [rad] of a rotation, shape (3, 3).
 
-    scipy's angles lose up to 1e-7 rad, and it warns, within 1e-7 rad of these pitches; these do not.
+    At pitch +-90 deg the yaw is zero.
+
+    scipy's angles lose up to 1e-7 rad, and it warns, within 1e-7 rad of these pitches; these do
+    not.
     """
     horizontal = np.hypot(R[0, 0], R[1, 0])
     yaw = np.arctan2(R[1, 0], R[0, 0]) if horizontal > 1e-15 else 0.0
@@ -89,7 +92,7 @@ def to_rpy(R: Array) -> Array:
 
 
 def from_xyz(xyz: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), about the moving x, y, z axes [rad], as `small_frame`."""
+    """Return rotations, (..., 3, 3), about the moving x, y, z axes [rad], as `small_frame`."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("XYZ", xyz).as_matrix())

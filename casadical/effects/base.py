@@ -424,8 +424,9 @@ class Effect:
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Return the names of columns that make it no candidate, since a better effect uses
-        them.
+        """Return the names of columns that make it no candidate if they were logged.
+
+        A better effect then uses them.
         """
         return ()
 

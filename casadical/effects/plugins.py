@@ -22,8 +22,8 @@ ENTRY_POINT_GROUP = "casadical.effects"
 def known_effects() -> Mapping[str, type[Effect]]:
     """Return every effect by name: those of the package, then those of installed plug-ins, by name.
 
-    Raises InputError that names the entry point where one cannot be loaded, is no effect, or has a name
-    that is taken.
+    Raises InputError that names the entry point where one cannot be loaded, is no effect, or has a
+    name that is taken.
     """
     own: list[type[Effect]] = [kind for kind in vars(registry).values() if isinstance(kind, type)]
     classes = {kind.name: kind for kind in own}

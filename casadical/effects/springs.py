@@ -20,7 +20,8 @@ PHASE_GRID_RAD = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
 class GravityCompensator(Effect):
     """A balancing spring on joint 2 that the base model omits.
 
-    anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the arm
+    anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the
+        arm
     phase : reading at which spring, joint and lever lie in line [rad]
     """
 

@@ -128,20 +128,20 @@ class Fit:
         """Return the estimate from some blocks only, given by their indices, shape (p,)."""
         return self.x if len(blocks) == len(self.W) else self._solution(self._sums_of(blocks))
 
-    def _whitened_residual(self, x: Array) -> Array:
+    def _whitened_residual_at(self, x: Array) -> Array:
         """Return the whitened residual at parameters x, shape (n m,)."""
         return np.asarray(self.y - np.concatenate([self._columns_of(some) @ x for some in self._parts()]))
 
     def residual(self, x: Array) -> Array:
         """Return the residual of every block at parameters x of shape (p,), shape (n, m)."""
-        return np.asarray(np.linalg.solve(self.W, self._by_block(self._whitened_residual(x)))[:, :, 0])
+        return np.asarray(np.linalg.solve(self.W, self._by_block(self._whitened_residual_at(x)))[:, :, 0])
 
     def mahalanobis_squared(self, x: Array, spread: Array) -> Array:
         """Return the squared Mahalanobis distance of each block's residual, shape (n,).
 
         x : parameters, shape (p,); spread : covariance of the whitened residuals, shape (n, m, m)
         """
-        whitened = self._by_block(self._whitened_residual(x))
+        whitened = self._by_block(self._whitened_residual_at(x))
         return np.asarray((whitened * np.linalg.solve(spread, whitened)).sum(axis=(1, 2)))
 
     def leverage(self, blocks: Array) -> Array:
@@ -175,12 +175,12 @@ class Fit:
     @cached_property
     def _residual_of_prior_mean(self) -> Array:
         """Return the whitened residual at the prior mean, shape (n m,)."""
-        return self._whitened_residual(self.mean)
+        return self._whitened_residual_at(self.mean)
 
     @cached_property
     def whitened_residual(self) -> Array:
         """Return the whitened residual of the fit to all blocks, shape (n m,)."""
-        return self._whitened_residual(self.x)
+        return self._whitened_residual_at(self.x)
 
     def residual_without(self, blocks: Array) -> Array:
         """Return the residual of some blocks for a fit to all others, shape (len(blocks), m)."""

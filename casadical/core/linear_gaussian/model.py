@@ -22,7 +22,10 @@ DEFAULT_CAUSE_PRIOR_SIGMA = 8.0
 
 @dataclass(frozen=True, eq=False)
 class LinearModel:
-    """r = J delta + E theta + noise, delta ~ N(delta0, (sigma / reference * prior)^2), theta ~ N(0, kappa^2).
+    """A linear-Gaussian model with a few base parameters and many columns of candidates.
+
+    r = J delta + E theta + noise, delta ~ N(delta0, (sigma / reference * prior)^2),
+    theta ~ N(0, kappa^2).
 
     r : residual, shape (n, m); J : base, shape (n, m, P); delta0, prior : of delta, shapes (P,)
     E : columns in units of the typical sizes of theta; an array, shape (n, m, columns), becomes

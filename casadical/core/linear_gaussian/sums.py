@@ -1,4 +1,4 @@
-"""Gram matrices of the whitened columns for every point of the noise grid, accumulated block by block.
+"""Gram matrices of the whitened columns for every point of the noise grid, by sums over blocks.
 
 In the axes of a block's noise its whitening is a weight for each of its rows (see `noise.Axes`), so
 that columns are rotated once and weighted for each point. Products are accumulated some blocks at a

@@ -47,8 +47,9 @@ IN_MM = written(unit="mm")
 def plain(value: Any) -> Any:
     """Return a result as dicts, lists, texts and numbers; numbers that are not finite become None.
 
-    A dataclass is written by its marked fields (`written`) and by the keys that its class lists as `derived`; one
-    without either is written whole. Arrays and tables become lists, of rows by column; enums their values.
+    A dataclass is written by its marked fields (`written`) and by the keys that its class lists as
+    `derived`; one without either is written whole. Arrays and tables become lists, of rows by
+    column; enums their values.
     """
     if isinstance(value, Enum):
         return plain(value.value)

@@ -142,7 +142,10 @@ class Shown:
 
 
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
-    """Return blocks for a notebook, figures left out, and beneath them a bar for each (words, length [m])."""
+    """Return blocks, without figures, as HTML for a notebook.
+
+    bars : words and length [m] of each bar beneath them; title : of the page
+    """
     template = pages(Path(__file__).parent / "templates").get_template("notebook.html")
     return template.render(blocks=blocks, bars=bars, title=title)
 
