@@ -333,9 +333,13 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     chance = fdtrc(more, freedom[1], max(ratio - 1, 0.0) * freedom[1] / more)
     # BIC in terms of the logarithm of the ratio of both sums of squares, and the F-test.
     carried = freedom[0] * math.log(ratio) > more * math.log(freedom[0]) and chance < 1e-3
-    left, least = (sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True))
+    rigid_sigma, compliant_sigma = (
+        sigmas[0][0] * math.sqrt(square / f) for square, f in zip(squares, freedom, strict=True)
+    )
     whole = all(len(a) == len(b) for a, b in zip(sets, prepared.sets, strict=True))
-    tried = Tried(left, least, carried and least < 0.99 * left, full.outliers if whole else None)
+    tried = Tried(
+        rigid_sigma, compliant_sigma, carried and compliant_sigma < 0.99 * rigid_sigma, full.outliers if whole else None
+    )
     return replace(wider if tried.kept else prepared, tried=tried)
 
 

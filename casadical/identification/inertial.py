@@ -163,8 +163,8 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
         f"{names[i]} and {names[k]} stand in each other's columns": states.swapped(i, k)
         for i, k in combinations(range(n), 2)
     }
-    left = {words: _unexplained_shares(dynamics, other) for words, other in tries.items()}
-    words, rest = best_of(left.items(), lambda each: float(np.log(plain / each[1]).sum()))
+    unexplained = {words: _unexplained_shares(dynamics, other) for words, other in tries.items()}
+    words, rest = best_of(unexplained.items(), lambda each: float(np.log(plain / each[1]).sum()))
     # Another order or sign must lower the sum of the logarithms of the unexplained shares of torque
     # by 0.8: correct models gained at most 0.37 in 40 logs.
     if np.log(plain / rest).sum() > 0.8:

@@ -364,8 +364,8 @@ class LeastSquares:
         Known distances between points, where there are any, add a last part of shape (separations,
         1).
         """
-        left = self._sums(v).residuals
-        return self._joined((k, r) for k, r, _ in self.parts(v)) if left is None else left
+        cached = self._sums(v).residuals
+        return self._joined((k, r) for k, r, _ in self.parts(v)) if cached is None else cached
 
     def square(self, v: Array) -> float:
         """Return the sum of the squares of all residuals at v, without the loss."""

@@ -141,13 +141,13 @@ class PlacementProblem:
         weight = min(total, 30) / total / 3e-3**2
         for r in self.readings:
             arm = (r.p + r.R @ at.t) @ at.R.T
-            left, toward = r.rows(arm + at.p)
+            residual, direction = r.rows(arm + at.p)
             # A small turn w moves a point at a by w x a.
-            turned = toward @ (arm @ _CROSS).reshape(-1, 3, 3)
-            J = np.concatenate([turned, toward, toward @ (at.R @ r.R)], axis=2).reshape(-1, 9)
+            turned = direction @ (arm @ _CROSS).reshape(-1, 3, 3)
+            J = np.concatenate([turned, direction, direction @ (at.R @ r.R)], axis=2).reshape(-1, 9)
             H += weight * J.T @ J
-            g += weight * J.T @ left.ravel()
-            square += weight * float((left**2).sum())
+            g += weight * J.T @ residual.ravel()
+            square += weight * float((residual**2).sum())
         return H, g, square
 
     def _refined(self, start: FrameEstimate, prior: Array) -> FrameEstimate:

@@ -122,11 +122,11 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     """
     # More than 400 poses are thinned, which the title says: they would only enlarge the file.
     some = poses.thinned(400)
-    drawn = [left for left in some.models if left.shown]
-    low, top, log = _limits([left.length for left in drawn])
+    drawn = [model for model in some.models if model.shown]
+    low, top, log = _limits([model.length for model in drawn])
     low = min(low, 0.8 * floor) if floor else low
     size = 6 if len(some) <= 80 else 4.5
-    series = [_points(some, left, low, top, size) for left in some.models]
+    series = [_points(some, model, low, top, size) for model in some.models]
     if poses.left_out:
         error = np.array([out.error for out in poses.left_out])
         series.append(
@@ -148,7 +148,7 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     if floor:
         words = f"mean of noise alone, {1e3 * floor:.3f} mm"
         series.append(Series("line", ends, [1e3 * floor] * 2, name=words, colour="ink", width=1.4, dash="dot"))
-    beyond = sorted({int(row) for left in drawn for row in some.row[left.length > top]})
+    beyond = sorted({int(row) for model in drawn for row in some.row[model.length > top]})
     marks = []
     if beyond:
         text = f"triangles: beyond the axis, row{'s' if beyond[1:] else ''} {_few(beyond)}"
@@ -160,21 +160,21 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
     return Figure(name, f"{poses.words}: error of each", series, x, y, 380, caption, marks=marks)
 
 
-def _points(some: PoseErrors, left: ModelErrors, low: float, top: float, size: float) -> Series:
+def _points(some: PoseErrors, model: ModelErrors, low: float, top: float, size: float) -> Series:
     """Return one model's errors by row as points; errors beyond the axis are triangles."""
-    colour, symbol, _ = left.style
-    far = left.length > top
+    colour, symbol, _ = model.style
+    far = model.length > top
     return Series(
         "points",
         some.row,
-        1e3 * np.clip(left.length, low, top).round(8),
-        name=left.words,
+        1e3 * np.clip(model.length, low, top).round(8),
+        name=model.words,
         colour=colour,
         symbol=["triangle-up-open" if f else symbol for f in far] if far.any() else symbol,
         size=size,
-        shown=left.shown,
-        facts=1e3 * left.length.round(8),
-        tip=f"<b>{left.words}</b>, row %{{x}}: %{{customdata:.3f}} mm",
+        shown=model.shown,
+        facts=1e3 * model.length.round(8),
+        tip=f"<b>{model.words}</b>, row %{{x}}: %{{customdata:.3f}} mm",
     )
 
 
@@ -210,17 +210,17 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
     series = [
         Series(
             "line",
-            np.round(1e3 * np.quantile(left.length, share), 5),
+            np.round(1e3 * np.quantile(model.length, share), 5),
             100 * share,
-            name=left.words,
-            colour=left.style[0],
-            dash=left.style[2],
-            shown=left.shown and not left.note,
+            name=model.words,
+            colour=model.style[0],
+            dash=model.style[2],
+            shown=model.shown and not model.note,
             tip="%{x:.3f} mm",
         )
-        for left in poses.models
+        for model in poses.models
     ]
-    _, top, log = _limits([left.length for left in poses.models if left.shown and not left.note])
+    _, top, log = _limits([model.length for model in poses.models if model.shown and not model.note])
     x = Axis("error [mm]", (0, 1e3 * top))
     return Figure(
         name,
@@ -249,11 +249,11 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
     first = next((x for x in reversed(some.models) if x.network is None), some.models[-1])
     extent = float(np.linalg.norm(np.ptp(some.position, axis=0)))
     series: list[Series] = []
-    for left in some.models:
-        if left.vector is not None and not left.note:
+    for model in some.models:
+        if model.vector is not None and not model.note:
             # The 95th percentile of the errors is drawn as 16 % of the workspace's extent.
-            factor = round_factor(0.16 * extent / max(float(np.quantile(left.length, 0.95)), 1e-12))
-            series += _vectors(some, left, factor, left is first)
+            factor = round_factor(0.16 * extent / max(float(np.quantile(model.length, 0.95)), 1e-12))
+            series += _vectors(some, model, factor, model is first)
     if robot is not None:
         out = some.position - robot.base.T[:3, 3]
         from_the_side = int(
@@ -270,21 +270,21 @@ def round_factor(factor: float) -> float:
     return float(max(step * power for step in (1, 2, 5) if step * power <= max(factor, 1.0)))
 
 
-def _vectors(poses: PoseErrors, left: ModelErrors, factor: float, shown: bool) -> list[Series]:
+def _vectors(poses: PoseErrors, model: ModelErrors, factor: float, shown: bool) -> list[Series]:
     """Return a line for each pose from the measured point along its error, and the line's end."""
     assert poses.position is not None
-    assert left.vector is not None
-    tip = poses.position + factor * left.vector
+    assert model.vector is not None
+    tip = poses.position + factor * model.vector
     lines = np.stack([poses.position, tip, np.full_like(tip, np.nan)], axis=1).reshape(-1, 3)
     alike: dict[str, Any] = {
-        "name": f"{left.words}, drawn {factor:g} × longer",
-        "colour": left.style[0],
-        "group": left.model,
+        "name": f"{model.words}, drawn {factor:g} × longer",
+        "colour": model.style[0],
+        "group": model.model,
         "shown": shown,
     }
-    facts = np.column_stack([poses.row, 1e3 * left.length, 1e3 * left.vector, poses.position]).round(5)
+    facts = np.column_stack([poses.row, 1e3 * model.length, 1e3 * model.vector, poses.position]).round(5)
     words = (
-        f"<b>%{{customdata[1]:.3f}} mm</b>, {left.model}, row %{{customdata[0]:d}}<br>"
+        f"<b>%{{customdata[1]:.3f}} mm</b>, {model.model}, row %{{customdata[0]:d}}<br>"
         "dx %{customdata[2]:+.3f}, dy %{customdata[3]:+.3f}, dz %{customdata[4]:+.3f} mm<br>"
         "at x %{customdata[5]:.3f}, y %{customdata[6]:.3f}, z %{customdata[7]:.3f} m"
     )

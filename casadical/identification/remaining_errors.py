@@ -135,10 +135,10 @@ def posterior_of(
     for _ in range(rounds):
         S = scaled_inverse(sums.H / s2 + np.diag(1 / variance))
         mean = -S @ sums.g / s2
-        known = len(variance) - float(np.sum(np.diag(S) / variance))
-        left = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean)
-        missing = max(0.0, MIN_NOISE_FREEDOM - (sums.count - known))
-        s2 = max((left + missing * alone) / (sums.count - known + missing), MIN_COORDINATE_SIGMA_MM**2)
+        determined = len(variance) - float(np.sum(np.diag(S) / variance))
+        square = float(sums.square + 2 * mean @ sums.g + mean @ sums.H @ mean)
+        missing = max(0.0, MIN_NOISE_FREEDOM - (sums.count - determined))
+        s2 = max((square + missing * alone) / (sums.count - determined + missing), MIN_COORDINATE_SIGMA_MM**2)
         for joint in doubts.joints:
             variance[joint] = np.mean(mean[joint] ** 2 + np.diag(S)[joint])
     return s2, mean, S, variance

@@ -303,7 +303,7 @@ def poses_at_places(
     places : in the measuring frame, shape (k, 3) [m]
     """
     each = -(-count // len(places))
-    held, which = [], []
+    readings, which = [], []
     for k, place in enumerate(places):
 
         def off(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
@@ -313,11 +313,11 @@ def poses_at_places(
 
         start = draw(robot, 4 * each, workspace, rng)
         q = solve_joints(off, start, 40, 0.3, limits=workspace.ranges(robot), coupled=robot.coupled, least=1e-2)
-        left = np.linalg.norm(off(q, np.arange(len(q)))[0], axis=1)
-        good = np.flatnonzero((left < 1e-7) & workspace.allows(robot, q))[:each]
-        held.append(q[good])
+        distance = np.linalg.norm(off(q, np.arange(len(q)))[0], axis=1)
+        good = np.flatnonzero((distance < 1e-7) & workspace.allows(robot, q))[:each]
+        readings.append(q[good])
         which.append(np.full(len(good), float(k)))
-    return np.concatenate([np.zeros((0, robot.n)), *held]), np.concatenate([np.zeros(0), *which])
+    return np.concatenate([np.zeros((0, robot.n)), *readings]), np.concatenate([np.zeros(0), *which])
 
 
 def reachable_places(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
