@@ -238,10 +238,12 @@ class Case:
         more = replace(self, kept=kept)
         if (kept != self.kept).sum() <= MAX_CHANGED_BLOCK_SHARE * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
-            more.evidence.moving(self.evidence, lost, gained)
+            more.evidence.with_updated_cache(self.evidence, lost, gained)
             if self.form.stays:
                 known, judged = self.judged, more.judged
-                judged.moving(known, known.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self)))
+                judged.with_updated_cache(
+                    known, known.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))
+                )
         return more
 
     @property
@@ -286,9 +288,9 @@ class Case:
         near = tuple(range(max(rho - 1, 0), min(rho + 2, len(RHO_GRID))))
         whole = replace(self.whole, cause_prior=cause_prior, reference=noise.sigma, near=near)
         more = replace(self, candidates=candidates, columns={**self.columns, learnt: columns}, whole=whole)
-        more.evidence.extending(self.evidence)
+        more.evidence.with_extended_cache(self.evidence)
         if self.form is not WHITE_FORM:
-            more.judged.extending(self.judged)
+            more.judged.with_extended_cache(self.judged)
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
@@ -317,9 +319,11 @@ class Case:
         )
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
-        more._with_evidence(replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=cause_prior).extending(known))
+        more._with_evidence(
+            replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=cause_prior).with_extended_cache(known)
+        )
         if self.form is not WHITE_FORM:
-            more.judged.extending(self.judged)
+            more.judged.with_extended_cache(self.judged)
         return more
 
 

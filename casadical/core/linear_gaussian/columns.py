@@ -272,15 +272,15 @@ def as_slice(columns: Array) -> Array | slice:
     return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
 
 
-def directions_of(normal: Array, nothing: float) -> Array:
+def directions_of(normal: Array, negligible_norm: float) -> Array:
     """Return the orthonormal directions of a part's columns that change the rows, shape (k, kept).
 
     normal : Gram matrix of the part's columns in units of typical size, shape (k, k)
-    nothing : directions are dropped of which one typical size changes the norm of all rows by less
-        than this, in the unit of the residual
+    negligible_norm : directions are dropped of which one typical size changes the norm of all rows
+        by less than this, in the unit of the residual
     """
     value, vector = np.linalg.eigh(normal)
-    return np.asarray(vector[:, value > nothing**2])
+    return np.asarray(vector[:, value > negligible_norm**2])
 
 
 @dataclass(frozen=True, eq=False)

@@ -126,13 +126,13 @@ class LinearModel:
         cached: Marginals = self.cache["marginals"]
         return cached
 
-    def extending(self, other: LinearModel) -> Self:
-        """Return this model with the cached results of one with fewer columns."""
+    def with_extended_cache(self, other: LinearModel) -> Self:
+        """Return this model with the cached results of one with fewer columns, extended."""
         if "marginals" in other.cache:
             self.cache["marginals"] = other.marginals.extended(self)
         return self
 
-    def moving(self, other: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
+    def with_updated_cache(self, other: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
         """Return this model with the cached results of one with other blocks, which are updated.
 
         lost : the model of the blocks that `other` has and this one has not; gained : the reverse
