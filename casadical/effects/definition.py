@@ -351,7 +351,7 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
 
 @cache
 def _class_of(definition: str, module: str, name: str) -> type[DefinedEffect]:
-    """Return the class of a definition in JSON."""
+    """Return the effect class of a definition given as JSON, the same for equal arguments."""
     d = Definition.model_validate_json(definition)
     own = [(key, s.type, s.field()) for key, s in d.settings.items()]
     numbered = any(SEAMS[seam].numbered for seam in d.formulas)
