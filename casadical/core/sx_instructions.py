@@ -2,7 +2,7 @@
 
 All other ways to evaluate a function use this list: on numpy arrays here, as vectorised C in
 `compile_cache`, differences without cancellation in `export.controller.functions`, and the tape of
-the exported controllers in `export.c.tape_program`.
+the exported controllers in `export.c.tape`.
 """
 
 from __future__ import annotations
