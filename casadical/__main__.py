@@ -1,5 +1,6 @@
-"""The command line by `python -m casadical`."""
+"""Run the command line as `python -m casadical`."""
 
 from casadical.cli import main
 
-main()
+if __name__ == "__main__":
+    main()

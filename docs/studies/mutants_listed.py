@@ -10,7 +10,7 @@ LISTED = (
     ("diagnosis/posterior.py", "SAME_JOINT_PRIOR_FACTOR = 0.05", "SAME_JOINT_PRIOR_FACTOR = 0.5", "a second cause at a joint"),
     ("diagnosis/noise_floor.py", "Noise(scale * noise.sigma, scale * noise.repeatability)",
      "Noise(scale * noise.sigma, noise.repeatability)", "scale of repeatability"),
-    ("diagnosis/noise_floor.py", "wide = -3 * np.log", "wide = -2 * np.log", "-3 log of a pose's noise"),
+    ("diagnosis/noise_floor.py", "-3 * np.log(OUTLIER_NOISE_FACTORS)", "-2 * np.log(OUTLIER_NOISE_FACTORS)", "-3 log of a pose's noise"),
     ("diagnosis/conclusion.py", "distance[out][0] < 2 * SETTINGS.outlier_distance", "distance[out][0] < SETTINGS.outlier_distance", "limit of one outlier"),
     ("diagnosis/settings_search.py", "log[best] - log[0] < MIN_SETTING_GAIN", "log[best] - log[0] < -MIN_SETTING_GAIN", "sign of MIN_SETTING_GAIN"),
     ("fleet/comparison.py", "DAYS_PER_YEAR = 365.25", "DAYS_PER_YEAR = 36.525", "DAYS_PER_YEAR"),

@@ -29,9 +29,9 @@ class Walk:
     def floor(self) -> dict[str, int]:
         """Of each room: it stands above all that it imports."""
 
-        @cache
-        def of(room: str) -> int:
-            return 1 + max((of(b) for a, b in self.house.arrows if a == room), default=0)
+        def of(room: str, *above: str) -> int:
+            way = (*above, room)  # a room that is passed again, in a circle, is not counted twice
+            return 1 + max((of(b, *way) for a, b in self.house.arrows if a == room and b not in way), default=0)
 
         return {room: of(room) for room in self.house.rooms}
 

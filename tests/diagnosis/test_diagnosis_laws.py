@@ -83,8 +83,8 @@ def cable_stop(stops: Stops) -> Array:
 
 HIDDEN = {
     "stop": (misread(3, cable_stop),),
-    "eccentric": (planted("gear_eccentricity", 2, size=90e-6),),
-    "two eccentric": (planted("gear_eccentricity", 2, size=160e-6), planted("gear_eccentricity", 4, size=250e-6)),
+    "eccentric": (planted("gear_eccentricity", 4, size=250e-6),),
+    "two eccentric": (planted("gear_eccentricity", 1, size=160e-6), planted("gear_eccentricity", 4, size=250e-6)),
     "nothing": (),
 }
 
@@ -482,8 +482,8 @@ def test_what_touches_the_robot_has_no_beam() -> None:
 def test_a_law_that_is_a_listed_effect_by_another_name_is_said_as_such() -> None:
     case = discovered(7, "eccentric").diagnosis.case
     ranking, first = rank(case, NONE), search_laws(case, NONE)[0]
-    assert ranking.order[0] == "gear_eccentricity@2"
-    assert "gear_eccentricity@2" in aliases(case, NONE, first, ranking.variant)
+    assert ranking.order[0] == "gear_eccentricity@4"
+    assert "gear_eccentricity@4" in aliases(case, NONE, first, ranking.variant)
 
 
 PRODUCT = Law(2, "joint", "a*tau2*tau3", (("a", 1e-4),))
@@ -631,7 +631,7 @@ def test_a_cause_that_a_law_explains_better_is_not_named() -> None:
     assert held.law.best.law.place == "joint 3"
     right = discovered(7, "eccentric").diagnosis
     assert right.law is None  # none is claimed
-    assert [c.label for c in right.causes] == ["gear_eccentricity@2"]
+    assert [c.label for c in right.causes] == ["gear_eccentricity@4"]
 
 
 @pytest.mark.slow
