@@ -133,7 +133,7 @@ def test_the_time_of_a_contact_is_told():
     (joints,) = (b for b in found.blocks() if isinstance(b, Table) and b.columns[-1] == "most at")
     what, low, _, high = joints.rows[2][-1].split()
     assert what == "time"
-    began = found.outcome.case.over[-1].max() - SECONDS  # the second run
+    began = found.outcome.case.region_values[-1].max() - SECONDS  # the second run
     assert float(low) < began + 5.6 < float(high)
 
 
