@@ -85,8 +85,8 @@ def diagnose(
 
     Examples
     --------
-    >>> diagnosis = casadical.diagnose(robot, casadical.from_table(table, 2), ["gear_eccentricity",
-        "backlash"])
+    >>> measured = casadical.from_table(table, 2)
+    >>> diagnosis = casadical.diagnose(robot, measured, ["gear_eccentricity", "backlash"])
     >>> diagnosis.verdict, [cause.label for cause in diagnosis.causes]
     ('explained', ['gear_eccentricity@2'])
     """
