@@ -1,7 +1,8 @@
 """The web page of a live session: one HTML file, the state as server-sent events, commands as JSON.
 
-It is bound to this machine. For another host its address needs a token. Requests that name another
-host, and commands that another page sends, are refused (DNS rebinding, cross-site requests).
+Every request carries a token in its address, which only the printed link holds: other users of this
+machine, other machines and other pages are refused. A request is answered with what it asked for, or
+with 400, 403, 404 or 413 and a sentence.
 """
 
 from __future__ import annotations
@@ -10,13 +11,12 @@ import asyncio
 import json
 import secrets
 import socket
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, MutableMapping
 from contextlib import asynccontextmanager, suppress
 from importlib.resources import files
 from typing import TYPE_CHECKING, Any
-from urllib.parse import urlsplit
 
-from casadical.core.basics import ConvergenceError, InputError, optional
+from casadical.core.basics import ConvergenceError, InputError, optional, shown
 from casadical.project.live.session import LiveSession, finished
 from casadical.project.live.sources import Source
 from casadical.project.live.view import answer
@@ -26,8 +26,10 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-# Hosts that are this machine itself: no token is needed.
-LOOPBACK_HOSTS = ("127.0.0.1", "localhost", "::1")
+# Time within which a client must send its request, headers and body each [s].
+REQUEST_TIMEOUT_S = 10.0
+# Length of the longest command [bytes].
+MAX_COMMAND_BYTES = 100_000
 # Time between two looks at a source for new readings [s].
 POLL_INTERVAL_S = 0.2
 SECURITY_HEADERS = {
@@ -44,31 +46,42 @@ class LivePage:
     session : session that is shown
     source : source of readings; None: readings are typed alone
     pause : time between two looks at the source [s]
-    token : token that requests must carry; None on the loopback
+    token : token that the address of every request must carry
     """
 
-    def __init__(self, session: LiveSession, source: Source | None, pause: float, token: str | None) -> None:
+    def __init__(self, session: LiveSession, source: Source | None, pause: float, token: str) -> None:
         self.session, self.source, self.pause, self.token = session, source, pause, token
         self._version, self._changed = 0, asyncio.Event()
         self.finished = ""
         self._tasks: set[asyncio.Task[None]] = set()
 
-    def app(self) -> Starlette:
-        """Return the web application. Raises InputError without the extra `live`."""
+    def app(self) -> Callable[..., Any]:
+        """Return the web application (ASGI). Raises InputError without the extra `live`."""
         applications = optional("starlette.applications", INSTALL_HINT)
-        routing, middleware = (
-            optional("starlette.routing", INSTALL_HINT),
-            optional("starlette.middleware", INSTALL_HINT),
-        )
-        base = optional("starlette.middleware.base", INSTALL_HINT)
+        routing = optional("starlette.routing", INSTALL_HINT)
         routes = [
-            routing.Route("/", self._page),
-            routing.Route("/events", self._events),
+            routing.Route("/", self._page, methods=["GET"]),
+            routing.Route("/events", self._events, methods=["GET"]),
             routing.Route("/do", self._do, methods=["POST"]),
         ]
-        guard = middleware.Middleware(base.BaseHTTPMiddleware, dispatch=self._guarded)
-        made: Starlette = applications.Starlette(routes=routes, middleware=[guard], lifespan=self._life)
-        return made
+        unknown = dict.fromkeys((404, 405), self._unknown)
+        pages = applications.Starlette(routes=routes, exception_handlers=unknown, lifespan=self._life)
+
+        async def guarded(scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+            if scope["type"] != "http":
+                await pages(scope, receive, send)
+                return
+
+            async def send_with_headers(message: MutableMapping[str, Any]) -> None:
+                if message["type"] == "http.response.start":
+                    own = [(name.encode(), text.encode()) for name, text in SECURITY_HEADERS.items()]
+                    message["headers"] = [*message.get("headers", ()), *own]
+                await send(message)
+
+            refused = self._refused(optional("starlette.requests", INSTALL_HINT).Request(scope))
+            await (refused or pages)(scope, receive, send_with_headers)
+
+        return guarded
 
     @asynccontextmanager
     async def _life(self, _app: Starlette) -> AsyncIterator[None]:
@@ -116,27 +129,24 @@ class LivePage:
         self._changed.set()
         self._changed = asyncio.Event()
 
-    async def _guarded(self, request: Request, call: Callable[[Request], Any]) -> Response:
-        """Refuse requests of other hosts, of other pages, and with a wrong token."""
-        responses = optional("starlette.responses", INSTALL_HINT)
-        host = request.headers.get("host", "")
-        why = ""
-        if self.token is None and urlsplit(f"//{host}").hostname not in LOOPBACK_HOSTS:
-            why = "this page is for the machine that it runs on: casadical measure --host ADDRESS gives it to others"
-        given = request.query_params.get("token") or request.cookies.get("token", "")
-        if self.token is not None and not secrets.compare_digest(given.encode(), self.token.encode()):
-            why = "the address of this page ends with ?token=..., as casadical measure printed it; open that one"
+    def _refused(self, request: Request) -> Response | None:
+        """Return the refusal of a request without the token or from another page, else None."""
+        given = request.query_params.get("token", "")
         origin = request.headers.get("origin")
-        if request.method == "POST" and origin is not None and urlsplit(origin).netloc != host:
+        if not secrets.compare_digest(given.encode(), self.token.encode()):
+            why = "the address of this page ends with ?token=..., as casadical measure printed it; open that one"
+        elif origin is not None and origin.partition("://")[2] != request.headers.get("host"):
             why = "another page sent this command"
-        if why:
-            refused: Response = responses.PlainTextResponse(why, 403, SECURITY_HEADERS)
-            return refused
-        response: Response = await call(request)
-        response.headers.update(SECURITY_HEADERS)
-        if self.token is not None:
-            response.set_cookie("token", self.token, httponly=True, samesite="strict")
-        return response
+        else:
+            return None
+        refused: Response = optional("starlette.responses", INSTALL_HINT).PlainTextResponse(why, 403)
+        return refused
+
+    async def _unknown(self, request: Request, _error: Exception) -> Response:
+        """Return the answer to a request for something that is not served."""
+        why = f"{request.method} {request.url.path}: is not served; GET /, GET /events and POST /do are"
+        made: Response = optional("starlette.responses", INSTALL_HINT).PlainTextResponse(why, 404)
+        return made
 
     async def _page(self, _request: Request) -> Response:
         """Return the HTML file."""
@@ -167,14 +177,15 @@ class LivePage:
         json_response = optional("starlette.responses", INSTALL_HINT).JSONResponse
         response: Response
         try:
-            body = await request.body()
-            asked = json.loads(body) if len(body) < 100_000 else None
-            if not isinstance(asked, dict):
-                raise InputError("a command is a JSON object of less than 100,000 characters")
-            said = await asyncio.to_thread(self._done, asked)
+            body = await asyncio.wait_for(_body(request), REQUEST_TIMEOUT_S)
+            if body is None:
+                why = f"a command has at most {MAX_COMMAND_BYTES} bytes"
+                return json_response({"error": why}, 413, {"Connection": "close"})  # type: ignore[no-any-return]
+            said = await asyncio.to_thread(self._done, _command(body))
             response = json_response({"said": said})
-        except (InputError, ConvergenceError, ValueError, KeyError, TypeError) as error:
-            response = json_response({"error": str(error)}, 400)
+        except (InputError, ConvergenceError, ValueError, TimeoutError) as error:
+            why = str(error) or f"the command did not arrive within {REQUEST_TIMEOUT_S:.0f} s"
+            response = json_response({"error": why}, 400)
         else:
             await self._plan()
         return response
@@ -183,18 +194,52 @@ class LivePage:
         """Carry out a command on the session and return its answer. Raises InputError."""
         session, do = self.session, asked.get("do")
         if do == "type":
-            number = session.type_in({str(name): str(value) for name, value in asked["values"].items()})
+            values = asked.get("values")
+            if not isinstance(values, dict):
+                raise InputError("type: give the reading as an object, values = {column: cell}")
+            number = session.type_in({name: str(value) for name, value in values.items()})
             return answer(session.state(), number) if number else "this reading is there already"
         if do == "finish":
             self.finished = finished(session)
             return self.finished
+        if do not in ("strike", "restore", "repeat"):
+            raise InputError(f"{shown(repr(do))}: is no command; allowed: type, strike, restore, repeat, finish")
+        number = asked.get("number")
+        if not isinstance(number, int) or isinstance(number, bool):
+            raise InputError(f"{do}: give the number of a reading, a whole number")
         if do == "strike":
-            session.strike(asked["number"], str(asked["why"]))
-        elif do in ("restore", "repeat"):
-            (session.restore if do == "restore" else session.repeat)(asked["number"])
+            session.strike(number, str(asked.get("why", "")))
         else:
-            raise InputError(f"{do!r}: is no command; allowed: type, strike, restore, repeat, finish")
+            (session.restore if do == "restore" else session.repeat)(number)
         return ""
+
+
+async def _body(request: Request) -> bytes | None:
+    """Return the body of a request, None where it is longer than a command may be.
+
+    No more than the longest command is ever held. Raises InputError where the client went away.
+    """
+    body = b""
+    try:
+        async for chunk in request.stream():
+            body += chunk
+            if len(body) > MAX_COMMAND_BYTES:
+                return None
+    except optional("starlette.requests", INSTALL_HINT).ClientDisconnect:
+        raise InputError("the client went away before its command had come") from None
+    return body
+
+
+def _command(body: bytes) -> dict[str, Any]:
+    """Return the JSON object of a command. Raises InputError or ValueError for anything else."""
+    try:
+        asked = json.loads(body)
+        json.dumps(asked, ensure_ascii=False).encode()  # lone surrogates could not be kept in a file
+    except RecursionError:
+        asked = None
+    if not isinstance(asked, dict):
+        raise InputError("a command is a JSON object of a few plain values")
+    return asked
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -234,12 +279,24 @@ def serve(
     Raises InputError.
     """
     uvicorn = optional("uvicorn", INSTALL_HINT)
-    token = None if host in LOOPBACK_HOSTS else secrets.token_urlsafe(16)
-    page = LivePage(session, source, pause, token)
-    app = page.app()
+    token = secrets.token_urlsafe(16)
+    app = LivePage(session, source, pause, token).app()
+    protocol = optional("uvicorn.protocols.http.h11_impl", INSTALL_HINT).H11Protocol
+
+    class Protocol(protocol):  # type: ignore[misc, valid-type]
+        """HTTP of one connection, which is closed if no request comes within `REQUEST_TIMEOUT_S`."""
+
+        def connection_made(self, transport: asyncio.Transport) -> None:
+            super().connection_made(transport)
+            self.loop.call_later(REQUEST_TIMEOUT_S, self._close_without_request)
+
+        def _close_without_request(self) -> None:
+            if self.cycle is None:
+                self.transport.close()
+
     with bound(host, port) as opened:
         at = f"[{host}]" if ":" in host else host
-        show(f"open http://{at}:{opened.getsockname()[1]}/{f'?token={token}' if token else ''}")
-        settings = uvicorn.Config(app, log_level="warning", timeout_graceful_shutdown=1, ws="none")
+        show(f"open http://{at}:{opened.getsockname()[1]}/?token={token}")
+        settings = uvicorn.Config(app, http=Protocol, log_level="warning", timeout_graceful_shutdown=1, ws="none")
         with suppress(KeyboardInterrupt):
             uvicorn.Server(settings).run(sockets=[opened])

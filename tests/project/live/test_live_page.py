@@ -1,23 +1,31 @@
 """The page beside the instrument: for this machine alone, commands with sentences, alive after a kill, on a phone."""
 
+import asyncio
+import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from casadical.core.basics import InputError
 from casadical.project.live import LiveSession
-from casadical.project.live.server import LivePage, bound
+from casadical.project.live.server import REQUEST_TIMEOUT_S, LivePage, bound
 from casadical.project.live.sources import SimulatedSource, journal
 
 ROOT = Path(__file__).parents[3]
+TOKEN = "the token of these tests"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
@@ -31,8 +39,8 @@ def arm(tmp_path: Path) -> Path:
 
 
 @contextmanager
-def client(folder: Path, token: str | None = None, host: str = "127.0.0.1") -> Iterator:
-    """A client of the page of a session with eight simulated readings."""
+def client(folder: Path) -> Iterator:
+    """A client of the page of a session with eight simulated readings; it has the token."""
     testing = pytest.importorskip("starlette.testclient", reason="starlette is not installed: no page was served")
     with journal(folder) as (course, add):
         session = LiveSession(folder, course, add, data="synthetic")
@@ -40,8 +48,9 @@ def client(folder: Path, token: str | None = None, host: str = "127.0.0.1") -> I
         while not source.ended:
             session.feed(source)
             session.look_ahead()
-        page = LivePage(session, None, 0.01, token)
-        with testing.TestClient(page.app(), base_url=f"http://{host}:8000") as found:
+        page = LivePage(session, None, 0.01, TOKEN)
+        with testing.TestClient(page.app(), base_url="http://127.0.0.1:8000") as found:
+            found.params = {"token": TOKEN}
             yield session, found
 
 
@@ -63,7 +72,7 @@ def test_commands_are_answered_in_sentences(arm: Path) -> None:
         assert do(do="strike", number=2, why="")[0] == 400
         assert do(do="fly")[1].startswith("'fly': is no command")
         assert do(do="type", values={"q1_deg": "1"})[0] == 400
-        assert page.post("/do", content="[" * 200_000).status_code == 400
+        assert page.post("/do", content="[" * 200_000).status_code == 413
         values = dict.fromkeys(session.fields, 0.0) | {"x_mm": 900.0}
         assert do(do="type", values=values)[1].startswith("9: DOUBTFUL")
         code, said = do(do="finish")
@@ -71,22 +80,99 @@ def test_commands_are_answered_in_sentences(arm: Path) -> None:
         assert (arm / "results/KM.robot.toml").exists()
 
 
-def test_other_machines_and_other_pages_are_refused(arm: Path) -> None:
+def test_other_users_and_other_pages_are_refused(arm: Path) -> None:
     with client(arm) as (session, page):
-        assert page.get("/", headers={"host": "evil.example"}).status_code == 403
         other = page.post("/do", json={"do": "repeat", "number": 1}, headers={"origin": "http://evil.example"})
         assert (other.status_code, other.text) == (403, "another page sent this command")
-        assert len(session.course.readings) == 8
+        for origin in ("http://[", "null", "\xff"):
+            assert page.get("/", headers={"origin": origin.encode("latin-1")}).status_code == 403
+        assert page.get("/", headers={"host": "["}).status_code == 200
+        for wrong in ("", "wrong", "\xe4", TOKEN[:-1]):
+            page.params = {"token": wrong}
+            for path in ("/", "/events", "/nothing"):
+                refused = page.get(path)
+                assert (refused.status_code, "?token=" in refused.text) == (403, True)
+            strike = page.post("/do", json={"do": "strike", "number": 1, "why": "x"})
+            assert strike.status_code == 403
+        assert not any(r.struck for r in session.course.readings)
         with bound("127.0.0.1", 0) as taken, pytest.raises(InputError, match="in use; without --port a free one"):
             bound("127.0.0.1", taken.getsockname()[1])
 
 
-def test_another_host_needs_the_token(arm: Path) -> None:
-    with client(arm, "secret", "192.168.1.5") as (_, page):
-        assert page.get("/").status_code == 403
-        assert "?token=" in page.get("/events?token=wrong").text
-        assert page.get("/?token=secret").status_code == 200
-        assert page.get("/").status_code == 200  # by its cookie
+def test_a_long_body_is_refused_before_it_is_read(arm: Path) -> None:
+    """Endless chunks: the server stops taking them soon after the longest command's length."""
+    sent = 0
+
+    async def asked(app: Callable[..., Any]) -> list[dict[str, Any]]:
+        answers: list[dict[str, Any]] = []
+
+        async def receive() -> dict[str, Any]:
+            nonlocal sent
+            sent += 10_000
+            return {"type": "http.request", "body": b" " * 10_000, "more_body": True}
+
+        async def send(message: dict[str, Any]) -> None:
+            answers.append(message)
+
+        scope = {
+            "type": "http", "method": "POST", "path": "/do", "raw_path": b"/do", "headers": [], "http_version": "1.1",
+            "query_string": f"token={TOKEN}".encode(), "root_path": "", "scheme": "http", "server": ("127.0.0.1", 1),
+        }  # fmt: skip
+        await app(scope, receive, send)
+        return answers
+
+    with journal(arm) as (course, add):
+        page = LivePage(LiveSession(arm, course, add, data="synthetic"), None, 0.01, TOKEN)
+        answers = asyncio.run(asked(page.app()))
+    assert answers[0]["status"] == 413
+    assert b"at most 100000 bytes" in answers[1]["body"]
+    assert sent <= 120_000
+
+
+HOSTILE_BODIES = (
+    b"", b"{", b"[]", b"null", b"\xff", b"[" * 15_000, b'{"a":' * 15_000, b'{"do": "type"}', b'{"do": ["type"]}',
+    b'{"do": "type", "values": [1]}', b'{"do": "type", "values": "x"}', b'{"do": "type", "values": null}',
+    b'{"do": "strike", "number": "1", "why": "x"}', b'{"do": "strike", "number": true, "why": "x"}',
+    b'{"do": "strike", "number": 1.0, "why": "x"}', b'{"do": "repeat", "number": -1}', b'{"do": "repeat"}',
+    b'{"do": "strike", "number": 1, "why": "\\ud800"}', b'{"do": "repeat", "number": 1' + b"0" * 5000 + b"}",
+)  # fmt: skip
+
+
+def test_a_request_of_any_shape_is_answered_in_a_sentence(arm: Path) -> None:
+    json_values = st.recursive(
+        st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+        lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+        max_leaves=6,
+    )
+
+    with client(arm) as (session, page):
+        fields = st.sampled_from([*session.fields, "x_m", ""])
+        commands = st.fixed_dictionaries(
+            {"do": st.sampled_from(["type", "strike", "restore", "repeat"]) | json_values},
+            optional={
+                "number": st.integers(-1, 9) | json_values,
+                "why": st.text(max_size=20) | json_values,
+                "values": st.dictionaries(fields, json_values, max_size=6) | json_values,
+            },
+        )
+        bodies = commands.map(json.dumps) | json_values.map(json.dumps) | st.binary(max_size=50)
+        paths = st.sampled_from(["/do", "/do", "/do", "/", "/nothing", "//", "/%00", "/do/"])
+        methods = st.sampled_from(["POST", "POST", "POST", "GET", "PUT", "DELETE", "OPTIONS", "HEAD"])
+
+        @settings(database=None, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+        @given(methods, paths, bodies)
+        def send(method: str, path: str, body: str | bytes) -> None:
+            answer = page.request(method, path, content=body)
+            assert answer.status_code in (200, 400, 403, 404, 413), answer.text
+            assert answer.text or method == "HEAD"
+
+        for body in HOSTILE_BODIES:
+            answer = page.post("/do", content=body)
+            assert (answer.status_code, answer.json()["error"] != "") == (400, True), body
+        send()
+        assert page.post("/do", json={"do": "repeat", "number": 1}).status_code == 200
+    with journal(arm) as (course, add):  # what it keeps can be read again
+        LiveSession(arm, course, add, data="synthetic")
 
 
 def started(folder: Path, source: Path) -> tuple[subprocess.Popen[str], str]:
@@ -104,12 +190,17 @@ def started(folder: Path, source: Path) -> tuple[subprocess.Popen[str], str]:
 
 
 @pytest.mark.slow
-def test_no_port_is_open_beyond_loopback(arm: Path) -> None:
-    """All that the command listens on, whatever it serves."""
+def test_no_port_is_open_beyond_loopback_and_none_is_blocked(arm: Path) -> None:
+    """All that the command listens on, whatever it serves; half-open connections end."""
     psutil = pytest.importorskip("psutil", reason="psutil is not installed: ports were not listed")
-    process, _ = started(arm, ROOT / "data/planar/planar.csv")
+    process, address = started(arm, ROOT / "data/planar/planar.csv")
     own = psutil.Process(process.pid)
     asked = [c for p in (own, *own.children(recursive=True)) for c in p.net_connections("inet")]
+    idle = [socket.create_connection(("127.0.0.1", urlsplit(address).port)) for _ in range(50)]
+    for connection in idle:
+        connection.settimeout(2 * REQUEST_TIMEOUT_S)
+        assert connection.recv(1) == b"", "a connection without a request is closed"
+        connection.close()
     process.kill()
     process.communicate()
     assert {c.laddr.ip for c in asked if c.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
