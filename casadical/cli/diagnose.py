@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from casadical.core.telling.blocks import Words
-    from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign, LogDiagnosis
+    from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign
 
 
 # Parameters that only one kind of table has.
@@ -190,17 +190,15 @@ def _diagnose_logs(
     campaign: LogCampaign, out: Path | None, report_file: Path | None,
     json_file: Path | None, quiet: bool,
 ) -> None:  # fmt: skip
-    """Diagnose joint logs one by one, replay their poses, and write what was asked for."""
+    """Diagnose joint logs together, replay them from their commands, and write what was asked for."""
     console = wrapped(quiet)
-    answers: list[LogDiagnosis] = []
     texts: dict[Path, str] = {}
-    for path in campaign.logs:
-        with working(quiet, "diagnosing", path.name) as show:
-            answers.append(campaign.diagnosed(path, show))
-        tell(console, *answers[-1].blocks())
-        console.print()
-        if out:
-            texts |= answers[-1].files(out if len(campaign.logs) == 1 else out / path.name.partition(".")[0])
+    with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
+        answer = campaign.diagnosed(show)
+    tell(console, *answer.blocks())
+    console.print()
+    if out:
+        texts |= answer.files(out)
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show)
     if replay:
@@ -209,9 +207,9 @@ def _diagnose_logs(
         if out:
             texts |= replay.files(out)
     if report_file:
-        texts[report_file] = html([campaign.page(answers, replay)])
+        texts[report_file] = html([campaign.page(answer, replay)])
     more = {"replay": replay.to_json()} if replay else {}
-    figures = [answer.to_json() | more for answer in answers] if json_file else []
+    figures = [answer.to_json() | more] if json_file else []
     keep(with_json(texts, json_file, figures), console)
     robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
     if robot:
@@ -224,7 +222,7 @@ def _diagnose_logs(
             "--out",
             "arm.xml",
         )
-    elif out is None and answers[-1].verdict not in ("ambiguous", "unknown"):
+    elif out is None and answer.verdict not in ("ambiguous", "unknown"):
         suggest(console, "to keep what was replayed", *sys.argv[1:], "--out", "diagnosed")
 
 

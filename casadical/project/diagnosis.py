@@ -30,7 +30,7 @@ from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.motion import Cause
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
-from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
@@ -236,7 +236,7 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
 
 @dataclass(frozen=True, eq=False)
 class LogCampaign:
-    """Joint logs of one robot, each of which is diagnosed.
+    """Joint logs of one robot, which are diagnosed together.
 
     robot : robot, with what is declared of its drives
     logs : files of the logs
@@ -257,12 +257,13 @@ class LogCampaign:
         """Return a log, which is read once. Raises InputError."""
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
-    def diagnosed(self, log: Path, show: Show = silent) -> LogDiagnosis:
-        """Return why the motion in one log differs from the model (see `diagnose_log`).
+    def diagnosed(self, show: Show = silent) -> LogDiagnosis:
+        """Return why the motion in all logs differs from the model (see `diagnose_log`).
 
         Raises InputError.
         """
-        return diagnose_log(self.robot, self.log(log), self.healthy, show, own=self.own)
+        logs = joined([self.log(path) for path in self.logs])
+        return diagnose_log(self.robot, logs, self.healthy, show, own=self.own)
 
     def replayed(self, show: Show = silent) -> Replay | None:
         """Return the replay of the withheld logs from their commands; None without commands."""
@@ -271,13 +272,13 @@ class LogCampaign:
             return None
         return replayed(self.robot, logs, withheld, show)
 
-    def page(self, answers: Sequence[LogDiagnosis], replay: Replay | None) -> Page:
+    def page(self, answer: LogDiagnosis | None, replay: Replay | None) -> Page:
         """Return the page that `casadical diagnose ARM LOG... --report` writes."""
         sections = [Section("Replay", replay.blocks())] if replay else []
-        sections += [Section(answer.log.source, answer.blocks()) for answer in answers]
+        sections += [Section("Causes", answer.blocks())] if answer else []
         title = f"Joint logs of {self.robot.name}"
         return Page(
-            "Diagnosis of joint logs", title, f"{len(answers)} logs", sections, files=(*self.logs, *self.withheld)
+            "Diagnosis of joint logs", title, f"{len(self.logs)} logs", sections, files=(*self.logs, *self.withheld)
         )
 
 

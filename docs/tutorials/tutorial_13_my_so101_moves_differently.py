@@ -48,16 +48,20 @@ print(f"{len(log)} samples of {log['time_s'].iloc[-1]:.0f} s")
 # %%
 # One command
 # -----------
-# It looks at each log, then fits the response of each joint and replays the motions that were **not** fitted (each in
-# turn), from the first reading and the commands alone.
+# It looks at all logs together, then fits the response of each joint and replays the motions that were **not** fitted
+# (each in turn), from the first reading and the commands alone. One sentence says which effects of which joints make
+# the error, and a table what the replay leaves with one of them taken out at a time.
 
 out = folder / "found"
 assert casadical("diagnose", ROOT / "problems/so101/robot.toml", *paths, "--out", out, "--json", folder / "f.json") == 0
-found = json.loads((folder / "f.json").read_text())[0]["replay"]
+found = json.loads((folder / "f.json").read_text())["replay"]
 assert found["held_out"]
 before, after = (np.array([joint[key] for joint in found["joints"]][:5]) for key in ("before_rad", "after_rad"))
 assert (after < before).all()
 assert (after[:3] < 0.25 * before[:3]).all()
+without = {effect: np.array(rms[:5]) for effect, rms in found["effects"].items()}
+assert (without["dry friction"][1:3] > 2 * after[1:3]).all()
+assert (without["gravity"][1:3] > 2 * after[1:3]).all()
 
 # %%
 # In numbers: the servo of each joint gives so many N m per rad, and dry friction holds it within so much.

@@ -163,6 +163,19 @@ def test_of_a_healthy_arm_nothing_is_named(seed):
     assert "What fits" not in str(found.blocks())
 
 
+def test_what_each_model_leaves_of_the_torque_is_told_of_thirds_that_were_not_fitted():
+    """Friction is most of what the true bodies leave; the noise planted, of 0.2 N m and more, stays."""
+    found = diagnosed(1)
+    left = found.torques
+    assert list(left) == ["the file's bodies", "fitted bodies", "and friction", "and friction that grows with load"]
+    friction, noise = np.array([6.0, 8.0, 3.0]), 0.05 / np.sqrt(1 - 0.97**2)
+    np.testing.assert_array_less(0.8 * friction, left["the file's bodies"])
+    np.testing.assert_array_less(left["and friction"], 0.25 * friction)
+    np.testing.assert_array_less(0.5 * noise, left["and friction"])
+    assert "friction 9" in " ".join(plain_text(found.blocks(), 200).split())
+    assert found.to_json()["torque_by_model"]["and friction"] == left["and friction"].tolist()
+
+
 def test_what_fits_is_true_of_runs_that_were_not_fitted_and_shrinks_their_gap():
     found = diagnosed(1, ripple)
     (fits,) = found.fitting
@@ -293,7 +306,7 @@ def test_the_command_says_what_is_odd_in_a_log_and_diagnoses_it(tmp_path, change
     change(table(simulated(2))).to_csv(tmp_path / "log.csv", index=False)
     write_robot(ROBOT, tmp_path / "arm.toml")
     campaign = read_logs(tmp_path / "arm.toml", [tmp_path / "log.csv"])
-    found = campaign.diagnosed(campaign.logs[0])
+    found = campaign.diagnosed()
     assert sentence in " ".join(plain_text(found.blocks(), 200).split())
     assert "Residual of each joint" in plain_text(found.blocks(), 200)
 
@@ -319,7 +332,7 @@ def test_motion_without_commands_or_currents_is_a_log_that_says_what_it_lacks(tm
     write_robot(ROBOT, tmp_path / "arm.toml")
     campaign = read_logs(tmp_path / "arm.toml", [tmp_path / "log.csv"])
     with pytest.raises(InputError, match=r"neither commands nor a torque or current.* Log the commanded positions"):
-        campaign.diagnosed(campaign.logs[0])
+        campaign.diagnosed()
 
 
 @pytest.mark.slow

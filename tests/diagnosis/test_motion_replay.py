@@ -65,6 +65,21 @@ def test_a_planted_response_is_found_and_predicts_other_runs(arm):
     np.testing.assert_allclose(r.friction / r.gain, DRY / GAIN, rtol=0.1)
 
 
+def test_the_effect_table_shows_what_each_effect_costs(arm, monkeypatch):
+    """An arm with dry friction, and one without: the row that leaves friction out says so."""
+    found = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)]).effects
+    monkeypatch.setattr(f"{__name__}.DRY", np.array([1e-4, 1e-4]))
+    slippery = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)])
+    with_it, none = (np.sqrt(each.costs()["dry friction"]) for each in (found, slippery.effects))
+    np.testing.assert_array_less(0.02, with_it)
+    np.testing.assert_array_less(none, 0.002)
+    assert "dry friction" in slippery.effects.sentence.partition("; ")[2]
+    assert "dry friction" not in found.sentence.partition("; ")[2]
+    written = slippery.to_json()
+    assert written["summary"] == slippery.effects.sentence
+    np.testing.assert_allclose(written["effects"]["delay"], slippery.effects.without["delay"], rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_torque_is_replayed_too_where_it_was_logged(arm):
     """The torque of the servo, by the true gain, of a run that was not fitted; without it none is told."""
@@ -142,7 +157,7 @@ def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path)
     told = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "found.json")])
     assert told.exit_code == 0, told.output
     assert "Open-loop replay" in told.output
-    found = json.loads((tmp_path / "found.json").read_text())[0]["replay"]
+    found = json.loads((tmp_path / "found.json").read_text())["replay"]
     assert found["held_out"]
     kept = read_robot(tmp_path / "out" / "diagnosed.robot.toml")
     assert kept.drive is not None

@@ -19,6 +19,7 @@ from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
+from casadical.diagnosis.motion.effect_table import EffectTable, effect_table
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import arm_of, torque_of
 from casadical.identification.figures import banded
@@ -40,7 +41,7 @@ class Replay(Result):
     """Runs replayed from the first reading of each and their commands.
 
     response : identified from all logs that may be fitted; runs : the replayed ones
-    predicted : predicted positions of each run, shape (rows, joints) [rad]
+    responses : that predict each run; predicted : its positions, shape (rows, joints) [rad]
     held_out : whether no run was fitted by the response that predicts it
     """
 
@@ -58,11 +59,14 @@ class Replay(Result):
             ],
         ),
         Key("torque_Nm", "torque"),
+        Key("effects", lambda replay: {k: [*map(float, rms)] for k, rms in replay.effects.without.items()}),
+        Key("summary", "effects.sentence"),
         Key("drive", lambda replay: replay.response.drive().table()),
     )
 
     response: Response
     runs: tuple[JointLog, ...]
+    responses: tuple[Response, ...]
     predicted: tuple[Array, ...]
     held_out: bool = field(metadata=WRITTEN)
 
@@ -90,6 +94,11 @@ class Replay(Result):
         residual = [[a - b for a, b in zip(logged, each, strict=True)] for each in zip(*made, strict=True)]
         before, after = (np.sqrt(np.nanmean(np.concatenate(each) ** 2, axis=0)) for each in residual)
         return np.asarray(before), np.asarray(after)
+
+    @cached_property
+    def effects(self) -> EffectTable:
+        """Return the rms errors of replays with one effect taken out at a time."""
+        return effect_table(self.runs, self.predicted, self.responses, self.before)
 
     @cached_property
     def moves(self) -> Array:
@@ -147,6 +156,7 @@ class Replay(Result):
             after=after,
             seconds=sum(float(run.time[-1] - run.time[0]) for run in self.runs),
             tables=[*self._tables()],
+            summary=self.effects.sentence,
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
             worse=[name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b],
             figures=[*replay_figures(self)],
@@ -169,6 +179,7 @@ class Replay(Result):
                 yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
+        yield self.effects.table()
         title = (
             "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
             "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
@@ -194,12 +205,15 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     own, withheld_runs = ([run for log in each for run in log.runs()] for each in (logs, withheld))
     if withheld_runs or len(own) == 1:
         (response,), runs = fitted(robot, own), withheld_runs or own
-        return Replay(response, tuple(runs), tuple(response.predicted(run) for run in runs), bool(withheld_runs))
+        predicted = tuple(response.predicted(run) for run in runs)
+        return Replay(response, tuple(runs), (response,) * len(runs), predicted, bool(withheld_runs))
     folds = min(WITHHELD_FOLDS, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
     response, *others = fitted(robot, *parts)
     show("replay")
-    return Replay(response, tuple(own), tuple(others[i % folds].predicted(run) for i, run in enumerate(own)), True)
+    responses = tuple(others[i % folds] for i in range(len(own)))
+    predicted = tuple(r.predicted(run) for r, run in zip(responses, own, strict=True))
+    return Replay(response, tuple(own), responses, predicted, True)
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:

@@ -103,6 +103,7 @@ class Response:
     torque_terms : of logged torques beyond the bodies': dry friction, viscous friction, rotor,
         constant, shape (joints, 4); None without a logged torque
     floor : surface that the tool came to rest on, or None
+    gravity : whether gravity loads the joints
     """
 
     dynamics: Dynamics
@@ -116,6 +117,7 @@ class Response:
     moved: Array
     torque_terms: Array | None = None
     floor: Floor | None = None
+    gravity: bool = True
 
     def predicted(self, log: JointLog) -> Array:
         """Return a log's positions predicted from its commands, shape (rows, joints) [rad].
@@ -125,7 +127,7 @@ class Response:
         out = []
         for run in log.runs():
             (piece,) = pieces_of(run, np.inf)
-            load = self.dynamics.torque(piece.command, *[np.zeros_like(piece.command)] * 2)
+            load = self.gravity * self.dynamics.torque(piece.command, *[np.zeros_like(piece.command)] * 2)
             friction, lag, inertia = (each / self.gain for each in (self.friction, self.damping, self.inertia))
             balance = delayed(piece.command, self.delay / piece.step) - (load + self.bias) / self.gain
             q = simulated(

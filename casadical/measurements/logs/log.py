@@ -138,6 +138,30 @@ class JointLog(Shown):
         return float(np.median(steps)) if len(steps) else 0.0
 
 
+def joined(logs: Sequence[JointLog]) -> JointLog:
+    """Return several logs of one arm as one, each run with a number of its own.
+
+    Only channels that every log has are there. Raises InputError: logs of other joints.
+    """
+    first, *others = logs
+    if other := next((log for log in others if log.joints != first.joints), None):
+        raise InputError(f"{other.source}: joints {', '.join(other.joints)}; {first.source}: {', '.join(first.joints)}")
+    if not others:
+        return first
+    shared: dict[str, Any] = dict.fromkeys(first.arrays)
+    for name in shared:
+        parts = [log.arrays.get(name) for log in logs]
+        known = [part for part in parts if part is not None]
+        shared[name] = np.concatenate(known) if len(known) == len(logs) else None
+    counts = np.cumsum([0, *(int(log.run.max()) for log in logs)])
+    shared |= {name: np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "row")}
+    shared["run"] = np.concatenate([log.run + before for log, before in zip(logs, counts, strict=False)])
+    shared["signs_lost"] = max(log.signs_lost for log in logs)
+    shared["findings"] = tuple(dict.fromkeys(finding for log in logs for finding in log.findings))
+    shared["current_unsigned"] = any(log.current_unsigned for log in logs)
+    return replace(first, **shared, source=", ".join(log.source for log in logs))
+
+
 def _refuse_malformed(log: JointLog) -> None:
     """Check shapes, values, times and runs.
 

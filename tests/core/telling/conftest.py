@@ -75,5 +75,5 @@ def logs_file(tmp_path_factory) -> Path:
     campaign = read_logs(ROOT / "problems/so101/robot.toml", paths)
     assert campaign is not None
     path = tmp_path_factory.mktemp("report") / "logs.html"
-    path.write_text(report([campaign.page([], campaign.replayed())]), encoding="utf-8")
+    path.write_text(report([campaign.page(None, campaign.replayed())]), encoding="utf-8")
     return path
