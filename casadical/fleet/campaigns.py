@@ -27,11 +27,12 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# A date in a name: 2026-03-14, 2026_03_14, 20260314, 2026-03. A clock that was not set gives 1970.
+# Pattern of a date in a file's name: 2026-03-14, 2026_03_14, 20260314 or 2026-03. A clock that was
+# not set gives 1970.
 _DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 # Name of the folder of a problem's later campaigns.
 CAMPAIGNS_FOLDER = "campaigns"
-# Ordinal number of 1970-01-01, from which days are counted [d].
+# Proleptic Gregorian ordinal of 1970-01-01, from which days are counted [d].
 EPOCH_ORDINAL = date(1970, 1, 1).toordinal()
 Item = TypeVar("Item")
 
@@ -53,8 +54,10 @@ def compare_files(
         `campaigns`
     robot : problem folder or robot file by which tables are understood; None: the first of `paths`
         that is no table
-    same_tool : whether the same point of the same tool was measured
-    same_frame : whether all positions are in one frame
+    same_tool : whether the same point of the same tool was measured, so that a tool that moved is a
+        change
+    same_frame : whether all positions are in one measuring frame, so that a base that moved is a
+        change
     show : called with a line of progress
     Returns what changed; of three campaigns or more, unusable ones are dropped and named in its
     notes
@@ -98,7 +101,12 @@ def compare_files(
 
 
 def _understood_by(files: Sequence[Path]) -> Path | None:
-    """Return the problem folder or robot file, among campaigns, by which their tables are read."""
+    """Return the first campaign that is no table: its robot file or problem folder; else None.
+
+    Tables of the other campaigns are read with its robot and columns.
+
+    files : paths of the campaigns
+    """
     for path in files:
         if path.suffix in (".toml", ".urdf") or (path / "problem.toml").exists():
             return path
@@ -121,9 +129,10 @@ def later_tables(folder: Path) -> tuple[list[Path], float | None]:
 def estimates_of(
     paths: Sequence[Path], robot: str | Path | None = None, show: Show = silent
 ) -> list[Estimate | CasadicalError]:
-    """Return the estimate of each campaign, or the error because of which it cannot be used.
+    """Return for each campaign its estimate, or the error because of which it cannot be used.
 
-    robot : problem folder or robot file by which tables are read
+    paths : campaigns
+    robot : problem folder or robot file with whose robot and columns tables are read
     """
     estimates: list[Estimate | CasadicalError] = []
     for k, path in enumerate(paths, 1):
@@ -140,9 +149,12 @@ def estimates_of(
 
 
 def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
-    """Return the user's name of a robot: that of its folder of campaigns or of its problem.
+    """Return the name of the folder that holds a robot's campaigns, or of its problem folder.
 
-    It is empty if neither is known.
+    The latter is returned if the campaigns are in the current folder or inside the problem folder.
+
+    paths : campaigns
+    robot : problem folder or robot file, if it is known
     """
     folder = Path(os.path.commonpath([(p if p.is_dir() else p.parent).resolve() for p in paths]))
     folder = folder.parent if folder.name == CAMPAIGNS_FOLDER else folder
@@ -156,8 +168,9 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
 def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot | None = None) -> Estimate:
     """Return the estimate of one campaign. Raises CasadicalError.
 
-    robot : problem folder or robot file by which tables are read
-    known : robot of another campaign, whose targets are used
+    path : robot file, folder of results, problem folder or table
+    robot : problem folder or robot file with whose robot and columns a table is read
+    known : robot of another campaign, whose targets (points on the tool) replace those of `robot`
     """
     if not path.exists():
         raise missing(path, "file or folder")
@@ -186,9 +199,10 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
-    """Return a sentence on campaigns that cover other joint ranges than the first one, or nothing.
+    """Return a list of one sentence on campaigns that cover other joint ranges than the first one.
 
-    Where the ranges differ, errors of the model differ too and may look like a change.
+    It is empty if there are none. Where the ranges differ, errors of the model differ too and may
+    look like a change.
     """
     said, first = [], campaigns[0]
     for other in campaigns[1:]:
@@ -218,12 +232,15 @@ def day_of(path: Path) -> float | None:
 
 
 def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
-    """Return campaigns ordered by their days, or as given, and sentences on what is unusual.
+    """Return the campaigns in the order of time, without copies, and sentences on what is unusual.
 
-    begun : whether the first one is known to be the earliest
+    If the day of any is not known, they stay in the given order and all days are dropped.
+
+    begun : whether the first one is known to be the earliest; it then stays first without a day
     """
 
     def same(a: Estimate, b: Estimate) -> bool:
+        """Return whether two campaigns are copies: equal values and information."""
         return np.array_equal(a.values, b.values) and np.array_equal(a.information, b.information)
 
     campaigns, copies = without_copies(given, same)
@@ -279,7 +296,10 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
 def without_copies(
     items: Iterable[Item], same: Callable[[Item, Item], bool]
 ) -> tuple[list[Item], list[tuple[Item, Item]]]:
-    """Return the items without copies, and each copy with the item that it repeats."""
+    """Return the items without copies, and a pair (copy, item that it repeats) for each copy.
+
+    same : whether two items are equal
+    """
     kept: list[Item] = []
     copies: list[tuple[Item, Item]] = []
     for item in items:

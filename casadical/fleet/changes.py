@@ -18,19 +18,19 @@ from casadical.fleet.estimates import Estimate
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
-# Smallest Bayes factor for which a change is reported. For a robot that does
-# not change this happens with a probability of 1/100 at most over its whole life (Ville 1939).
+# Smallest Bayes factor of any change against none for which a change is reported. For a robot that
+# does not change this happens with a probability of 1/100 at most over its whole life (Ville 1939).
 MIN_ODDS_OF_CHANGE = 100.0
-# Difference from which on a parameter of another robot counts as different [standard errors].
+# Smallest difference at which a parameter of another robot counts as different [standard errors].
 MIN_CLEAR_SIGMAS = 3
-# Words for each course of a change, followed by the campaign.
+# Words of a report for each course of a change; the label of the campaign follows them.
 COURSE_WORDS: dict[Course, str] = {
     "jump": "a jump since",
     "drift": "a drift that shows since",
     "season": "comes again every year since",
     "once": "only in",
 }
-# Titles of the axis of a change's size, by the kind of its cause.
+# Title of the axis of a change's size, by the kind of its cause; others have the parameter's name.
 AXIS_TITLES = {
     "joint_zero": "zero of joint {joint}",
     "joint_stiffness": "compliance of joint {joint}",
@@ -43,27 +43,27 @@ _COURSE_CAPTION = (
 _RESIDUALS_CAPTION = (
     "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 )
-# Number of possible causes in the table of a change.
+# Largest number of possible causes in the table of a change.
 MAX_RIVALS_SHOWN = 4
-# Number of parameters in the table of a change.
+# Largest number of parameters in the table of a change.
 MAX_AMOUNTS_SHOWN = 8
-# Ratio by which residuals of campaigns differ from day to day without a cause.
+# Largest ratio of a campaign's residual sigma to that of the others that needs no cause.
 MAX_USUAL_RATIO = 1.2
-# Probability that a greater ratio is reported by chance, over all campaigns together.
+# Probability that a ratio above MAX_USUAL_RATIO is reported by chance, over all campaigns together.
 FALSE_ALARM_PROBABILITY = 0.01
-# Residual sigma of a coordinate, as a share of the reach, that no calibrated robot exceeds.
+# Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's reach.
 MAX_SIGMA_OF_REACH = 0.003
 # End of a sentence on unusual residuals.
 NO_KNOWN_CAUSE = (
     "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
 )
-# A campaign with fewer degrees of freedom does not determine its own noise.
+# Smallest number of degrees of freedom with which a campaign determines its own noise.
 MIN_DEGREES_OF_FREEDOM = 6
-# Possible causes below this probability are not shown.
+# Smallest probability of a possible cause that is listed; the most probable one always is.
 MIN_PROBABILITY_SHOWN = 0.005
-# Odds above this power of ten are reported as "more than" it.
+# Largest power of ten of the odds that is reported as a number; greater ones are "more than" it.
 MAX_ODDS_EXPONENT = 100
-# JSON keys of the smallest change of each cause that would be detected.
+# JSON keys of an entry of `Comparison.seen_from`.
 _DETECTABLE_KEYS = ("cause", "size", "unit")
 # Text for a size that is not detectable (see `casadical.fleet.comparison._detectable_sizes`).
 NOT_DETECTABLE = "not below 30 times its usual size"
@@ -73,8 +73,9 @@ NOT_DETECTABLE = "not below 30 times its usual size"
 class Amount:
     """Change of one parameter, with its standard error; for a drift, per year or per 12 campaigns.
 
-    name : of the parameter
-    value, std_error : in `unit`
+    name : name of the parameter
+    value, std_error : change and its standard error, in `unit`
+    unit : readable unit, such as mm, deg or um/m
     """
 
     name: str = field(metadata=written("parameter"))
@@ -87,10 +88,10 @@ class Amount:
 class Rival:
     """One possible cause of a change.
 
-    label : of the cause, such as joint_zero@2
-    course : its most probable course
-    since : first campaign that shows it, from 0
-    probability : of the cause
+    label : label of the cause, such as joint_zero@2
+    course : most probable course of the cause
+    since : index of the first campaign that shows it, from 0
+    probability : probability of the cause, given that something changed
     """
 
     label: str = field(metadata=written("cause"))
@@ -103,16 +104,16 @@ class Rival:
 class Change:
     """One change between campaigns.
 
-    cause, course : the most probable ones
-    since : first campaign that shows it, from 0
-    between : campaigns between which it began, with 95 % probability
-    probability : of the cause, given that something changed
-    p_course : of the course, given the cause
+    cause, course : most probable cause and course
+    since : index of the first campaign that shows the change, from 0
+    between : indices of the first and the last campaign that may be `since`, with 95 % probability
+    probability : probability of the cause, given that something changed
+    p_course : probability of the course, given the cause
     log_odds : natural logarithm of the odds of some change against none
-    rivals : possible causes in the order of their probability, the first one included
-    amounts : change of each parameter
-    course_of : size in each campaign alone, as a share of the whole change, with standard error,
-        shape (n, 2)
+    rivals : possible causes in the order of their probability, `cause` included
+    amounts : change of each parameter of the cause
+    course_of : size of the change in each campaign alone relative to the first one, divided by the
+        whole change, and its standard error, shape (n, 2)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("cause", "cause.label"), Key("named"), Key("words"))
@@ -137,7 +138,7 @@ class Change:
     def main(self) -> int:
         """Index of the parameter in `amounts` with the greatest ratio of change to standard error.
 
-        For a season it is taken from the first wave.
+        For a season only the sine terms count.
         """
         return best_of(range(len(self.cause.sizes)), lambda k: _sureness(self.amounts[k]))
 
@@ -151,17 +152,18 @@ class Change:
 class Comparison(Result):
     """Several campaigns of one robot, and what changed between them.
 
-    campaigns : in the order of time
-    names : parameters that all campaigns determine and that may change
-    changes : what changed, in the order in which the changes were found
-    log_odds : natural logarithm of the odds of one change more than these
-    seen_from : (cause, size, unit): smallest change between the last two campaigns that would be
-        detected
-    placements : (what, how) of base and tool, which were fitted again
-    notes : what was assumed of the campaigns
-    name : of the robot as its user knows it; empty: that of its type
-    sources : what the last campaign can be calibrated from: a problem folder or robot file, and its
-        table
+    campaigns : estimates of the campaigns in the order of time
+    names : parameters that all campaigns have and that may change
+    changes : accepted changes in the order in which they were found
+    log_odds : natural logarithm of the odds of an additional change against none
+    seen_from : (cause, size, unit) of the smallest change between the last two campaigns that would
+        be detected; the size is infinite where none would be
+    placements : ("tool" or "base", text): how they moved before the last campaign, where they were
+        fitted again
+    notes : sentences on what was assumed of the campaigns
+    name : name of the robot that its user gave; empty: that of its type
+    sources : problem folder or robot file, then table, from which the last campaign can be
+        calibrated; empty: none
 
     Examples
     --------
@@ -229,12 +231,12 @@ class Comparison(Result):
 
     @property
     def dated(self) -> bool:
-        """Whether all campaigns have a day; if not, they are counted."""
+        """Whether the day of every campaign is known; if not, campaigns are numbered from 1."""
         return all(c.date for c in self.campaigns)
 
     @property
     def span(self) -> str:
-        """The number of campaigns, and the first and the last day or label."""
+        """The number of campaigns and the first and the last day or label, as text."""
         first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
@@ -248,7 +250,11 @@ class Comparison(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command, where the last campaign is a table."""
+        """The suggested next command in a list of one.
+
+        It is empty if the last campaign is no table, or there is neither a change nor an
+        unexplained residual.
+        """
         if self.sources and self.changed:
             return (next_step("to calibrate it as it is now", "calibrate", *self.sources, "--out", "results"),)
         if self.sources and self.unexplained:
@@ -283,12 +289,14 @@ class Comparison(Result):
 
 
 def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, float]], alarms: float) -> float:
-    """Return the pooled residual of other campaigns if one significantly exceeds it; else 0.
+    """Return the pooled residual of other campaigns if a campaign significantly exceeds it; else 0.
 
-    The ratio is tested against `MAX_USUAL_RATIO` by an F test.
+    An F test decides whether the ratio exceeds `MAX_USUAL_RATIO`. The result is in the unit of
+    `others`; it is 0 without others.
 
-    own, others : residual of a coordinate and its degrees of freedom
-    alarms : probability of a false alarm
+    own : residual sigma of a coordinate of the campaign, and its degrees of freedom
+    others : the same pair for each of the other campaigns
+    alarms : level of significance, the probability of a false alarm
     """
     if not others:
         return 0.0
@@ -299,7 +307,12 @@ def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, fl
 
 
 def in_words(found: Comparison, change: Change) -> str:
-    """Return a sentence on a change: cause, course, beginning and, for a named cause, size."""
+    """Return a change in words: its cause, course, first campaign and, for a named cause, size.
+
+    The size is that of its most significant parameter.
+
+    found : comparison to which the change belongs
+    """
     since = found.campaigns[change.since].label
     if not change.named:
         held = np.cumsum([r.probability for r in change.rivals])
@@ -315,17 +328,17 @@ def in_words(found: Comparison, change: Change) -> str:
 
 
 def _sureness(amount: Amount) -> float:
-    """Return the ratio of a parameter's change to its standard error."""
+    """Return the absolute ratio of a parameter's change to its standard error."""
     return abs(amount.value) / max(amount.std_error, 1e-300)
 
 
 def _per(found: Comparison, change: Change) -> str:
-    """Return the unit of time of a drift in words; empty for other courses."""
+    """Return the unit of time of a drift: " a year" or " in 12 campaigns"; "" for other courses."""
     return "" if change.course != "drift" else " a year" if found.campaigns[0].day is not None else " in 12 campaigns"
 
 
 def _tables_of(found: Comparison, change: Change) -> list[Table]:
-    """Return the tables of the possible causes of a change and of the changes of its parameters."""
+    """Return two tables of a change: its possible causes, and the changes of its parameters."""
     rows = [
         (r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}")
         for r in change.rivals[:MAX_RIVALS_SHOWN]
@@ -341,7 +354,7 @@ def _tables_of(found: Comparison, change: Change) -> list[Table]:
 
 
 def times_in_words(log_odds: float) -> str:
-    """Return the odds of a change as text, such as 1e12."""
+    """Return the odds of a change as text, such as 1e12; log_odds : their natural logarithm."""
     if log_odds > MAX_ODDS_EXPONENT * np.log(10):
         return f"more than 1e{MAX_ODDS_EXPONENT}"
     return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"
@@ -358,15 +371,18 @@ def _campaigns(found: Comparison) -> Table:
 
 
 def _places(found: Comparison) -> list[Any]:
-    """Return the place of each campaign on the axis: its day, or its number from 1.
+    """Return the abscissa of each campaign in figures: its ISO date, or its number from 1.
 
-    Days are used only if all campaigns have one.
+    Dates are used only if all campaigns have one.
     """
     return [c.date if found.dated else k for k, c in enumerate(found.campaigns, 1)]
 
 
 def _course(found: Comparison, change: Change, step: int | None) -> Figure:
-    """Return the figure of a change's size over the campaigns."""
+    """Return the figure of a change's size over the campaigns, with 95 % intervals.
+
+    step : distance between ticks of a numbered axis; None: automatic
+    """
     x, main = _places(found), change.amounts[change.main]
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
     what = AXIS_TITLES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
@@ -400,10 +416,13 @@ def residuals_figure(
     step: int | None = None,
     **figure: Any,
 ) -> Figure:
-    """Return the figure of each campaign's residuals, one line a robot.
+    """Return the figure of the residuals of each campaign, with one line per robot.
 
-    lives : (name, places on the axis, residuals [mm], whether it changed) of each robot
-    step : between ticks of the axis; None: automatic
+    name : name of the figure
+    lives : (name, abscissae, residual sigmas of a coordinate [mm], whether it changed) of each
+        robot; robots that changed are red
+    step : distance between ticks of the axis; None: automatic
+    figure : further fields of the `Figure`
     """
     series = [
         Series(
@@ -422,14 +441,17 @@ def residuals_figure(
 
 
 def _as_plain(c: Change, labels: list[str]) -> dict[str, Any]:
-    """Return a change as plain data, campaigns by their labels."""
+    """Return a change as plain data for the JSON file, with labels in place of campaign indices.
+
+    labels : label of each campaign
+    """
     course = [{"campaign": n, "size": s, "std_error": e} for n, (s, e) in zip(labels, c.course_of, strict=True)]
     rivals = [{**plain(r), "since": labels[r.since]} for r in c.rivals if r.probability >= MIN_PROBABILITY_SHOWN]
     between = [labels[k] for k in c.between]
     return {**plain(c), "since": labels[c.since], "between": between, "rivals": rivals, "course_of": course}
 
 
-# Technical meaning of a change, by course and kind of cause.
+# Technical meaning of a change in words, by its course and the kind of its cause.
 MEANINGS: dict[Course, dict[str, str]] = {
     "jump": {
         "joint_zero": "the zero of joint {joint} is another: a crash, a slipped belt or a lost reference",

@@ -20,19 +20,20 @@ from casadical.identification.prior import refuse_another
 from casadical.robot.axes import row_matrix
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
-# Prior weights of the courses; those that a kind of change may have are normalised.
+# Prior weights of the courses; of each kind of change the weights of its courses are normalised.
 COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
-# Prior probability that a change begins at a campaign, in the geometric half of `_onsets`.
+# Probability that a change begins at a campaign, given that it did not begin before, in the
+# geometric half of the prior of `_onsets`.
 ONSET_HAZARD = 0.03
-# Unit of time of a drift [d].
+# Days in a year, the unit of time of a drift [d].
 DAYS_PER_YEAR = 365.25
 # Number of campaigns that count as a year where they have no dates.
 CAMPAIGNS_PER_YEAR = 12.0
-# Displacement from which on a tool is another one or mounted again [standard errors, rms of the
-# coordinates].
+# Smallest displacement of the tool's point that is reported as another tool, or the same one
+# mounted again [standard errors, rms of the coordinates].
 OTHER_TOOL_SIGMAS = 4.0
-# Displacement from which on tool or base moved [standard errors]; noise alone exceeds it in one of
-# a hundred pairs.
+# Smallest displacement of tool or base that is reported as more than noise [standard errors, rms of
+# the coordinates]; noise alone exceeds it in one of a hundred pairs.
 MOVED_SIGMAS = 2.0
 
 
@@ -40,10 +41,12 @@ MOVED_SIGMAS = 2.0
 class _Hypotheses:
     """All changes of one candidate with one course, one for each onset.
 
-    since : first campaign that shows it, shape (onsets,)
-    courses : factors of the change in each campaign, shape (onsets, campaigns, k)
+    candidate, course : what changes, and how over time
+    since : first campaign that shows the change, from 0, shape (onsets,)
+    courses : k factors of the change in each campaign, shape (onsets, campaigns, k)
     H, b : information and score of its amplitudes, as of `evidence.marginal_information`
-    logs : logarithm of evidence times prior weight, shape (onsets, kappas)
+    logs : logarithm of the Bayes factor times the prior weight, for each size on the grid
+        `evidence.KAPPAS`, shape (onsets, kappas)
     """
 
     candidate: Candidate
@@ -60,11 +63,12 @@ def compare(
 ) -> Comparison:
     """Return what changed in a robot over campaigns: causes, times, sizes, probabilities.
 
-    campaigns : in the order of time
-    same_tool : whether the same point of the same tool was measured, so that a moved one is a
+    campaigns : estimates of the campaigns in the order of time
+    same_tool : whether the same point of the same tool was measured, so that a tool that moved is a
         change
-    same_frame : whether all positions are in one frame, so that a moved base is a change
-    notes : what a reader must know of the campaigns
+    same_frame : whether all positions are in one measuring frame, so that a base that moved is a
+        change
+    notes : sentences on the campaigns for the report
     Raises InputError: fewer than two campaigns, or of robots that cannot be the same one.
     """
     if len(campaigns) < 2:
@@ -80,7 +84,10 @@ def compare(
     changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
 
     def model_before(c: Candidate) -> evidence.Model:
-        """Return the model given all changes but jumps of c in the last campaign alone."""
+        """Return the model given the accepted changes, less those of the last campaign alone in c.
+
+        Changes that only the last campaign shows are left out if they share a parameter with c.
+        """
         others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
         return _model_given(information, others)
 
@@ -92,9 +99,12 @@ def compare(
 def shared_information(
     campaigns: Sequence[Estimate], *, same_tool: bool, same_frame: bool
 ) -> tuple[tuple[str, ...], evidence.SharedInformation, tuple[Candidate, ...]]:
-    """Return the shared parameters, the information on them, and the candidates for changes.
+    """Return the names of the shared parameters, the information on them, and the candidates.
 
-    The information is about the values of the first campaign.
+    The information is about the values of the first campaign, with day-to-day differences
+    marginalised; the candidates are those for changes in these parameters.
+
+    same_tool, same_frame : as of `compare`
     """
     first = campaigns[0]
     same_tool = same_tool and len({c.robot.tool_name for c in campaigns}) == 1
@@ -122,9 +132,9 @@ def shared_information(
 
 
 def times_of(campaigns: Sequence[Estimate]) -> Array:
-    """Return the time of each campaign [years], the first at zero.
+    """Return the time of each campaign, shape (n,) [years], the first at zero.
 
-    If a day is not known, a year is taken as `CAMPAIGNS_PER_YEAR` campaigns.
+    If any day is not known, `CAMPAIGNS_PER_YEAR` campaigns count as a year.
     """
     days = [c.day for c in campaigns]
     if any(d is None for d in days):
@@ -134,13 +144,14 @@ def times_of(campaigns: Sequence[Estimate]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Accepted:
-    """A change that was accepted.
+    """The most probable change of a step of the search.
 
-    courses : its factors in each campaign, shape (n, k)
-    kappa : its size in units of the usual one
-    own : all hypotheses of its candidate with its course
-    odds : log odds of any change here, given the other accepted ones
-    every : hypotheses of all candidates
+    candidate : what changes
+    courses : k factors of the change in each campaign, shape (n, k)
+    kappa : most probable ratio of the change's size to its usual one
+    own : all hypotheses of its candidate with its course, one for each onset
+    odds : natural logarithm of the odds of any change in this step, given those accepted before
+    every : hypotheses of all candidates and courses in this step
     """
 
     candidate: Candidate
@@ -154,12 +165,14 @@ class _Accepted:
 def changes_in(
     information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, *, dated: bool
 ) -> tuple[list[_Accepted], float, tuple[str, float]]:
-    """Return the accepted changes, the log odds of one more, and a rival explanation.
+    """Return the accepted changes, the log odds of an additional one, and a rival explanation.
 
     Several changes are compared with another robot plus what else changed then; the rival
-    explanation is the label and probability of the one that was not taken. Whether there is any
-    change is decided without another robot: it has so many parameters that a change which only it
-    could explain would be a false one.
+    explanation is the label and probability of the one that was not taken, ("", 0) without one.
+    Whether there is any change is decided without another robot: it has so many parameters that a
+    change which only it could explain would be a false one.
+
+    times : time of each campaign, shape (n,) [years]; dated : whether they come from dates
     """
     accepted, left, score = _stepwise_changes(
         information, [c for c in candidates if c.kind != ANOTHER_ROBOT], times, dated
@@ -180,7 +193,13 @@ def changes_in(
 def _stepwise_changes(
     information: evidence.SharedInformation, candidates: Sequence[Candidate], times: Array, dated: bool
 ) -> tuple[list[_Accepted], float, float]:
-    """Return changes found one by one, the log odds of one more, the log evidence of all."""
+    """Return at most four changes found one by one, log odds of one more, and log evidence of all.
+
+    The log odds are those of an additional change against none. The log evidence is the sum of the
+    changes' logarithms of Bayes factor times prior weight, by which two such lists are compared.
+
+    times, dated : as of `changes_in`
+    """
     accepted: list[_Accepted] = []
     score = 0.0
     while True:
@@ -199,7 +218,7 @@ def _stepwise_changes(
 
 
 def _model_given(information: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
-    """Return the model of the campaigns with the amplitudes of accepted changes solved for."""
+    """Return the posterior of theta and the amplitudes of accepted changes from all campaigns."""
     n, p = information.score.shape
     columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in accepted]
     sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in accepted]
@@ -214,7 +233,10 @@ def _most_probable_change(
     dated: bool,
     known: Sequence[_Accepted],
 ) -> _Accepted:
-    """Return the most probable additional change, given known ones."""
+    """Return the most probable additional change, given known ones.
+
+    times, dated : as of `changes_in`
+    """
     model = _model_given(information, known)
     if any(a.candidate.kind == ANOTHER_ROBOT for a in known):
         candidates = [c for c in candidates if c.kind != ANOTHER_ROBOT]
@@ -248,8 +270,11 @@ def weighted_hypotheses(
 ) -> Iterator[tuple[Candidate, Course, Array, Array, Array]]:
     """Yield each candidate with each of its courses: candidate, course, weights, onsets, factors.
 
-    often : relative frequency of each kind of change, which the candidates of a kind share
-    The last three are as of `courses_of`, the weights multiplied by the candidate's share.
+    The last three are as of `courses_of`; the weights are multiplied by the candidate's prior
+    probability.
+
+    often : relative frequency of each kind of change, which is divided equally among its candidates
+    times, dated : as of `changes_in`
     """
     kinds = [c.kind for c in candidates]
     whole = sum(often[kind] for kind in set(kinds))
@@ -262,7 +287,10 @@ def weighted_hypotheses(
 def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, Array, Array, Array]]:
     """Yield the courses that a kind of change may have: name, prior weights, onsets, factors.
 
-    The onsets are the first campaigns that show the change; shapes (c,), (c,) and (c, n, k).
+    The weights, (c,), are for each onset; the onsets, (c,), are the first campaigns that show the
+    change, from 0; the k factors of the change in each of n campaigns have the shape (c, n, k).
+
+    times, dated : as of `changes_in`; there is a season only with dates
     """
     n = len(times)
     onset, since = _onsets(n), np.arange(1, n)
@@ -285,9 +313,10 @@ def courses_of(kind: str, times: Array, dated: bool) -> Iterable[tuple[Course, A
 
 
 def _onsets(n: int) -> Array:
-    """Return the prior probability of an onset at each campaign but the first, (n - 1,).
+    """Return the prior probability of an onset at each of n campaigns but the first, (n - 1,).
 
-    It does not depend on the number of campaigns: half is 1 / (k (k + 1)), half geometric.
+    It does not depend on n, so that all sum to less than one: half of it is 1 / (k (k + 1)) at
+    campaign k from 1, half is geometric.
     """
     k = np.arange(1, n)
     return np.asarray(0.5 / (k * (k + 1)) + 0.5 * ONSET_HAZARD * (1 - ONSET_HAZARD) ** (k - 1))
@@ -300,7 +329,11 @@ def _change(
     first: Estimate,
     swap: tuple[str, float],
 ) -> Change:
-    """Return an accepted change as a result: its rivals, amounts and course."""
+    """Return the accepted change k as a result, with its possible causes, amounts and course.
+
+    first : estimate of the first campaign
+    swap : rival explanation of all changes together: label and probability, as of `changes_in`
+    """
     change = accepted[k]
     candidate, top = change.candidate, change.own
     total = float(np.logaddexp.reduce(np.concatenate([evidence.averaged(h.logs) for h in change.every])))
@@ -346,9 +379,11 @@ def _change(
 
 
 def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: int) -> Iterable[Amount]:
-    """Yield the change of each parameter in readable units, or of all lengths [um/m].
+    """Yield the change of each parameter in readable units, or that of all lengths [um/m].
 
-    a, C : mean and covariance of the amplitudes; waves : number of factors of the course
+    first : estimate of the first campaign
+    a, C : posterior mean, (k m,), and covariance, (k m, k m), of the m amplitudes for each factor
+    waves : number k of factors of the course, 2 for a season, else 1
     """
     width = len(candidate.sizes)
     if candidate.kind == "lengths":
@@ -361,7 +396,8 @@ def _amounts(candidate: Candidate, first: Estimate, a: Array, C: Array, waves: i
         yield Amount(name, p.readable(a[k] * p.scale), p.readable(float(np.sqrt(C[k, k])) * p.scale), p.readable_unit)
 
 
-# Function that returns the difference of parameters of two campaigns, and its covariance.
+# Function from names of r parameters to the last campaign's values less those of the one before,
+# shape (r,), and their covariance, shape (r, r), both in units of scale.
 Between = Callable[[Sequence[str]], tuple[Array, Array]]
 
 
@@ -370,7 +406,11 @@ def _detectable_sizes(
 ) -> Iterator[tuple[str, float, str]]:
     """Yield (cause, size, unit): the smallest change in the last campaign that would be detected.
 
-    Only candidates with a single parameter are listed.
+    Only joint zeros and joint stiffnesses are listed; the size is in readable units, and infinite
+    if it would have to be 30 times the usual one.
+
+    model_before : function from a candidate to the model without its change in the last campaign
+    first : estimate of the first campaign
     """
     for c in candidates:
         if c.columns.shape[1] == 1 and c.kind in ("joint_zero", "joint_stiffness"):
@@ -388,10 +428,16 @@ def _detectable_sizes(
 def _placements(
     campaigns: Sequence[Estimate], names: Sequence[str], model: evidence.Model
 ) -> Iterator[tuple[str, str]]:
-    """Yield how tool and base of the last campaign differ from those of the one before."""
+    """Yield ("tool", text) and ("base", text): how they moved before the last campaign.
+
+    They are compared with those of the campaign before, where they were fitted again in each.
+
+    names : shared parameters; model : posterior of these and of the accepted changes
+    """
     first, (before, after) = campaigns[0], campaigns[-2:]
 
     def between(own: Sequence[str]) -> tuple[Array, Array]:
+        """Return the difference of refitted parameters and its covariance; see `Between`."""
         # X, Y: a campaign's shared parameters from the solved ones, theta and the changes so far.
         X, Y = (np.hstack([np.eye(model.p), model.columns[k]]) for k in (-2, -1))
         a, A, V = _refitted(before, own, names, first, X, model.mean)
@@ -403,7 +449,12 @@ def _placements(
 
 
 def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
-    """Yield how the measured point of the tool moved, with its standard error."""
+    """Yield ("tool", text): by how many mm the measured point moved on the flange, and its meaning.
+
+    Nothing is yielded if it was not fitted in each campaign, or the tool has another name.
+
+    names : shared parameters; between : difference of the two campaigns, see `Between`
+    """
     own = [n for n in PLACEMENT_PARAMETERS["tool"][:3] if n in before.names and n in after.names and n not in names]
     if len(own) < 3 or before.robot.tool_name != after.robot.tool_name:
         return
@@ -424,10 +475,15 @@ def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
 def _refitted(
     c: Estimate, own: Sequence[str], names: Sequence[str], first: Estimate, X: Array, u: Array
 ) -> tuple[Array, Array, Array]:
-    """Return mean, slope and covariance of refitted parameters, given the shared ones.
+    """Return the parameters `own` of a campaign as refitted given the p shared ones.
 
-    own : names of the refitted parameters that are returned, in units of scale
-    u : solved parameters; X u : the campaign's shared parameters, about the values of the first one
+    They are the mean, (r,), its derivative by u, (r, len(u)), and the covariance given u, (r, r),
+    in units of scale.
+
+    own : names of the r parameters; names : names of the p shared ones
+    first : estimate of the first campaign
+    X : matrix, shape (p, len(u)); X u are the campaign's shared parameters less those of the first
+    u : posterior mean of the solved variables, see `evidence.Model`
     """
     shared, rest, V = c.refitted_given(names)
     G = -V @ c.information[np.ix_(rest, shared)]
@@ -439,7 +495,12 @@ def _refitted(
 
 
 def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Between) -> Iterator[tuple[str, str]]:
-    """Yield how the base moved in the measuring frame."""
+    """Yield ("base", text): by how many mm and deg the base moved in the measuring frame.
+
+    Nothing is yielded if it was not fitted in each campaign, or the readings do not determine it.
+
+    names : shared parameters; between : difference of the two campaigns, see `Between`
+    """
     placing = {p.name for p in after.robot.parameters if p.group == "base"}
     if not placing & set(after.names) or placing & set(names):
         return
@@ -460,7 +521,10 @@ def _base(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
 
 
 def _base_pose(c: Estimate) -> Array:
-    """Return the pose of a campaign's base in the measuring frame, shape (4, 4)."""
+    """Return the pose of a campaign's base in the measuring frame, shape (4, 4) [m].
+
+    Where no base is fitted, the pose of the first DH row's frame is returned.
+    """
     if c.robot.base.unknown == "none":  # the first row of the table places the robot
         return np.asarray(c.robot.base.T @ row_matrix(c.robot.joints[0]))
     values = [c.values[c.names.index(n)] if n in c.names else 0.0 for n in PLACEMENT_PARAMETERS["base"]]

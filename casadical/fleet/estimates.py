@@ -34,7 +34,8 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Number of random poses that replace those of a robot file, which does not store its own.
+# Number of random poses that stand for the measured ones of a robot file, which does not store
+# them.
 DRAWN_POSES = 200
 
 
@@ -42,25 +43,25 @@ DRAWN_POSES = 200
 class Estimate(Shown):
     """Information of one campaign on a robot's parameters.
 
-    robot : as the campaign identified it, with harmonics of zero size
-    names : parameters that are not fixed, base and tool among them, k of them
-    values : point of expansion of the log likelihood, shape (k,) [SI]
-    information : matrix in units of each parameter's scale, shape (k, k)
-    score : gradient of the log likelihood at the values, shape (k,)
-    spread : prior standard deviation, shape (k,), in units of the scale; that of the harmonics is
-        estimated from the residuals
+    robot : as the campaign identified it, with harmonics of its joints added at zero
+    names : names of the k parameters that are not fixed, base and tool among them
+    values : values about which the log likelihood is expanded, shape (k,) [SI]
+    information : information matrix of the parameters, shape (k, k), in units of their scale
+    score : gradient of the log likelihood at the values, shape (k,), in units of scale
+    spread : prior standard deviations of the parameters, shape (k,), in units of scale; those of
+        the harmonics are estimated from the residuals
     label : name of the campaign
-    day : when it was measured [d]
-    poses : how many were used
+    day : day of the measurement, since 1970 [d]; None: not known
+    poses : number of poses that were used
     sigma : residual standard deviation of a coordinate [m]; None for a robot file
-    misfit : factor on the variance for residuals that are correlated between similar poses, at
-        least 1
-    notes : what was assumed
-    readings : range of each joint that holds nine of ten poses; for a robot file that of all,
-        shape (joints, 2) [rad or m]
-    fit : by which noise is pooled over campaigns; None for a robot file, and for more than 1000
-        poses
-    freedom : degrees of freedom of sigma
+    misfit : factor on the noise variance, at least 1, for residuals that are correlated between
+        similar poses
+    notes : sentences on what was assumed or left out
+    readings : lower and upper end of the range of each joint that holds nine of ten poses, for a
+        robot file of all poses, shape (joints, 2) [rad or m]; None: not known
+    fit : fit by which noise is pooled over campaigns; None for a robot file, and for more than
+        1000 poses
+    freedom : degrees of freedom of sigma; None for a robot file
     """
 
     line: ClassVar[str] = (
@@ -91,23 +92,25 @@ class Estimate(Shown):
 
     @property
     def scale(self) -> Array:
-        """The unit of each parameter in the solver, shape (k,) [SI]."""
+        """The scale of each parameter: the SI value of its unit in the solver, shape (k,)."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:
-        """Return information, (p, p), and score, (p,), of some parameters, all others marginalised.
+        """Return information, (p, p), and score, (p,), of p parameters, all others marginalised.
 
-        values : of these parameters, at which the score is taken [SI]; the results are in units of
-            scale
+        Both are in units of scale.
+
+        names : the p parameters
+        values : values of these parameters at which the score is taken, shape (p,) [SI]
         """
         kept, _, inverse = self.refitted_given(names)
         own, score = marginalised(self.information, self.score, kept, inverse)
         return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
 
     def refitted_given(self, names: Sequence[str]) -> tuple[Array, Array, Array]:
-        """Return the indices of these parameters and of all others, and the others' covariance.
+        """Return the indices of p parameters, (p,), of the r others, and the others' covariance.
 
-        The covariance is conditional on these parameters, in units of scale.
+        The covariance, (r, r), is conditional on the p parameters and in units of scale.
         """
         kept = np.array([self.names.index(n) for n in names], dtype=int)
         rest = np.setdiff1d(np.arange(len(self.names)), kept)
@@ -116,7 +119,7 @@ class Estimate(Shown):
 
 
 def date_text(day: float | None) -> str:
-    """Return a day (since 1970) as an ISO date; empty if it is not known."""
+    """Return a day, counted from 1970-01-01 [d], as an ISO date; empty for None and NaN."""
     if day is None or not np.isfinite(day):
         return ""
     return str(np.datetime64("1970-01-01") + np.timedelta64(int(day), "D"))
@@ -127,12 +130,12 @@ def estimate(
     label: str = "",
     day: float | None = None,
 ) -> Estimate:
-    """Return the estimate of all parameters from measurements of any kind.
+    """Return the estimate of all parameters of a robot from measurements of any kind.
 
     campaign : an identification, or a nominal robot and measurements, by which it is identified
         first
-    label : of the campaign; empty: the source of its measurements
-    day : when they were measured [d]
+    label : name of the campaign; empty: the source of its measurements
+    day : day of the measurement, since 1970 [d]
     Raises InputError: given distances between touched points, which cannot be compared.
     Raises ConvergenceError: Ipopt finds no optimum.
     """
@@ -167,7 +170,7 @@ def estimate(
 
 
 def _outliers(found: Identification) -> Iterator[str]:
-    """Yield a sentence on the poses that were left out as outliers."""
+    """Yield a sentence on the poses that an identification left out as outliers, if any."""
     out = found.left_out
     if not out:
         return
@@ -188,8 +191,8 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     parameters bias the identified ones is therefore computed at poses drawn from the joint ranges
     on which the robot was learnt.
 
-    label : of the campaign; empty: that of the file
-    day : when it was measured [d]
+    label : name of the campaign; empty: that in the file
+    day : day of the measurement, since 1970 [d]
     Raises InputError: a robot without a covariance of its geometry.
     """
     known = robot.knowledge
@@ -239,23 +242,25 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
 
 
 def readings_of(robot: Robot, n: int) -> Array:
-    """Return random readings over the joint ranges on which a robot was learnt, or over its limits.
+    """Return n random readings within a robot's learnt joint ranges, shape (n, joints) [rad or m].
 
-    Shape (n, joints) [rad or m]; the seed is fixed.
+    A robot that was not calibrated has its joint limits instead. The seed is fixed.
     """
     known = robot.knowledge
     low, high = known.readings.T if known and len(known.readings) else robot.limits
     return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 
-# Largest ratio of the residual sigmas of two campaigns that one instrument measured.
+# Largest ratio of the residual sigmas of two campaigns that may have been measured by one
+# instrument; an F test decides whether it is exceeded.
 MAX_SIGMA_RATIO = 3.0
 
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
-    """Return the campaigns with noise and harmonics pooled over those of one instrument.
+    """Return the campaigns with noise and prior spreads pooled over those of one instrument.
 
-    Estimates of robot files are returned unchanged.
+    Campaigns of one instrument are recognised by their residuals. Estimates without a fit, as of
+    robot files, are returned unchanged.
     """
     estimates = list(campaigns)
     left = [k for k, c in enumerate(campaigns) if c.fit is not None]
@@ -268,7 +273,11 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 
 
 def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
-    """Return whether one instrument may have measured both, by an F test of their residuals."""
+    """Return whether one instrument may have measured two campaigns, by an F test of residuals.
+
+    The ratio of their sigmas must not significantly exceed `MAX_SIGMA_RATIO`, and their parameters
+    must be the same but for those of the tool.
+    """
     (s, f), (t, g) = ((c.sigma or 1e-12, c.freedom or 1.0) for c in (a, b))
     chances = fdtrc(f, g, (s / t / MAX_SIGMA_RATIO) ** 2), fdtrc(g, f, (t / s / MAX_SIGMA_RATIO) ** 2)
     # Level of significance of the F test.
@@ -276,7 +285,7 @@ def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
 
 
 def _places_of_robot(c: Estimate) -> dict[str, int]:
-    """Return the indices of the robot's own parameters, without those of the tool."""
+    """Return the index in `names` of each parameter, by name, without those of the tool."""
     return {
         n: k
         for k, n in enumerate(c.names)
@@ -285,7 +294,11 @@ def _places_of_robot(c: Estimate) -> dict[str, int]:
 
 
 def _with_pooled_noise(group: Sequence[Estimate]) -> list[Estimate]:
-    """Return campaigns with the noise, repeatability and harmonics that they show together."""
+    """Return campaigns of one instrument with noise and prior spreads estimated from all of them.
+
+    Information and score are computed anew with the common noise of a coordinate and the common
+    joint repeatability. The spreads are root mean squares, weighted by the numbers of poses.
+    """
     wide = [c.fit for c in group if c.fit is not None]
     rhos = pooled_repeatability(wide)
     fits = [w.at(rhos) for w in wide]
@@ -303,13 +316,14 @@ def _with_pooled_noise(group: Sequence[Estimate]) -> list[Estimate]:
 
 
 def pooled_repeatability(fits: Sequence[WideFit]) -> tuple[float, ...]:
-    """Return the repeatability of each revolute joint over the noise of a coordinate [rad/m].
+    """Return the ratio of each revolute joint's repeatability to a coordinate's noise [rad/m].
 
-    It is the most probable combination of REPEATABILITY_RATIOS for all campaigns together, found by
-    coordinate search.
+    The ratios are the most probable combination of `REPEATABILITY_RATIOS` for all fits together,
+    found by a coordinate search from equal ratios.
     """
 
     def log_likelihood(rhos: tuple[float, ...]) -> float:
+        """Return the log likelihood of all fits together for one ratio per joint."""
         return sum(fit.log_likelihood(rhos) for fit in fits)
 
     best = best_of(((rho,) * fits[0].joints for rho in REPEATABILITY_RATIOS), log_likelihood, logs=True)

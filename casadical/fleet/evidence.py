@@ -31,25 +31,28 @@ from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Prior standard deviation of a change of one length [m].
+# The usual size of a change is the prior standard deviation of its amplitude, up to a factor kappa
+# on the grid `KAPPAS`. Tool, base, harmonics, compliances and effects have sizes of their own.
+# Usual size of a change of one length of the geometry [m].
 USUAL_LENGTH_CHANGE_M = 3e-4
-# Prior standard deviation of a change of one angle [rad].
+# Usual size of a change of one angle of the geometry [rad].
 USUAL_ANGLE_CHANGE_RAD = 3e-4
-# Prior standard deviation of a change of one harmonic of a joint's error [rad].
+# Usual size of a change of one harmonic's coefficient of a joint's error curve [rad].
 USUAL_HARMONIC_CHANGE_RAD = 5e-5
-# Prior standard deviation of a change of a compliance, as a share of it.
+# Usual size of a change of a compliance, divided by the compliance.
 USUAL_COMPLIANCE_CHANGE = 0.3
-# Prior standard deviation of a common change of all lengths, as a share of them.
+# Usual size of a common change of all lengths, divided by the length.
 USUAL_GROWTH = 1e-4
-# Prior standard deviation of a change of tool or base coordinates [m or rad].
+# Usual size of a change of one coordinate of the tool's or the base's pose [m or rad].
 USUAL_MOUNTING_CHANGE = 1e-3
-# Groups of parameters of a robot without effects.
+# Parameter groups of a robot without effects; parameters of other groups belong to effects.
 GROUPS_WITHOUT_EFFECTS = ("geometry", "loop", "compliance", "tool", "base")
-# Standard deviations between campaigns of a robot that does not change: a share of all lengths, by
-# 2 K; position of the tool on the flange, and of the base in a frame that is found again [m or
-# rad].
+# Standard deviations of day-to-day differences of a robot that does not change, by kind of change:
+# relative growth of all lengths (2 K), pose of the tool on the flange and of the base in a
+# measuring frame that is established again each time [m or rad].
 DAILY_SIGMAS = {"lengths": 2.4e-5, "tool": 1e-5, "foot": 2e-5}
-# Relative frequency of each kind of change; the joints share that of their kind.
+# Relative frequency of each kind of change, of which only ratios count; the candidates of a kind,
+# such as the joints, have equal shares of its frequency.
 RELATIVE_FREQUENCY = {
     "joint_zero": 4,
     "joint_stiffness": 2,
@@ -65,7 +68,8 @@ RELATIVE_FREQUENCY = {
 }
 # Kind of change for measurements of another robot of the type: all parameters change.
 ANOTHER_ROBOT = "another_robot"
-# Course of a change over the campaigns.
+# Course of a change over the campaigns: from one on, growing from one on, periodic with a year, or
+# in a single one.
 Course = Literal["jump", "drift", "season", "once"]
 # Kinds of change that may drift; all kinds may jump.
 GRADUAL_KINDS = frozenset({"joint_zero", "joint_stiffness", "joint_curve", "lengths", "foot"})
@@ -75,16 +79,16 @@ SEASONAL_KINDS = frozenset({"lengths"})
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Something that may change in a robot.
+    """Something that may change in a robot, along m columns of its parameters.
 
     kind : joint_zero, joint_stiffness, joint_curve, gear, link, loop, lengths, tool, foot, effect
-        or another_robot
+        or another_robot; `touch_model` adds crash and unknown
     joint : number of a joint or four-bar, from 1; None for other kinds
-    names : parameters that change
-    columns : directions of the change in the p shared parameters, in units of their scale, shape
-        (p, m)
-    sizes : prior standard deviations along the columns, shape (m,)
-    effect : label of an effect of the robot file
+    names : names of the parameters that change
+    columns : directions of the change in the p shared parameters, shape (p, m), in units of the
+        parameters' scale
+    sizes : usual sizes (prior standard deviations) of the amplitudes of the columns, shape (m,)
+    effect : label of the effect of the robot file that changes; "" for other kinds
     """
 
     kind: str
@@ -96,14 +100,17 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """The label of the effect, else the kind, or kind@joint."""
+        """The label of the effect; without one the kind, or KIND@JOINT such as joint_zero@3."""
         return self.effect or (self.kind if self.joint is None else f"{self.kind}@{self.joint}")
 
 
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
-    """Return the parameters that two campaigns share.
+    """Return those of some parameters that are compared between campaigns, in the given order.
 
-    High harmonics are not among them, and tool and base only if these are the same.
+    Harmonics above `MAX_COMPARED_HARMONIC` are left out; each campaign fits its own.
+
+    names : parameters that all campaigns have
+    same_tool, same_frame : whether the parameters of the tool and of the base are compared
     """
     gone = {*(() if same_tool else ("tool",)), *(() if same_frame else ("base",))}
     low = with_joint_harmonics(robot, MAX_COMPARED_HARMONIC).parameters
@@ -111,7 +118,7 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 
 
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
-    """Return all candidates for changes in the shared parameters.
+    """Return all candidates for changes in the parameters `names`, which span their columns.
 
     robot : with the harmonics of its joints as its last effect
     """
@@ -125,7 +132,10 @@ def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
 
 
 def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:
-    """Return columns, (p, m), and standard deviations, (m,), of day-to-day differences."""
+    """Return columns, (p, m), and standard deviations, (m,), of day-to-day differences.
+
+    They are those of the candidates whose kinds `DAILY_SIGMAS` lists; see `Candidate`.
+    """
     own = [c for c in candidates if c.kind in DAILY_SIGMAS]
     usual = {"lengths": USUAL_GROWTH, "tool": USUAL_MOUNTING_CHANGE, "foot": USUAL_MOUNTING_CHANGE}
     sizes = [c.sizes * DAILY_SIGMAS[c.kind] / usual[c.kind] for c in own]
@@ -135,7 +145,11 @@ def daily(candidates: Sequence[Candidate]) -> tuple[Array, Array]:
 def _candidate(
     kind: str, joint: int | None, names: Iterable[str], all_: Sequence[Parameter], effect: str = ""
 ) -> Candidate:
-    """Return a candidate whose parameters change independently of each other."""
+    """Return a candidate whose parameters change independently, each along a column of its own.
+
+    names : parameters that change; those not in `all_` are dropped
+    all_ : the p shared parameters
+    """
     place = {p.name: k for k, p in enumerate(all_)}
     own = tuple(n for n in names if n in place)
     E = np.zeros((len(all_), len(own)))
@@ -145,7 +159,7 @@ def _candidate(
 
 
 def _usual_size(kind: str, p: Parameter) -> float:
-    """Return the prior standard deviation of a parameter's change [unit of the parameter]."""
+    """Return the usual size of a parameter's change in a candidate of this kind [SI]."""
     if p.group == "compliance":
         return max(USUAL_COMPLIANCE_CHANGE * abs(p.value), 0.1 * p.prior)
     if p.group == "joint_error_curve":
@@ -158,7 +172,10 @@ def _usual_size(kind: str, p: Parameter) -> float:
 
 
 def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    """Yield the candidates of each joint and four-bar."""
+    """Yield the candidates of each joint and four-bar; some of them may have no parameters.
+
+    chosen : the p shared parameters
+    """
     for j, joint in enumerate(robot.joints, 1):
         zero = f"theta{j}" if joint.kind == "revolute" else f"d{j}"
         curve = [f"joint_error_curve.{w}{k}_q{j}" for k in range(1, MAX_COMPARED_HARMONIC + 1) for w in "sc"]
@@ -177,7 +194,10 @@ def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Can
 
 
 def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
-    """Yield the candidates of the whole robot: lengths, tool, foot (the base), another robot."""
+    """Yield the candidates of the whole robot: lengths, tool, foot (the base), another robot.
+
+    chosen : the p shared parameters
+    """
     lengths = [(k, p) for k, p in enumerate(chosen) if p.unit == "m" and p.group in ("geometry", "loop", "tool")]
     E = np.zeros((len(chosen), 1))
     for k, p in lengths:
@@ -188,7 +208,7 @@ def _robot_candidates(chosen: Sequence[Parameter]) -> Iterable[Candidate]:
     yield _candidate(ANOTHER_ROBOT, None, [p.name for p in chosen], chosen)
 
 
-# Grid of a change's size, in units of its usual one.
+# Grid of the ratio of a change's prior standard deviation to its usual size.
 KAPPAS = np.array([0.1, 0.3, 1.0, 3.0, 10.0])
 # Information below which a direction counts as undetermined, in squared units of its usual size.
 MIN_INFORMATION = 1e-6
@@ -198,9 +218,10 @@ MIN_INFORMATION = 1e-6
 class SharedInformation:
     """Information of n campaigns on the p parameters that they share, in units of the scale.
 
-    information : matrices about common values, shape (n, p, p)
-    score : gradients of the log likelihood at these, shape (n, p)
-    precision : prior precision of theta, shape (p,)
+    information : information matrix of each campaign, shape (n, p, p)
+    score : gradient of each campaign's log likelihood at common values, those of the first
+        campaign, shape (n, p)
+    precision : prior precision (inverse variance) of theta about these values, shape (p,)
     """
 
     information: Array
@@ -210,7 +231,8 @@ class SharedInformation:
     def with_jitter(self, columns: Array, sizes: Array) -> SharedInformation:
         """Return the information with independent differences in each campaign marginalised.
 
-        columns : shape (p, m); sizes : standard deviation of each, shape (m,)
+        columns : directions of the differences in the parameters, shape (p, m)
+        sizes : standard deviations of their amplitudes, shape (m,)
         """
         HD = self.information @ columns
         inner = np.array([inverse_of(own) for own in columns.T @ HD + np.diag(sizes**-2.0)])
@@ -223,10 +245,12 @@ class SharedInformation:
 class Model:
     """Posterior of theta and the amplitudes of known changes, before an additional change.
 
-    shared : information of the campaigns
-    columns : of the known changes in each campaign, shape (n, p, m)
-    root : R of the covariance R'R of u = (theta, known amplitudes)
-    turned : R times the score of u
+    Its variables are u = (theta, the m amplitudes of the known changes), in units of scale.
+
+    shared : information of the n campaigns on the p parameters
+    columns : directions of the known changes times their factors in each campaign, shape (n, p, m)
+    root : R of the posterior covariance R'R of u, shape (p + m, p + m)
+    turned : R times the score of u, shape (p + m,)
     """
 
     shared: SharedInformation
@@ -236,12 +260,12 @@ class Model:
 
     @property
     def inverse(self) -> Array:
-        """The posterior covariance of u."""
+        """The posterior covariance of u, shape (p + m, p + m)."""
         return self.root.T @ self.root
 
     @property
     def mean(self) -> Array:
-        """The posterior mean of u."""
+        """The posterior mean of u, shape (p + m,); theta is relative to the first campaign."""
         return self.root.T @ self.turned
 
     @property
@@ -253,7 +277,8 @@ class Model:
 def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
     """Return the posterior of theta and the amplitudes of known changes, given all campaigns.
 
-    columns : as of `Model`; sizes : prior standard deviations of the amplitudes, shape (m,)
+    columns : directions of the changes times their factors in each campaign, shape (n, p, m)
+    sizes : prior standard deviations of the amplitudes, shape (m,)
     """
     n, p = shared.score.shape
     X = np.concatenate([np.broadcast_to(np.eye(p), (n, p, p)), columns], axis=2)
@@ -265,11 +290,13 @@ def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
 
 
 def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
-    """Return information and score of a change's amplitudes, all others marginalised.
+    """Return information and score of an additional change's amplitudes, for each of c courses.
 
-    E : directions of the change, shape (p, m)
-    courses : k factors of each of n campaigns, for each of c courses, shape (c, n, k)
-    Returns shapes (c, km, km) and (c, km).
+    Theta and the amplitudes of known changes are marginalised. The shapes are (c, km, km) and
+    (c, km); amplitudes of the first factor come first.
+
+    E : directions of the change in the parameters, shape (p, m)
+    courses : k factors of the change in each of n campaigns, shape (c, n, k)
     """
     information = model.shared
     (c, n, k), m = courses.shape, E.shape[1]
@@ -290,7 +317,10 @@ def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array,
 def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
     """Return the log Bayes factor of each change against none, for each size, shape (c, kappas).
 
-    H, b : as of `marginal_information`; sizes : usual size of each column, shape (m,)
+    The sizes are those on the grid `KAPPAS`.
+
+    H, b : information, (c, m, m), and score, (c, m), of the changes' m amplitudes
+    sizes : usual size of each amplitude, shape (m,)
     """
     values, V = np.linalg.eigh(sizes[:, None] * H * sizes)
     values = np.maximum(values, 0.0)
@@ -299,35 +329,50 @@ def log_evidence(H: Array, b: Array, sizes: Array) -> Array:
 
 
 def averaged(logs: Array) -> Array:
-    """Return the logarithm of the mean evidence over the sizes.
+    """Return the logarithm of the mean evidence over the sizes, shape (...).
 
-    logs : log evidence, shape (..., kappas)
+    logs : log evidence for each size on the grid `KAPPAS`, shape (..., kappas)
     """
     return np.asarray(np.logaddexp.reduce(logs, axis=-1) - np.log(len(KAPPAS)))
 
 
 def amplitude(H: Array, b: Array, sizes: Array, logs: Array) -> tuple[Array, Array, float]:
-    """Return mean, covariance and size of one change's amplitudes, at its most probable size."""
+    """Return posterior mean, (m,), and covariance, (m, m), of a change's amplitudes, and kappa.
+
+    Kappa is the most probable size of the change on the grid `KAPPAS`.
+
+    H, b : information, (m, m), and score, (m,), of the amplitudes
+    sizes : usual size of each amplitude, shape (m,)
+    logs : log evidence for each kappa, shape (kappas,)
+    """
     kappa = float(KAPPAS[first_of_best(logs, logs=True)])
     C = inverse_of(H + np.diag((kappa * sizes) ** -2.0))
     return C @ b, C, kappa
 
 
 def jumps(n: int) -> Array:
-    """Return the courses of jumps at each campaign but the first, shape (n - 1, n, 1)."""
+    """Return the factors of jumps, one at each campaign but the first, shape (n - 1, n, 1).
+
+    A factor is 0 before the jump and 1 from its campaign on.
+    """
     return (np.arange(n) >= np.arange(1, n)[:, None]).astype(float)[:, :, None]
 
 
 def drifts(times: Sequence[float] | Array) -> Array:
-    """Return the courses of drifts that begin at each campaign but the last, (n - 1, n, 1).
+    """Return the factors of drifts, one after each campaign but the last, shape (n - 1, n, 1).
 
-    They grow by one in a unit of time.
+    A factor is 0 up to that campaign and then the time since it, in the unit of `times`.
+
+    times : time of each campaign, shape (n,)
     """
     t = np.asarray(times, dtype=float)
     return np.asarray(np.maximum(0.0, t - t[:-1, None])[:, :, None])
 
 
 def season(times: Sequence[float] | Array) -> Array:
-    """Return the course of a yearly change, sine and cosine, shape (1, n, 2)."""
+    """Return the factors of a change with a period of one year, sine and cosine, shape (1, n, 2).
+
+    times : time of each campaign, shape (n,) [years]
+    """
     turn = 2 * np.pi * np.asarray(times, dtype=float)
     return np.stack([np.sin(turn), np.cos(turn)], axis=-1)[None]

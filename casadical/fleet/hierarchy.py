@@ -36,19 +36,22 @@ from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
 from casadical.robot.robot import Covariance, Knowledge, Robot
 
-# Number of robots of a type that are needed to learn what they have in common.
+# Smallest number of robots of a type from which their common deviations are estimated.
 MIN_ROBOTS_PER_TYPE = 5
-# Number of robots of a type that are used at most.
+# Largest number of robots of a type that are used; those beyond it in the store are ignored.
 MAX_ROBOTS_PER_TYPE = 1000
-# Number of robots whose matrices are in memory at a time.
+# Number of robots whose information matrices are inverted and held in memory at a time.
 ROBOTS_PER_BLOCK = 25
-# Weight of the usual spread of a group of parameters, as a number of robots.
+# Weight, as a number of robots, of the mean variance of a parameter's group (see `_spread_group`)
+# in the estimate of that parameter's own variance between robots.
 ROBOTS_IN_USUAL_SPREAD = 4.0
-# Mean deviation from which on the drawing is wrong [standard errors].
+# Smallest mean deviation of a type's robots that is a fault of its drawing [standard errors].
 MIN_FAULT_SIGMAS = 5.0
-# Mean deviation that is also required for that, in units of the parameter's scale (1 mm or 1 mrad).
+# Smallest mean deviation that is a fault of the drawing, in units of the parameter's scale, for
+# example 1 mm or 1 mrad; required in addition to MIN_FAULT_SIGMAS.
 MIN_FAULT_SIZE = 0.05
-# Smallest spread of a parameter, in units of its scale: few robots show no exact value.
+# Smallest standard deviation of a parameter between robots, in units of its scale: a few robots
+# cannot show that a parameter is exactly the same in all.
 MIN_SPREAD = 1e-3
 
 
@@ -56,15 +59,15 @@ MIN_SPREAD = 1e-3
 class Common:
     """What the robots of one type have in common.
 
-    type : word for the drawing
-    name : of the type
-    count : number of robots from which it was learnt
-    names : parameters, k of them
-    mean : mean deviation from the drawing, in units of the scale, shape (k,)
-    std_error : of the mean, shape (k,)
-    spread : standard deviation of single robots about the mean, shape (k,)
+    type : key of the type, as of `store.type_of`
+    name : name of the type
+    count : number of robots from which it was estimated
+    names : names of the k parameters
+    mean : mean deviation of the robots from the drawing, shape (k,), in units of `scale`
+    std_error : standard error of the mean, shape (k,), in units of `scale`
+    spread : standard deviation of single robots about the mean, shape (k,), in units of `scale`
     scale : unit of each parameter, shape (k,) [SI]
-    covariance : of the mean, shape (k, k)
+    covariance : covariance of the mean, shape (k, k), in units of `scale`
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -97,9 +100,12 @@ class Common:
         return tuple((self.names[k], float(self.mean[k]), float(self.std_error[k])) for k in np.flatnonzero(far))
 
     def readable(self, name: str, *values: float) -> tuple[Any, ...]:
-        """Return values of a parameter in the unit of reports, and that unit.
+        """Return values of a parameter in the unit of reports, then that unit.
 
-        values : in units of the parameter's scale"""
+        The unit is deg, mm, or urad/(N m) for a compliance.
+
+        values : in units of the parameter's scale
+        """
         unit = "deg" if name.startswith(("alpha", "beta", "theta")) or "." in name else "mm"
         factor = {"deg": np.rad2deg(1.0), "mm": 1e3}[unit]
         if name.startswith("c") and name[1:].isdigit():
@@ -109,14 +115,18 @@ class Common:
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
-        """Name, mean, standard error, spread and unit of each parameter, as reported."""
+        """(name, mean, standard error, spread, unit) of each parameter, as of `readable`."""
         every = zip(self.names, self.mean, self.std_error, self.spread, strict=True)
         return [(name, *self.readable(name, *figures)) for name, *figures in every]
 
     def prior_of(self, robot: Robot) -> Robot:
-        """Return a drawn robot with the mean deviations, and their spread as covariance.
+        """Return the expected robot of the type, as the prior of `calibrate --prior-effects all`.
 
-        It serves as the prior of `calibrate --prior-effects all`.
+        Its values are those of the drawing plus the mean deviations; its covariance is that of the
+        mean plus the variance between robots. Parameters that the fleet did not determine keep the
+        value of the drawing, with a standard deviation of `MIN_SPREAD`.
+
+        robot : as drawn, with the nominal values of the type
         """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)
@@ -135,7 +145,10 @@ class Common:
 def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
     """Return what robots of one type have in common, from their rows in a store.
 
-    Raises InputError: too few robots.
+    It is about the parameters that more than half of the robots identified, and about all those of
+    effects and harmonics.
+
+    Raises InputError: fewer than `MIN_ROBOTS_PER_TYPE` robots.
     """
     H, b = [], []
     first: dict[str, Any] = {}
@@ -162,7 +175,7 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
 
 
 def _packed_places(k: int) -> Array:
-    """Return the index in a packed lower triangle of each matrix entry, shape (k, k)."""
+    """Return the index of each entry of a symmetric matrix in its packed lower triangle, (k, k)."""
     numbers = np.zeros((k, k), dtype=int)
     rows, columns = np.tril_indices(k)
     numbers[rows, columns] = numbers[columns, rows] = np.arange(len(rows))
@@ -170,9 +183,10 @@ def _packed_places(k: int) -> Array:
 
 
 def _spread_group(name: str) -> str:
-    """Return the group of parameters that share a usual spread.
+    """Return the group of a parameter; the spreads of one group are pulled towards their mean.
 
-    Groups are harmonics of one order, angles, bars, compliances and lengths.
+    The groups are "harmonic N" for each order N, "angle", "L" (bars of four-bars), "c"
+    (compliances) and "length".
     """
     if "." in name:
         return f"harmonic {name.rsplit('.', 1)[1][1:].split('_')[0]}"
@@ -186,11 +200,14 @@ def population_of(
 ) -> tuple[Array, Array, Array]:
     """Return the mean, (k,), its covariance, (k, k), and the spread, (k,), of n robots' parameters.
 
-    H : information matrix of each robot, its lower triangle packed; b : scores, shape (n, k)
+    The spread is the standard deviation of single robots about the mean. All are in units of scale.
+
+    H : for each robot the packed lower triangle of its information matrix about the nominal values
+    b : scores of the robots at the nominal values, shape (n, k)
     spread : start of the iteration, and prior standard deviation of the mean, shape (k,)
-    at : index in the packed triangle of each entry of the matrix, shape (k, k); None: the whole
-        triangle
-    groups : group of each parameter with a usual spread; None: each has its own
+    at : index in the packed triangle of each entry of the k parameters' matrix, shape (k, k); None:
+        the triangle is that of the k parameters alone
+    groups : name of each parameter's group, see `_spread_group`; None: each is a group of its own
     """
     mean, tau2 = np.zeros(len(spread)), spread**2
     wide = spread**-2.0
@@ -235,11 +252,11 @@ _BAR_KEYS = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
 
 @dataclass(frozen=True, eq=False)
 class Drawing:
-    """A robot as drawn.
+    """The nominal robot of a type, as its robot file describes it.
 
-    name : of the type
+    name : name of the type
     count : number of robots of the type
-    robot : with nominal values
+    robot : the robot with its nominal values
     standard : whether its file has standard DH rows; None if it has no rows (URDF)
     """
 
@@ -250,16 +267,18 @@ class Drawing:
 
     @property
     def robots(self) -> str:
-        """The number of robots, in words."""
+        """The number of robots as text, such as "3 robots"."""
         return f"{self.count} robot{'s' * (self.count > 1)}"
 
     def correction(self, common: Common, name: str, near: Sequence[Drawing] = ()) -> str:
-        """Return the corrected value of a parameter for the robot file, and where to write it.
+        """Return the text of a parameter's correction: place in the robot file, key, new value.
 
-        An example is "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; empty if it cannot be given.
+        An example is "[[joint]] 4: d_mm = 1199.7 (drawn 1200)"; the text is empty if the file has
+        no key for the parameter.
 
-        near : nearly equal drawings; the value of one that would be no fault is taken, so that all
-            agree
+        common : what the robots of this type have in common; name : parameter
+        near : nearly equal drawings; if the value of one of them is close enough to the corrected
+            one, it is proposed instead, so that the drawings agree
         """
         if self.standard is None or name not in self.robot.parameters.names:
             return ""
@@ -289,7 +308,10 @@ class Drawing:
 
 
 def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
-    """Return the drawings that can be read, by the word for their type; the largest types only."""
+    """Return the drawings of the hundred most frequent types that can be read, by type.
+
+    good : rows of robots that were calibrated, as of a store
+    """
     drawings = {}
     # The drawings of the hundred largest types are read.
     for kind, count in good["type"].value_counts().head(100).items():
@@ -304,7 +326,10 @@ def drawings_of(good: pd.DataFrame) -> dict[str, Drawing]:
 
 
 def near(drawings: Mapping[str, Drawing], kind: str) -> list[Drawing]:
-    """Return the drawings that are nearly that of a type, the most frequent first."""
+    """Return the drawings that nearly equal that of the type `kind`, the most frequent first.
+
+    They differ in one to three nominal values, see `_differences`.
+    """
     return [other for other in drawings.values() if _differences(drawings[kind], other)]
 
 
@@ -322,7 +347,10 @@ def nearly_one(drawings: Mapping[str, Drawing]) -> Iterator[str]:
 
 
 def _differences(one: Drawing, other: Drawing) -> list[tuple[Parameter, Parameter]]:
-    """Return the parameters in which two nearly equal drawings differ; else none."""
+    """Return the pairs of parameters in which two nearly equal drawings differ.
+
+    The list is empty where the drawings are equal, or differ by more than that.
+    """
     first, second = ([p for p in d.robot.parameters if p.group not in ("base", "tool")] for d in (one, other))
     if [p.name for p in first] != [p.name for p in second]:
         return []

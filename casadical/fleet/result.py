@@ -21,17 +21,18 @@ from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
-# Words by which a robot's notes mark a campaign that could not be used.
+# Words in a robot's notes that mark a campaign which was not used.
 LEFT_OUT_MARK = "is left out:"
-# With fewer robots the 95 % quantile is simply the worst of them.
+# Smallest number of robots of a type whose 95 % quantile is reported; with fewer it would simply be
+# the worst of them.
 MIN_ROBOTS_FOR_QUANTILE = 20
-# Number of rows in a table on the terminal.
+# Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
-# Number of letters to which error messages are cut on the terminal.
+# Largest number of letters of an error message on the terminal.
 MAX_ERROR_LETTERS = 240
-# Number of robots in the table of all robots on the page.
+# Largest number of robots in the table of all robots on the page.
 MAX_ROWS_ON_PAGE = 2000
-# Number of letters to which error messages are cut on the page.
+# Largest number of letters of an error message on the page.
 MAX_ERROR_LETTERS_ON_PAGE = 60
 
 
@@ -39,13 +40,13 @@ MAX_ERROR_LETTERS_ON_PAGE = 60
 class Fleet(Result):
     """All robots of a fleet, and what they have in common.
 
-    robots : a row per robot, as in the store
+    robots : a row per robot, as in the store (see `casadical.fleet.store.EMPTY_ROW`)
     commons : what robots of one type have in common, for types with five robots or more
-    outliers : robots whose error is an outlier among those of their type
-    notes : what was assumed
-    drawings : by type, those that can be read
-    computed : number of robots that were computed in this run, the others come from the store;
-        None: unknown
+    outliers : names of robots whose error is an outlier among those of their type
+    notes : sentences on what was assumed of the robots
+    drawings : nominal robots of the types whose files can be read, by type
+    computed : number of robots that were computed in this run, while the others come from the
+        store; None: not known
 
     Examples
     --------
@@ -89,7 +90,7 @@ class Fleet(Result):
 
     @property
     def grown(self) -> dict[str, str]:
-        """A sentence for each robot whose residuals grew significantly in the last campaign."""
+        """A sentence on each robot whose residuals grew in its last campaign, by its name."""
         some = self.good[self.good["campaigns"] > 1]
         words_of = {
             r["robot"]: grown(r["left_mm"], r.get("left_free"), FALSE_ALARM_PROBABILITY / len(some))
@@ -107,7 +108,7 @@ class Fleet(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command, for the robot to check with the greatest error."""
+        """The suggested next command in a list of one, for the first robot to check; else empty."""
         return tuple(
             next_step(f"for {r['robot']}", "compare" if r["changes"] else "diagnose", r["folder"])
             for r in records(self._first().head(1))
@@ -115,7 +116,7 @@ class Fleet(Result):
         )
 
     def figures(self) -> dict[str, Figure]:
-        """Return the figures by name: map of accuracies, trends, and common/TYPE."""
+        """Return the figures by name: "map" (accuracies), "trends", "common/TYPE" for each type."""
         figures = [accuracy_map(self.good, self.outliers)] if len(self.good) else []
         figures += [trends(self.good, self.grown)] if (self.good["campaigns"] > 1).any() else []
         return {figure.name: figure for figure in (*figures, *map(common_departures, self.commons))}
@@ -135,7 +136,7 @@ class Fleet(Result):
         return Page("Fleet", "Fleet", f"{len(self.robots)} robots", sections, [*self._tiles()])
 
     def _tiles(self) -> Iterator[Tile]:
-        """Yield the main figures of the fleet."""
+        """Yield the tiles of the page: robots calibrated, median error, changed, outliers."""
         good = self.good
         yield Tile("Calibrated", str(len(good)), "", f"of {len(self.robots)} robots")
         if len(good):
@@ -145,7 +146,7 @@ class Fleet(Result):
         yield Tile("Stand out", str(len(self.outliers)), "", "robots")
 
     def _all(self) -> Table:
-        """Return the table of all robots."""
+        """Return the table of all robots on the page, at most `MAX_ROWS_ON_PAGE` of them."""
         rows = []
         for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
@@ -159,9 +160,12 @@ class Fleet(Result):
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
 
     def prior_files(self, folder: str | Path) -> dict[Path, str]:
-        """Return a robot file for each type with its mean and spread, by its path in a folder.
+        """Return for each type of `commons` the text of a robot file, by its path TYPE.robot.toml.
 
-        Such a file is the prior of a robot that is still to be measured.
+        The file has the mean of the type's robots and their spread as covariance. It is the prior
+        of a robot that is still to be measured.
+
+        folder : folder of the paths; nothing is written
         """
         texts = {}
         for c in self.commons:
@@ -175,7 +179,7 @@ class Fleet(Result):
         return texts
 
     def _correction(self, common: Common, name: str) -> str:
-        """Return the correction of a parameter in the robot files of a type, and where to write it.
+        """Return the correction of a parameter in a type's robot file; see `Drawing.correction`.
 
         It is empty if no file was read.
         """
@@ -184,7 +188,10 @@ class Fleet(Result):
         return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
 
     def _faults(self) -> Iterator[Words]:
-        """Yield a warning for each type whose drawing deviates from all its robots."""
+        """Yield a warning on faults of the drawing, for each type with any, with their corrections.
+
+        Faults of compliances have a warning of their own.
+        """
         remedies = {
             False: "correct the drawing, or the set-up of the instrument",
             True: "their joints yield otherwise than it says; correct the compliances in the robot file",
@@ -202,7 +209,7 @@ class Fleet(Result):
                     yield Words(words, "warning", "\n".join(places))
 
     def _types(self) -> Iterator[Table]:
-        """Yield a table of the types with the median errors of their robots."""
+        """Yield one table of the types with the median errors of their robots [mm], or nothing."""
         rows, types = [], self.good.groupby("type", sort=False)
         large = bool((types.size() >= MIN_ROBOTS_FOR_QUANTILE).any())
         for kind, some in types:
@@ -215,7 +222,11 @@ class Fleet(Result):
             yield Table("Types: median of the mean errors of their robots [mm]", head, rows, frozenset({2, 3, 4, 5}))
 
     def _first(self) -> pd.DataFrame:
-        """Return the rows of robots to check, the greatest error first."""
+        """Return the rows of all robots to check, the greatest error first.
+
+        They are outliers, or have grown residuals, changes, parameters at bounds, unused campaigns
+        or a cause that the diagnosis found.
+        """
         some = self.robots[
             self.robots["robot"].isin([*self.outliers, *self.grown])
             | (self.robots["changes"] != "")
@@ -226,7 +237,7 @@ class Fleet(Result):
         return some.sort_values("after_mm", ascending=False)
 
     def _to_look_at(self) -> Iterator[Table]:
-        """Yield the tables of robots to check first and of unusual campaigns of others."""
+        """Yield the table of robots to check first, and that of notes on campaigns of others."""
         more, some, rows = self.grown, self._first(), []
         for r in records(some.head(MAX_ROWS_SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
@@ -244,25 +255,25 @@ class Fleet(Result):
 
     @property
     def _listed(self) -> list[dict[str, Any]]:
-        """A row of each robot as plain data, for the JSON."""
+        """The rows of all robots as dictionaries for the JSON file, without lists."""
         told = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*told.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
 
     @property
     def _shared_by_type(self) -> list[dict[str, Any]]:
-        """What robots of each type have in common, and its drawing's corrections, for the JSON."""
+        """The entries of `commons` as dictionaries for the JSON file, with `corrections` added."""
         own = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
         return [{**plain(c), "corrections": each} for c, each in zip(self.commons, own, strict=True)]
 
 
 def _found_in(row: Mapping[str, Any]) -> str:
-    """Return verdict and causes of a robot's diagnosis."""
+    """Return verdict and causes of a robot's diagnosis as text; empty without a diagnosis."""
     return " ".join(filter(None, (row["verdict"], row["causes"])))
 
 
 def short(error: str, letters: int = MAX_ERROR_LETTERS) -> str:
-    """Return the last line of an error message, cut to a number of letters."""
+    """Return the last line of an error message, cut between words to a number of letters."""
     line = (error.strip().splitlines() or [""])[-1]
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
 
@@ -275,9 +286,11 @@ def odd(notes: str) -> str:
 def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
     """Return a sentence if the last campaign has significantly greater residuals than those before.
 
-    left : residual of a coordinate in each campaign [mm]
-    freedom : its degrees of freedom, None: unknown
-    alarms : probability of a false alarm
+    Else the text is empty. Campaigns without a residual or degrees of freedom do not count.
+
+    left : residual sigma of a coordinate in each campaign [mm]
+    freedom : its degrees of freedom; None: unknown
+    alarms : level of significance, the probability of a false alarm
     """
     both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
@@ -291,7 +304,10 @@ def fleet_of(
     notes: Sequence[str] = (),
     computed: int | None = None,
 ) -> Fleet:
-    """Return the result of a fleet from the rows of a store."""
+    """Return the result of a fleet from the rows of a store.
+
+    notes : sentences on the robots; computed : number of robots computed in this run
+    """
     names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
     robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]
@@ -304,9 +320,10 @@ def fleet_of(
 
 
 def name_of_type(names: Sequence[str]) -> str:
-    """Return one name for robots of one type: the most frequent one.
+    """Return one name for robots of one type, from the name of each: the most frequent one.
 
-    At a tie it is the words with which these begin, or the first of them.
+    At a tie it is the words with which all of the most frequent begin, or the first of them in the
+    order of the alphabet.
     """
     times = Counter(names)
     most = sorted(name for name, count in times.items() if count == max(times.values()))
@@ -315,7 +332,10 @@ def name_of_type(names: Sequence[str]) -> str:
 
 
 def _outliers(some: pd.DataFrame) -> list[str]:
-    """Return the robots of one type whose log error is an outlier."""
+    """Return the names of robots of one type whose error after calibration is an outlier.
+
+    some : rows of robots of one type; logarithms of their errors are compared with their median
+    """
     logs = np.log(some["after_mm"].to_numpy())
     middle = np.median(logs)
     spread = max(1.4826 * float(np.median(np.abs(logs - middle))), 0.02)
@@ -323,9 +343,9 @@ def _outliers(some: pd.DataFrame) -> list[str]:
     return [str(name) for name in some["robot"][logs > middle + 4.0 * spread]]
 
 
-# Number of robots that a figure names.
+# Largest number of robots or parameters that a figure names.
 MAX_LABELS = 12
-# Distance between two names, as a share of the figure's height.
+# Smallest distance between two names in a figure, as a share of its ordinate's range.
 MIN_LABEL_DISTANCE = 0.07
 _MAP_CAPTION = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
@@ -347,6 +367,7 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
     """Return the figure of the mean errors before and after calibration of every robot, by type.
 
     good : rows of robots that were calibrated
+    outliers : names of robots that are drawn in orange
     """
     good = good.sort_values(["type_name", "after_mm"])
     x, names = np.arange(len(good)), [str(name) for name in good["robot"]]
@@ -406,7 +427,10 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
 
 
 def _apart(heights: Sequence[float], gap: float) -> list[float]:
-    """Return the heights of labels, given from the top down, moved so that no two overlap."""
+    """Return the ordinates of labels, given from the top down, moved so that no two overlap.
+
+    gap : smallest distance between two labels, in the unit of the ordinates
+    """
     moved: list[float] = []
     for y in heights:
         moved.append(min(y, moved[-1] - gap) if moved else y)
@@ -417,7 +441,10 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
 
 
 def common_departures(c: Common) -> Figure:
-    """Return the figure of a type's mean deviations from the drawing, over their significance."""
+    """Return the figure of a type's mean deviations from the drawing and their significance.
+
+    The abscissa is the deviation [mm or mrad], the ordinate its ratio to the standard error.
+    """
     sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
     bad = {name for name, _, _ in c.faults}
     named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:MAX_LABELS]
@@ -438,7 +465,7 @@ def common_departures(c: Common) -> Figure:
 
 
 def common_table(c: Common) -> Table:
-    """Return the table of all parameters of a type: mean deviation, standard error, spread."""
+    """Return the table of a type's parameters: mean deviation, its standard error, spread."""
     rows = [(name, f"{m:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit) for name, m, error, spread, unit in c.rows]
     strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
     head = ("parameter", "common", "std error", "spread", "unit")

@@ -20,7 +20,7 @@ from casadical.core.files import claimed
 from casadical.fleet.result import Fleet, fleet_of
 from casadical.fleet.store import EMPTY_ROW, add, fingerprint, name_of, one_robot, records, rows
 
-# Message where a package is missing.
+# Message of the InputError where dask, distributed or pyarrow is not installed.
 MISSING_PACKAGES = "a fleet needs dask, distributed and pyarrow; install them: pip install 'casadical[fleet]'"
 
 
@@ -38,13 +38,12 @@ def run_fleet(
     folders : problem folders, one a robot, or folders that hold them
     store : folder that keeps a Parquet file with the row of each robot
     scheduler : address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
-    workers : how many processes of this machine; None: one a core
+    workers : number of processes on this machine; None: one per core
     with_diagnosis : whether every robot is diagnosed, which takes longest
     show : called with a line of progress
     Returns all robots of the store that were asked for, and what they have in common
-    Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer;
-    what was done until
-        then is kept.
+    Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer.
+    Rows that were computed before an error stay in the store.
 
     Examples
     --------
@@ -89,9 +88,10 @@ def run_fleet(
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
-    """Return the problem folders by name: given ones, and those inside other given folders.
+    """Return the problem folders, by the names of their robots.
 
-    Raises InputError: a folder without any, or two robots of one name.
+    folders : problem folders, or folders whose direct subfolders are problem folders
+    Raises InputError: a folder that is neither, or two robots of one name.
     """
     robots: dict[str, Path] = {}
     for given in map(Path, folders):
@@ -109,9 +109,12 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
 
 
 def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
-    """Return the robots without copies, the fingerprints of all, and notes on the copies.
+    """Return the robots whose files differ, the fingerprints of all by name, and notes on copies.
 
-    Of two copies the one that the store already has is kept.
+    Of robots with equal files the one that the store already has is returned.
+
+    robots : problem folders by name
+    known : rows of the store, indexed by the robot's name
     """
     prints: dict[str, str] = {}
     for name, folder in robots.items():
@@ -134,7 +137,13 @@ def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[
 def _to_compute(
     robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool
 ) -> tuple[list[str], dict[str, str], list[str]]:
-    """Return the robots to compute, the new names of renamed ones by the old, and notes."""
+    """Return the names of robots to compute, new names of renamed robots by old ones, and notes.
+
+    A robot is computed if the store has no successful row of its present files. It counts as
+    renamed if the store has its files under a name that is no longer given.
+
+    prints : fingerprint of each robot; known : rows of the store, indexed by the robot's name
+    """
     left: list[str] = []
     renamed: dict[str, str] = {}
     gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
@@ -151,8 +160,12 @@ def _to_compute(
 def _computed(
     names: Sequence[str], robots: dict[str, Path], scheduler: str | None, workers: int | None, with_diagnosis: bool
 ) -> Iterator[dict[str, Any]]:
-    """Yield the row of each robot as it is computed on a cluster.
+    """Yield the store's row of each robot as soon as it is computed on a Dask cluster.
 
+    A robot whose process ends three times has a row of status "lost".
+
+    names : robots to compute; robots : problem folders by name
+    scheduler, workers, with_diagnosis : as of `run_fleet`
     Raises InputError if the scheduler is lost.
     """
     distributed = optional("distributed", MISSING_PACKAGES)
@@ -174,9 +187,11 @@ def _computed(
 
 @contextmanager
 def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
-    """Yield a client of a scheduler, or of a local cluster with one process per core.
+    """Yield a client of a Dask scheduler, or of a local cluster that is closed at the end.
 
-    Raises InputError.
+    scheduler : address, HOST:PORT with or without tcp://; None: a local cluster
+    workers : number of processes of a local cluster; None: one per core
+    Raises InputError: an invalid address, no answer, or workers with another casadical.
     """
     distributed = optional("distributed", MISSING_PACKAGES)  # first: its own settings must not take the place of these
     dask = optional("dask", MISSING_PACKAGES)
@@ -212,7 +227,11 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 
 
 def _refuse_other_versions(client: Any, scheduler: str) -> None:
-    """Check that there are workers, all with this casadical. Raises InputError."""
+    """Check that a scheduler has workers and all of them this version of casadical.
+
+    client : of the scheduler at the address `scheduler`
+    Raises InputError.
+    """
     versions = client.run(locate, "casadical.__version__")
     if not versions:
         raise InputError(f"{scheduler}: no worker is connected; start one there: dask worker {scheduler}")
@@ -225,8 +244,8 @@ def _refuse_other_versions(client: Any, scheduler: str) -> None:
 
 
 def dask_setup(_worker: Any) -> None:
-    """Ignore Ctrl-C in a process of a local cluster; the command ends the processes.
+    """Ignore Ctrl-C (SIGINT) in a worker process, which the command ends itself.
 
-    Dask calls this in each of them.
+    Dask calls this in each process of a local cluster.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -30,13 +30,14 @@ from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
 from casadical.robot.robot import Robot
 
-# Columns of a row that hold text.
+# Names of the columns of a store's row that hold text, separated by spaces.
 _TEXT_COLUMNS = (
     "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
 )
-# Columns of a row that hold lists.
+# Names of the columns of a store's row that hold lists, separated by spaces. Those from `names` to
+# `scale` are as of `shared_columns`; left_mm, left_free and days have one number per campaign.
 _LIST_COLUMNS = "names departure score information spread scale identified left_mm left_free days"
-# The columns of a row with their empty values.
+# All columns of a store's row, each with the value of a robot that was not calibrated.
 EMPTY_ROW: dict[str, Any] = {
     **dict.fromkeys(_TEXT_COLUMNS.split(), ""),
     **dict.fromkeys(("finished", "seconds"), 0.0),
@@ -48,7 +49,10 @@ EMPTY_ROW: dict[str, Any] = {
 
 
 def fingerprint(folder: Path) -> str:
-    """Return a hash of all files of a robot's folder and of those that its problem names."""
+    """Return a hash of all files in a problem folder and of those that its problem.toml names.
+
+    It is the first half of a SHA-256, 32 hexadecimal digits; hidden files do not count.
+    """
     digest = hashlib.sha256()
     files = {str(p.relative_to(folder)): p for p in folder.rglob("*") if p.is_file() and not p.name.startswith(".")}
     with suppress(CasadicalError):  # an invalid problem is reported when it is computed
@@ -62,13 +66,24 @@ def fingerprint(folder: Path) -> str:
 
 
 def name_of(folder: Path, *, whole: bool = False) -> str:
-    """Return the name or the path of a robot's folder, with bytes escaped that are not UTF-8."""
+    """Return the name of a robot's folder, with bytes escaped that are not UTF-8.
+
+    whole : whether its absolute path is returned in place of its name
+    """
     path = folder.resolve()
     return (str(path) if whole else path.name).encode(errors="backslashreplace").decode()
 
 
 def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
-    """Return the row of one robot; an error is written into it. Raises nothing."""
+    """Calibrate, diagnose and compare one robot, and return its row of the store.
+
+    Its column `status` is "ok", "failed" (invalid input) or "bug" (any other exception), with the
+    message in the column `error`.
+
+    folder : problem folder
+    with_diagnosis : whether the robot is diagnosed
+    Raises nothing.
+    """
     start, place = time.perf_counter(), Path(folder)
     row = {**EMPTY_ROW, "robot": name_of(place), "folder": name_of(place, whole=True), "written_by": __version__}
     try:
@@ -85,7 +100,10 @@ def one_robot(folder: str, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
-    """Return the results of one robot: calibration, diagnosis, comparison of its campaigns."""
+    """Return the columns of a robot's row that hold results, by name; see `EMPTY_ROW`.
+
+    They are those of its calibration, its diagnosis and the comparison of its campaigns.
+    """
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts
     calibration = calibrate(problem)
@@ -128,7 +146,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
 
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
-    """Return the diagnosis of a folder's first table of positions; None without one."""
+    """Return the diagnosis of a problem folder's first table with positions; None without one."""
     for table in own_tables(place):
         (campaign,) = read_campaigns(place, [table])
         if campaign.sets[0].position is not None:
@@ -137,18 +155,23 @@ def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
 
 
 def type_of(problem: Problem) -> str:
-    """Return a word for all robots of one drawing: a hash of their nominal parameters.
+    """Return the key of a robot's type: a hash of its nominal parameters, 12 hexadecimal digits.
 
-    Base and tool are not included.
+    Robots of one type have equal nominal parameters to nine digits, base and tool excluded.
     """
     own = [(p.name, f"{p.value:.9g}") for p in problem.robot.parameters if p.group not in ("base", "tool")]
     return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
 
 
 def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
-    """Return a campaign's information on the parameters that robots of one type share, as columns.
+    """Return a campaign's information on the k parameters that robots of one type share.
 
-    It is about the nominal values of the drawing.
+    The keys are columns of a row: names; departure, estimate less nominal value; score and
+    information of the log likelihood about the nominal values, the matrix as its lower triangle,
+    row by row; spread, prior standard deviations. All are in units of scale, the last key [SI].
+    Base and tool are excluded.
+
+    drawn : robot with the nominal values
     """
     nominal = {p.name: p for p in drawn.parameters}
     names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))
@@ -166,7 +189,7 @@ def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
 
 
 def add(folder: Path, row: Mapping[str, Any]) -> None:
-    """Write the row of one robot into a store, as a file of its name, atomically.
+    """Write the row of one robot into the store in a folder, as ROBOT.parquet, atomically.
 
     Raises InputError: no space, no permission.
     """
@@ -176,7 +199,10 @@ def add(folder: Path, row: Mapping[str, Any]) -> None:
 
 
 def rows(folder: Path) -> tuple[pd.DataFrame, list[str]]:
-    """Return the rows of a store, one per robot, and a sentence on each unreadable file."""
+    """Return the rows of the store in a folder, and a sentence on each file that cannot be read.
+
+    The table has the columns of `EMPTY_ROW` and one row per robot; it is empty for an empty store.
+    """
     tables, damaged = [pd.DataFrame(columns=list(EMPTY_ROW))], list[str]()
     for path in sorted(folder.glob("*.parquet")):
         try:
@@ -189,5 +215,5 @@ def rows(folder: Path) -> tuple[pd.DataFrame, list[str]]:
 
 
 def records(robots: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the rows of a table as dictionaries."""
+    """Return the rows of a table as dictionaries from column to value."""
     return [{str(k): v for k, v in r.items()} for r in robots.to_dict("records")]

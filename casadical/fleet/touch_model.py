@@ -32,25 +32,26 @@ from casadical.project.acceptance.budget import covariance_root
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Kinds of change that are usual between two days.
+# Kinds of change (see `Candidate.kind`) that are usual between two days.
 USUAL_KINDS = ("joint_zero", "tool", "foot", "lengths")
 # Kind of change in which several zeros and the tool move together.
 CRASH = "crash"
 # Kind of change that no parameter explains.
 UNKNOWN = "unknown"
-# Relative frequency of each kind of change; a crash moves several zeros and the tool.
+# Relative frequency of each kind of change; only ratios count.
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
-# Grid of the noise's share in the unexplained variance, where the noise is not declared.
+# Grid of the ratio of the noise variance of a coordinate to its unexplained variance, the square of
+# `TouchModel.rest` over 3, where the noise is not declared.
 NOISE_SHARES = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01)
 # Prior mean of the thermal growth of all lengths, where the temperature is logged [1/K].
 GROWTH_PER_K = 12e-6
-# Prior standard deviation of that growth [1/K].
+# Prior standard deviation of the thermal growth of all lengths [1/K].
 GROWTH_SIGMA_PER_K = 6e-6
 # Column of the logged temperature [degC].
 TEMPERATURE = "temperature_degC"
-# Number of random poses over which the error of the robot is averaged.
+# Number of random poses in the learnt joint ranges over which the error of the robot is averaged.
 TASK_POSES = 1000
-# Number of posterior samples.
+# Number of posterior samples of the changes and errors.
 NUMBER_OF_DRAWS = 4000
 MM_PER_M = 1e3
 
@@ -59,12 +60,14 @@ MM_PER_M = 1e3
 class Draws:
     """Posterior samples of the changes until today, one per row.
 
-    label : of the change, "" for none, shape (n,)
-    since : first day that shows it, counted from 1, shape (n,)
-    d : deviations of the parameters by the change, in units of scale, shape (n, p)
-    x : deviations that the calibration left and those of today alone, in units of scale,
-        shape (n, p)
-    extra : rms of a change that no parameter explains [mm], shape (n,)
+    label : label of the changed candidate, "" for no change, shape (n,)
+    since : first day that shows the change, counted from 1, 0 for no change, shape (n,)
+    d : deviations of the parameters by the change until the last day, shape (n, p), in units of
+        scale
+    x : deviations that the calibration left plus those of the last day alone, shape (n, p), in
+        units of scale
+    extra : rms displacement of the last day's poses by a change that no parameter explains,
+        shape (n,) [mm]
     """
 
     label: Array
@@ -73,22 +76,23 @@ class Draws:
     x: Array
     extra: Array
 
-    def share(self, label: str) -> float:
-        """Return the probability of a change."""
+    def probability(self, label: str) -> float:
+        """Return the posterior probability of the change with this label; "" is no change."""
         return float(np.mean(self.label == label))
 
 
 class _Hypotheses(NamedTuple):
-    """Changes of one candidate with one course, at one share of noise.
+    """Changes of one candidate with one course, one for each of c onsets, at one level of noise.
 
-    candidate : what changes
-    factors : of the course on each day, shape (c, rows)
-    Z : columns of the change at the touches, shape (rows, m) [mm a unit of scale]
-    since : first day that shows the change, shape (c,)
-    H, b : information and score of the amplitudes, as of `evidence.marginal_information`
-    logs : log evidence for each size, shape (c, kappas)
-    weight : prior probability, shape (c,)
-    share : index of the share of noise
+    candidate : what changes, along m columns
+    factors : factor of the course at each touched coordinate, shape (c, rows)
+    Z : displacement of the touched points per unit of amplitude, shape (rows, m) [mm]
+    since : first day that shows the change, from 1, shape (c,)
+    H, b : information, (c, m, m), and score, (c, m), of the amplitudes
+    logs : log likelihood for each size on the grid `KAPPAS`, without its constant, shape
+        (c, kappas)
+    weight : prior probability of each change, shape (c,)
+    level : index into `TouchModel.likelihood_terms`
     """
 
     candidate: Candidate
@@ -99,10 +103,16 @@ class _Hypotheses(NamedTuple):
     b: Array
     logs: Array
     weight: Array
-    share: int
+    level: int
 
     def amplitudes(self, row: int, kappa: float, n: int, rng: np.random.Generator) -> Array:
-        """Return posterior samples of one change's amplitudes, shape (n, m)."""
+        """Return n posterior samples of the amplitudes of the change at index `row`, shape (n, m).
+
+        They are factors of the candidate's columns, so that their products are in units of scale;
+        for a change that no parameter explains they are displacements [mm].
+
+        kappa : prior standard deviation of the amplitudes, in multiples of the candidate's sizes
+        """
         C = inverse_of(self.H[row] + np.diag((kappa * self.candidate.sizes) ** -2.0))
         return np.asarray(C @ self.b[row] + rng.normal(size=(n, len(C))) @ np.linalg.cholesky(C).T)
 
@@ -111,16 +121,17 @@ class _Hypotheses(NamedTuple):
 class TouchModel:
     """A calibrated robot, as its file describes it, and its touches, one table per day.
 
-    robot : with the first harmonics of its joints, which the file's remaining errors include
-    days : touched positions in the frame of the calibration
+    robot : the calibrated robot with the first harmonics of its joints' errors added as parameters
+    days : touched positions of each day in the measuring frame of the calibration, the last day is
+        the one that is judged; they have `rows` coordinates together
     names : parameters that may change, p of them
-    factor : root F of the second moment F F' of the remaining errors, in units of scale,
-        shape (p, r)
-    rest : rms distance that no parameter explains [mm]
+    factor : root F of the second moment F F' of the errors that the calibration left, shape (p, r),
+        in units of scale
+    rest : rms distance between model and measurement that no parameter explains [mm]
     weights : relative frequency of each kind of change
-    noise : standard deviation of a coordinate [mm]; None: not known
+    noise : standard deviation of a touched coordinate [mm]; None: not known
     reference : temperature of the calibration [degC]; None: not known
-    dates : of the days [d], None for one that is not known
+    dates : dates of the days, since 1970 [d]; None for one that is not known
     """
 
     robot: Robot
@@ -135,9 +146,14 @@ class TouchModel:
 
     @staticmethod
     def of_robot(robot: Robot, days: Sequence[Measurements], noise: float | None = None, **more: Any) -> TouchModel:
-        """Return the model from the file's [remaining], or from its covariance and the noise [m].
+        """Return the model of a robot as its file has it, and touches of several days.
 
-        Raises InputError: the file has neither.
+        The remaining errors are those of the file's [remaining], else of its covariance and noise.
+
+        days : one table per day, in the order of time
+        noise : standard deviation of a touched coordinate [m]; None: not known
+        more : further fields of the model, by name
+        Raises InputError: the file has no [remaining], and no covariance or no noise is given.
         """
         wide = with_joint_harmonics(robot)
         names = tuple(p.name for p in wide.parameters if p.prior > 0)
@@ -161,12 +177,12 @@ class TouchModel:
 
     @cached_property
     def usual_candidates(self) -> tuple[Candidate, ...]:
-        """The candidates for usual changes: zeros, tool, foot (the base) and lengths."""
+        """The candidates of `USUAL_KINDS`: joint zeros, tool, foot (the base) and all lengths."""
         return tuple(c for c in candidates_of(self.robot, self.names) if c.kind in USUAL_KINDS and c.names)
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:
-        """All candidates for changes, including a crash and an unknown change."""
+        """The usual candidates, then a crash (all zeros and the tool) and an unknown change."""
         usual = self.usual_candidates
         parts = [c for c in usual if c.kind in ("joint_zero", "tool")]
         columns, sizes = np.hstack([c.columns for c in parts]), np.concatenate([c.sizes for c in parts])
@@ -178,23 +194,26 @@ class TouchModel:
 
     @cached_property
     def day(self) -> Array:
-        """The day of each coordinate, counted from 1, shape (rows,)."""
+        """The day on which each coordinate was touched, counted from 1, shape (rows,)."""
         return np.repeat(np.arange(1, len(self.days) + 1), [3 * len(m) for m in self.days])
 
     @cached_property
     def _poses(self) -> Array:
-        """A number of each touch's pose, the same on all days, shape (rows / 3,)."""
+        """The index of each touch's pose, from 0, shape (rows / 3,), equal for equal readings."""
         return same_readings(np.concatenate([m.q for m in self.days]), STANDSTILL_TOLERANCE)
 
     @cached_property
     def _evaluated(self) -> tuple[Array, Array]:
-        """Measured less predicted, (rows,) [mm], and Jacobian, (rows, p) [mm per unit of scale]."""
+        """Measured less predicted coordinates, shape (rows,) [mm], and the prediction's Jacobian.
+
+        The Jacobian has the shape (rows, p) and is in mm per unit of scale.
+        """
         r, J = residuals_and_jacobian(self.robot, self.days, self.names)
         return -r.reshape(-1), J.reshape(-1, J.shape[2])
 
     @property
     def residual_mm(self) -> Array:
-        """Measured less predicted positions in the calibration's frame, shape (touches, 3) [mm]."""
+        """Measured less predicted positions in the measuring frame, shape (touches, 3) [mm]."""
         return self._evaluated[0].reshape(-1, 3)
 
     @cached_property
@@ -205,9 +224,9 @@ class TouchModel:
 
     @cached_property
     def warming(self) -> Array:
-        """The temperature above that of the calibration, or of the first day, shape (rows,) [K].
+        """The temperature above that of the calibration at each coordinate, shape (rows,) [K].
 
-        It is zero where it is not known.
+        If that is not known, it is above the first logged day's; it is zero on a day without one.
         """
         T = self.temperatures
         known = T[np.isfinite(T)]
@@ -218,9 +237,10 @@ class TouchModel:
 
     @property
     def _times(self) -> tuple[Array, bool]:
-        """The times of the calibration and of each day [years], and whether they come from dates.
+        """The times of the calibration and of each day, (days + 1,) [years], and whether dated.
 
-        The calibration is taken to be a month before the first day.
+        The calibration is assumed to be a month before the first day. If any date is not known, so
+        is each day before the next one.
         """
         if not self.dates or any(day is None for day in self.dates):
             return np.arange(len(self.days) + 1) / CAMPAIGNS_PER_YEAR, False
@@ -229,10 +249,11 @@ class TouchModel:
 
     @cached_property
     def _gaussian_model(self) -> tuple[Array, Array, Array]:
-        """The deviations y less thermal growth, their covariance without r and noise, a mask of r.
+        """The deviations y, (rows,) [mm], their covariance S, (rows, rows) [mm^2], and a mask.
 
-        The covariance is shape (rows, rows) [mm^2]; the last is a mask of equal coordinates of
-        equal poses.
+        y is measured less predicted, less the expected thermal growth. S does not include the
+        unexplained error r and noise. The mask, (rows, rows), is true for pairs of the same
+        coordinate of the same pose, which have the same r.
         """
         y, J = self._evaluated
         own = J @ self.factor
@@ -251,11 +272,13 @@ class TouchModel:
         return y, S, (pose[:, None] == pose) & (axis[:, None] == axis)
 
     @cached_property
-    def noises(self) -> list[tuple[float, Array, Array, Array]]:
-        """Posterior terms for each share of noise and unexplained error.
+    def likelihood_terms(self) -> list[tuple[float, Array, Array, Array]]:
+        """Likelihood terms of the deviations y without a change, for each level of noise.
 
-        They are the log likelihood, the inverse covariance, the whitened y, and the logarithms of
-        the roots.
+        A level is a pair of noise variance and unexplained variance. Its terms are the log
+        likelihood without its constant, the inverse covariance of y, (rows, rows) [1/mm^2], the
+        whitened y, (rows,), and the logarithms of the diagonal of the covariance's Cholesky factor,
+        (rows,).
         """
         y, S, same = self._gaussian_model
         v = self.rest**2 / 3
@@ -270,14 +293,17 @@ class TouchModel:
         return levels
 
     def control_chart(self) -> Array:
-        """Return T^2 of each day given the days before it, if nothing changed, shape (days,).
+        """Return Hotelling's T^2 of each day, given the days before and no change, shape (days,).
 
-        The shares of noise are weighted by the days before, so that a day that changed does not
-        widen its own limit. The value has the same tail probability as the weighted mean of the
-        shares.
+        Its degrees of freedom are the number of the day's coordinates. The levels of noise are
+        weighted by the likelihood of the days before, so that a day that changed does not widen its
+        own limit; T^2 has the tail probability that is their weighted mean.
         """
         numbers = np.bincount(self.day)[1:].astype(float)
-        own = [(np.bincount(self.day, z**2)[1:], np.bincount(self.day, roots)[1:]) for *_, z, roots in self.noises]
+        own = [
+            (np.bincount(self.day, z**2)[1:], np.bincount(self.day, roots)[1:])
+            for *_, z, roots in self.likelihood_terms
+        ]
         T2, roots = np.array(own).transpose(1, 0, 2)
         # Log likelihood of the days before each day.
         known = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots
@@ -286,31 +312,38 @@ class TouchModel:
         return np.asarray(chdtri(numbers, tail))
 
     def _columns(self, candidate: Candidate) -> Array:
-        """Return the displacement of the touched points by a change, shape (rows, m) [mm]."""
+        """Return the touched points' displacement per unit of amplitude, shape (rows, m) [mm].
+
+        The m amplitudes are those of the candidate's columns; an unknown change has one for each
+        coordinate of each pose.
+        """
         if candidate.kind != UNKNOWN:
             return np.asarray(self._evaluated[1] @ candidate.columns)
         at = 3 * np.repeat(self._poses, 3) + np.tile(np.arange(3), len(self._poses))
         return np.asarray(np.eye(len(candidate.sizes))[at])
 
     def _hypotheses(self) -> Iterator[_Hypotheses]:
-        """Yield the hypotheses of each candidate, course and share of noise, without seasons."""
+        """Yield the hypotheses of each candidate, course but a season, and level of noise."""
         y, (times, dated) = self._gaussian_model[0], self._times
         for c, course, weight, since, courses in weighted_hypotheses(self.candidates, self.weights, times, dated=dated):
             if course == "season":
                 continue
             Z, factors = self._columns(c), courses[:, :, 0][:, self.day]
             X = factors[:, :, None] * Z
-            for k, (base, P, *_) in enumerate(self.noises):
+            for k, (base, P, *_) in enumerate(self.likelihood_terms):
                 PX = P @ X
                 H, b = X.transpose(0, 2, 1) @ PX, PX.transpose(0, 2, 1) @ y
                 logs = log_evidence(H, b, c.sizes) + base
                 yield _Hypotheses(c, factors, Z, since, H, b, logs, weight, k)
 
     def drawn(self, seed: int = 0) -> Draws:
-        """Return posterior samples of the changes and the remaining errors."""
+        """Return `NUMBER_OF_DRAWS` posterior samples of the change and the remaining errors.
+
+        seed : of the random generator
+        """
         rng, every = np.random.default_rng(seed), list(self._hypotheses())
-        prior = sum(float(h.weight.sum()) for h in every) / len(self.noises)
-        none = np.array([n[0] for n in self.noises]) + np.log(max(1 - prior, 1e-12))
+        prior = sum(float(h.weight.sum()) for h in every) / len(self.likelihood_terms)
+        none = np.array([n[0] for n in self.likelihood_terms]) + np.log(max(1 - prior, 1e-12))
         logs = [h.logs + np.log(h.weight)[:, None] - np.log(len(KAPPAS)) for h in every]
         flat = np.concatenate([none, *(own.ravel() for own in logs)])
         p = np.exp(flat - np.logaddexp.reduce(flat))
@@ -329,7 +362,7 @@ class TouchModel:
                 row, kappa = divmod(int(number) - begins, len(KAPPAS))
                 a = h.amplitudes(row, float(KAPPAS[kappa]), len(own), rng)
                 label[own], since[own] = h.candidate.label, h.since[row]
-                x[own] = left[h.share](h.factors[row] * (a @ h.Z.T))
+                x[own] = left[h.level](h.factors[row] * (a @ h.Z.T))
                 if h.candidate.kind == UNKNOWN:  # displacements of the poses of the last day
                     moved = a.reshape(len(a), -1, 3)[:, np.unique(self._poses[(self.day == len(self.days))[::3]])]
                     extra[own] = np.sqrt((moved**2).sum(axis=2).mean(axis=1))
@@ -338,13 +371,15 @@ class TouchModel:
             begins += h.logs.size
         return Draws(label, since, d, x, extra)
 
-    def _conditional_sampler(self, share: int, rng: np.random.Generator) -> Callable[[Array], Array]:
-        """Return a function that samples x from its posterior, given displacements by changes.
+    def _conditional_sampler(self, level: int, rng: np.random.Generator) -> Callable[[Array], Array]:
+        """Return a function that samples x of `Draws` from its posterior, given a change.
 
-        The displacements have shape (n, rows) [mm]; x, shape (n, p), includes today's own
-        differences.
+        The function takes displacements of the touched points by changes, shape (n, rows) [mm], and
+        returns one sample for each, shape (n, p), in units of scale.
+
+        level : index into `likelihood_terms`
         """
-        y, J, P = self._gaussian_model[0], self._evaluated[1], self.noises[share][1]
+        y, J, P = self._gaussian_model[0], self._evaluated[1], self.likelihood_terms[level][1]
         columns, sizes = daily(self.usual_candidates)
         D, M = columns * sizes, self.factor @ self.factor.T
         today = self.day == len(self.days)
@@ -359,19 +394,23 @@ class TouchModel:
         mean = GROWTH_PER_K * warm * L
 
         def draw(moved: Array) -> Array:
+            """Return samples of x, shape (n, p), given displacements, shape (n, rows) [mm]."""
             return np.asarray(mean + (y - moved) @ K.T + rng.normal(size=(len(moved), len(root))) @ root.T)
 
         return draw
 
     @cached_property
     def task(self) -> Array:
-        """Jacobian at random poses in the learnt joint ranges, (n, 3, p) [mm per unit of scale]."""
+        """Position Jacobian at random poses in the learnt joint ranges, shape (n, 3, p).
+
+        It is in mm per unit of scale; of `TASK_POSES` poses those are kept that the robot can take.
+        """
         J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, TASK_POSES))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])
 
     @cached_property
     def weight(self) -> Array:
-        """The mean of J'J over the task's poses, shape (p, p) [mm^2]."""
+        """The mean of J'J over the task's poses, shape (p, p) [mm^2 per squared unit of scale]."""
         return np.asarray(np.einsum("kip,kiq->pq", self.task, self.task, optimize=True) / len(self.task))
 
     @property
@@ -382,8 +421,9 @@ class TouchModel:
     def size_of(self, d: Array, extra: Array | float = 0.0) -> Array:
         """Return the rms displacement over the task's poses by deviations d, shape (n,) [mm].
 
-        d : deviations in units of scale, shape (n, p); extra : rms of what no parameter explains
-            [mm]
+        d : deviations of the parameters, shape (n, p), in units of scale
+        extra : rms displacement that no parameter explains, shape (n,) or a number [mm], added as
+            independent
         """
         square = np.einsum("np,pq,nq->n", d, self.weight, d, optimize=True)
         return np.asarray(np.sqrt(np.maximum(square, 0.0) + np.square(extra)))

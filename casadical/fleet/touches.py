@@ -34,19 +34,21 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 from casadical.robot.robot_file import read_robot, to_toml
 
-# Probability of an error within the tolerance from which on the calibration is reported as valid.
+# Smallest probability of an error within the tolerance at which the calibration is reported as
+# valid.
 MIN_PROBABILITY_VALID = 0.99
-# Probability of an error above the tolerance from which on it is reported as no longer valid.
+# Smallest probability of an error above the tolerance at which the calibration is reported as no
+# longer valid.
 MIN_PROBABILITY_CHANGED = 0.9
-# Number of touches that a day needs.
+# Smallest number of touched points per day.
 MIN_TOUCHES = 2
-# Number of additional touches that are proposed where a day's are not conclusive.
+# Number of additional touches that are proposed where those of the last day do not decide.
 ADDITIONAL_TOUCHES = 2
 # JSON keys of a parameter that moved.
 _MOVED_KEYS = ("name", "value", "std_error", "unit")
-# Columns of the control chart.
+# Columns of the control chart, of which `Touches.rows` returns one row per day.
 _CHART_COLUMNS = ("day", "table", "touches", "rms_mm", "T2", "limit", "temperature_degC", "within")
-# Whether the calibration is still valid, no longer, or the touches do not decide.
+# Verdict on the calibration: still valid, not decided by these touches, or no longer valid.
 Verdict = Literal["valid", "open", "changed"]
 
 
@@ -54,14 +56,14 @@ Verdict = Literal["valid", "open", "changed"]
 class Touches(Result):
     """Verdict of touches of one or several days on a calibrated robot.
 
-    given : robot as its file has it
-    model : with all days, the last one is judged
+    given : robot as its file describes it
+    model : model of the robot and of all days, the last of which is judged
     draws : posterior samples of changes and remaining errors
-    tolerance : of the rms error over the task's poses [m]
-    more : additional touches that would decide, where these are not enough
-    notes : what was assumed
-    sources : robot file and tables
-    update : where the corrected robot is to be written, if it is better
+    tolerance : largest rms error over the task's poses of a valid calibration [m]
+    more : poses of additional touches, a row each; None where the touches decide
+    notes : sentences on what was assumed of the tables
+    sources : robot file, then the table of each day
+    update : file to which the corrected robot is to be written, if it is better; None: none
     """
 
     report: ClassVar[str] = "touches.j2"
@@ -103,41 +105,45 @@ class Touches(Result):
 
     @cached_property
     def change(self) -> Array:
-        """Posterior samples of the rms change since the calibration, shape (draws,) [m]."""
+        """Posterior samples of the rms change since the calibration, shape (draws,) [m].
+
+        It is the displacement over the task's poses.
+        """
         return self.model.size_of(self.draws.d, self.draws.extra) / MM_PER_M
 
     @property
     def probability(self) -> float:
-        """The probability that the error is within the tolerance."""
+        """The posterior probability that today's rms error is within the tolerance."""
         return float(np.mean(self.errors <= self.tolerance))
 
     @property
     def verdict(self) -> Verdict:
-        """Whether the calibration is still valid, has changed, or is open."""
+        """The verdict by `probability` and its two limits: "valid", "open" or "changed"."""
         if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
         return "changed" if 1 - self.probability >= MIN_PROBABILITY_CHANGED else "open"
 
     @property
     def label(self) -> str:
-        """The most probable change; "" for none."""
+        """The label of the most probable change, such as joint_zero@3; "" for no change."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
         return str(labels[first_of_best(counts)])
 
     @cached_property
     def departure(self) -> tuple[Array, Array]:
-        """The posterior mean of the parameters' deviation by changes, and its covariance.
+        """The posterior mean, (p,), and covariance, (p, p), of the parameters' changes.
 
-        In units of scale, shapes (p,) and (p, p); unknown changes are excluded.
+        They are in units of scale; samples with an unknown change are excluded.
         """
         known = self.draws.d[self.draws.label != UNKNOWN]
         return known.mean(axis=0), np.atleast_2d(np.cov(known.T))
 
     @cached_property
     def gain(self) -> tuple[float, float, float]:
-        """The rms change since the calibration, that after a correction [m], and their comparison.
+        """(before, after, probability): effect of correcting the robot by the mean deviation.
 
-        The third number is the probability that the correction makes the change smaller.
+        The first two are the rms change since the calibration without and with the correction [m];
+        the third is the probability that the correction makes the change smaller.
         """
         d = self.departure[0]
         before, after = self.change, self.model.size_of(self.draws.d - d, self.draws.extra) / MM_PER_M
@@ -145,7 +151,7 @@ class Touches(Result):
 
     @property
     def better(self) -> bool:
-        """Whether the corrected robot is better than the uncorrected one."""
+        """Whether the correction is significant and large enough for a corrected robot file."""
         before, after, sure = self.gain
         # A correction must be better with a probability of 0.95, and remove more than 20 % of the
         # error that the file states.
@@ -153,7 +159,11 @@ class Touches(Result):
 
     @cached_property
     def moved(self) -> list[tuple[str, float, float, str]]:
-        """The parameters of the most probable change: name, amount, standard error, unit."""
+        """(name, amount, std error, unit) of each parameter of the most probable change.
+
+        The most significant one is first; for the change "lengths" one row holds the common growth
+        [um/m]. It is empty for no change or an unknown one.
+        """
         if self.label in ("", UNKNOWN):
             return []
         own = self.draws.d[self.draws.label == self.label]
@@ -170,7 +180,10 @@ class Touches(Result):
         return sorted(rows, key=lambda r: -abs(r[1]) / max(r[2], 1e-12))
 
     def corrected(self) -> Robot:
-        """Return the robot corrected by the mean deviation, its uncertainty added."""
+        """Return the robot corrected by the posterior mean deviation.
+
+        Its covariance and remaining errors are widened by the posterior covariance.
+        """
         d, C = self.departure
         scale = np.array([self.model.robot.parameters[n].scale for n in self.model.names])
         values = {
@@ -188,22 +201,25 @@ class Touches(Result):
 
     @property
     def why_not_updated(self) -> str:
-        """A sentence why a correction would be no better than leaving the robot as it is."""
+        """A sentence why the robot is not corrected, with the change before and after."""
         before, after, sure = self.gain
         left = f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
         return f"{left}; leaving it is as good"
 
     def updated_text(self) -> str:
-        """Return the text of the corrected robot's file. Raises InputError: it is no better."""
+        """Return the text of the corrected robot's TOML file.
+
+        Raises InputError: the correction is not better, see `better`.
+        """
         if not self.better:
             raise InputError(f"no corrected robot is written: {self.why_not_updated}")
         return to_toml(self.corrected(), f"Corrected by casadical from {len(self.model.days[-1])} touches.")
 
     @property
     def change_in_words(self) -> str:
-        """The most probable change, its probability and its beginning, in words."""
+        """The most probable change, its probability and the table that first shows it, in words."""
         label = self.label
-        sure = f"probability {self.draws.share(label):.2f}"
+        sure = f"probability {self.draws.probability(label):.2f}"
         if not label:
             return f"nothing changed that these touches show ({sure})"
         words = _CHANGE_WORDS.get(label, label.replace("@", " of joint ").replace("_", " "))
@@ -216,13 +232,13 @@ class Touches(Result):
 
     @property
     def what_moved(self) -> list[Table]:
-        """A table of the parameters that moved, the most significant first; empty if none did."""
+        """A list of one table with the eight most significant parameters of `moved`, or of none."""
         rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
         return [Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2}))] if rows else []
 
     @property
     def more_touches(self) -> list[Table]:
-        """A table of additional touches, where these are not enough; else empty."""
+        """A list of one table with the readings of additional touches; empty if there are none."""
         if self.more is None:
             return []
         keys = list(self.given.reading_units)
@@ -232,7 +248,7 @@ class Touches(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command."""
+        """The suggested next command in a list of one; empty where nothing is to be done."""
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
@@ -248,13 +264,21 @@ class Touches(Result):
 
     @property
     def outcomes(self) -> dict[str, float]:
-        """The probability of each change."""
+        """Posterior probability of each change, by its label, and of no change, by "nothing".
+
+        They are shares of the posterior samples and add up to one; changes without a sample are
+        missing.
+        """
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
         return {str(n) or "nothing": float(c / counts.sum()) for n, c in zip(labels, counts, strict=True)}
 
     @property
     def correction(self) -> dict[str, float | bool]:
-        """The effect of a correction, lengths in mm, for the JSON."""
+        """The effect of a correction for the JSON file, as of `gain` in mm.
+
+        The keys are before_mm, after_mm, better (probability of a smaller change) and written
+        (whether the correction is accepted).
+        """
         before, after, sure = self.gain
         return {"before_mm": MM_PER_M * before, "after_mm": MM_PER_M * after, "better": sure, "written": self.better}
 
@@ -278,7 +302,7 @@ class Touches(Result):
         )
 
     def page(self) -> Page:
-        """Return the verdict and the control chart on one page."""
+        """Return the report of `casadical verify --touches --report`: verdict and control chart."""
         rows = self.rows()
         x = list(range(1, len(rows) + 1))
         colour = ["blue" if row[-1] == "yes" else "red" for row in rows]
@@ -326,7 +350,7 @@ class Touches(Result):
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
 
 
-# Words for kinds of change.
+# Words for labels of changes in reports; other labels are written with spaces.
 _CHANGE_WORDS = {
     CRASH: "zeros and tool together, as after a crash",
     UNKNOWN: "nothing that usually changes explains it",
@@ -336,9 +360,12 @@ _CHANGE_WORDS = {
 
 
 def _widened_knowledge(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
-    """Return the covariances of a robot with that of a correction added, for shared parameters.
+    """Return a robot's knowledge with the covariance of a correction added to its own.
 
-    C : covariance of the correction [SI], shape (p, p)
+    It is added within each block of parameters; None stays None.
+
+    names : corrected parameters, p of them
+    C : covariance of the correction, shape (p, p) [SI]
     """
     if known is None:
         return None
@@ -357,7 +384,9 @@ def _widened_remaining(
 ) -> RemainingErrors | None:
     """Return the remaining errors with the covariance of a correction added to their second moment.
 
-    C : covariance of the correction in units of scale, shape (p, p)
+    names : corrected parameters, p of them
+    C : covariance of the correction, shape (p, p), in units of scale
+    scale : unit of each corrected parameter, shape (p,) [SI]
     """
     if remaining is None:
         return None
@@ -372,8 +401,11 @@ def _widened_remaining(
 
 
 def changes_in_fleet(path: Path) -> Mapping[str, float]:
-    """Return the frequency of each kind of change, with those that a fleet's JSON counts added.
+    """Return the relative frequency of each kind of change, learnt from a fleet.
 
+    It is `CHANGE_FREQUENCY` plus the number of changes of the kind in the fleet.
+
+    path : JSON file that `casadical fleet --json` wrote
     Raises InputError: the file holds no robots.
     """
     robots = load_json(path).get("robots")
@@ -384,7 +416,10 @@ def changes_in_fleet(path: Path) -> Mapping[str, float]:
 
 
 def usual_changes(robot: Robot) -> Prior:
-    """Return a prior for usual changes: zeros, tool and base, each about its value."""
+    """Return a prior of joint zeros, tool and base about the robot's values.
+
+    The standard deviations are the usual sizes of their changes.
+    """
     model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
     sizes = {
         n: float(s) * robot.parameters[n].scale
@@ -404,16 +439,16 @@ def plan_touches(
     touched: Measurements | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Return the poses that determine usual changes (zeros, tool, foot) best.
+    """Return the poses that determine usual changes (joint zeros, tool, foot) best.
 
     robot : file as `calibrate --out` writes it, or its folder
     n : number of touches
-    noise_mm : standard deviation of a coordinate; None: the unexplained error of the file's
-        [remaining], or 0.1
-    room : file of a workspace
+    noise_mm : standard deviation of a coordinate [mm], to which the unexplained error of the file's
+        [remaining] is added; None: that error alone, or 0.1 mm without one
+    room : workspace file; None: the robot's joint limits
     touched : touches of today, to which these are added
     seed : of the search
-    Returns a table, one row per touch. Raises InputError.
+    Returns a table with one row of readings and predicted position per touch. Raises InputError.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
@@ -432,15 +467,17 @@ def touched(
 ) -> Touches:
     """Return the verdict of touched points of one or several days on a calibrated robot.
 
-    The points are positions in the frame of the calibration.
+    The points are positions in the measuring frame of the calibration.
 
     robot : as of `plan_touches`
-    tables : one per day; the last one is judged, the others are its history
-    tolerance_mm : of the rms error over the poses on which the robot was learnt; None: twice what
-        the file states
-    noise_mm : standard deviation of a coordinate; None: not known
-    fleet : JSON file of `casadical fleet --json`
-    seed : of the samples
+    tables : one per day; the last one by date is judged, the others are its history; of more than
+        30 the last 30 are used
+    tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:
+        twice what the file states
+    noise_mm : standard deviation of a touched coordinate [mm]; None: not known
+    fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
+        None: those of `CHANGE_FREQUENCY`
+    seed : of the posterior samples
     Raises InputError: no positions, fewer than two of them, another frame or robot, a file without
         covariance.
     """
@@ -458,6 +495,7 @@ def touched(
             notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
 
     def same(first: tuple[Path, Measurements], other: tuple[Path, Measurements]) -> bool:
+        """Return whether two days have equal readings and equal columns, to the last digit."""
         a, b = first[1], other[1]
         return np.array_equal(a.q, b.q) and all(np.array_equal(v, a.arrays[name]) for name, v in b.arrays.items())
 
@@ -495,7 +533,7 @@ def touched(
     tolerance = 1e-3 * tolerance_mm if tolerance_mm else 2.0 * model.stated / MM_PER_M
     sources = (place, *(p for p, _ in kept))
     touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
-    named = not touches.label or touches.draws.share(touches.label) >= 0.9
+    named = not touches.label or touches.draws.probability(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
         more = plan_touches(place, ADDITIONAL_TOUCHES, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
         return replace(touches, more=more)

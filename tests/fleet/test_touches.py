@@ -86,7 +86,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
     hit = moved(true, {"theta3": 4e-4})
     found = touched(file, [*same, day(tmp_path, 3, hit, q)])
     assert found.verdict == "changed"
-    assert (found.label, found.draws.share("joint_zero@3") > 0.95) == ("joint_zero@3", True)
+    assert (found.label, found.draws.probability("joint_zero@3") > 0.95) == ("joint_zero@3", True)
     (name, amount, std_error, unit), *_ = found.moved
     assert (name, unit) == ("theta3", "deg")
     assert abs(amount - np.rad2deg(4e-4)) < 4 * std_error
@@ -127,7 +127,7 @@ def test_a_logged_temperature_explains_growth(place, tmp_path):
     days = [day(tmp_path, k, true, q, temperature_degC=20.0) for k in (1, 2)]
     days.append(day(tmp_path, 3, grown(true, 1.2e-4), q, temperature_degC=30.0))
     told = touched(file, days)
-    assert told.draws.share("") > 0.5
+    assert told.draws.probability("") > 0.5
     assert "temperature is logged" in " ".join(told.notes)
     assert told.rows()[-1][-1] == "yes"
     days = [day(tmp_path, k, true if k < 3 else grown(true, 1.2e-4), q) for k in (1, 2, 3)]
@@ -157,7 +157,7 @@ def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_pat
     (tmp_path / "fleet.json").write_text(json.dumps({"robots": robots}))
     table = day(tmp_path, 1, moved(true, {"tool_z": 2e-4}), q[:3])
     plain, known = (touched(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
-    assert known.draws.share("tool") > plain.draws.share("tool")
+    assert known.draws.probability("tool") > plain.draws.probability("tool")
     (tmp_path / "fleet.json").write_text("{}")
     with pytest.raises(InputError, match="holds no robots"):
         touched(file, [table], fleet=tmp_path / "fleet.json")
