@@ -9,16 +9,17 @@ import platformdirs
 
 
 def private_folder(name: str = "") -> Path | None:
-    """Return the user's cache folder (CASADICAL_CACHE, else the system's), or one in it.
+    """Return casadical's cache folder, or one in it.
 
-    It is made with mode 0700.
+    It is the folder `casadical` in that of the variable CASADICAL_CACHE, else in the user's cache
+    folder; it is made with mode 0700. The folder of the variable itself is left as it is.
 
     If others could write to it, their permission and the cached files are removed. None where it
     cannot be made, is a link, or belongs to another user.
     """
     try:
         given = os.environ.get("CASADICAL_CACHE")
-        folder = Path(given or platformdirs.user_cache_dir("casadical"))
+        folder = Path(given, "casadical") if given else Path(platformdirs.user_cache_dir("casadical"))
         if not (given or folder.is_absolute()):  # no home: "~" was left as it is
             return None
         for place in (folder, folder / name) if name else (folder,):

@@ -113,7 +113,7 @@ class Drive(TomlTable):
     command_filter: Annotated[Each, _TIME] = None
     read_skew: Annotated[Each, _TIME] = None
     floor: Annotated[float | None, _HEIGHT] = None
-    log_rate_Hz: Annotated[float, Field(gt=0)] | None = None
+    log_rate_Hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
     log_angles: Literal["deg", "rad", "percent"] | None = None
     log_effort: Literal["torque", "current"] | None = None
     temperature: str = ""

@@ -88,6 +88,7 @@ def choose(
     loads : of the robot, see `derive`
     Variants that replace others where a column is missing are left out if it was logged
     (`Effect.only_without`).
+    Raises InputError where columns are missing for every effect of the list.
     """
     _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions], loads)
     possible, without = [], {}
@@ -102,6 +103,9 @@ def choose(
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
         elif candidate.listed and not candidate.variants[0][0].from_kind:
             without[candidate.label] = tuple(dict.fromkeys(c for lack in lacking for c in lack))
+    if without and not any(c.listed for c in possible):
+        words = "; ".join(f"{label} needs {', '.join(lack)}" for label, lack in without.items())
+        raise InputError(f"none of the chosen effects can be tried, for the table lacks columns: {words}")
     return tuple(possible), without
 
 

@@ -27,6 +27,7 @@ from casadical.effects.base import Context, Counterparts, Effect
 from casadical.effects.formula import Formula, parse
 from casadical.effects.formula_effect import (
     DEFAULT_TARGET_DIRECTION,
+    NUMBERED_NAME,
     SEAMS,
     STATION_SEAMS,
     FormulaEffect,
@@ -422,6 +423,8 @@ def _refuse_names(d: Definition) -> None:
             raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")
     taken = {"t", "r", "joint", *(d.settings.keys() & d.sizes.keys())}
     for name in (*d.settings, *d.sizes):
+        if NUMBERED_NAME.fullmatch(name):
+            raise InputError(f"{name}: is a variable of formulas; give the parameter or setting another name")
         if name in taken or not _NAME_PATTERN.fullmatch(_PLACEHOLDER.sub("1", name)):
             raise InputError(f"{name}: a name of small letters, digits and _ of its own is needed, not t, r or joint")
     for text in _templates(d):

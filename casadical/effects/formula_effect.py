@@ -76,7 +76,7 @@ _POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
 # Pattern of names in a formula for every joint, which stand for each joint's own.
 JOINT_NAME = re.compile(r"q|tau|approach|move")
 # Pattern of names with the number of a joint or link.
-_NUMBERED_NAME = re.compile(
+NUMBERED_NAME = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
 # Names of an instrument's range [m], direction about the vertical [rad], and cosine between beam
@@ -126,7 +126,7 @@ class FormulaEffect(Effect):
         """Check that joints and payload in the formulas exist in the arm. Raises InputError."""
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
-            numbered = _NUMBERED_NAME.fullmatch(name)
+            numbered = NUMBERED_NAME.fullmatch(name)
             if numbered and int(numbered[1]) not in (*arm.numbers, *([0] if name[0] == "m" else [])):
                 text = next(iter(self.formulas.values())).text
                 raise InputError(f"formula {text!r}: {name}; robot {arm.name!r} has joints 1 to {arm.n}")

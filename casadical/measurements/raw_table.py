@@ -157,7 +157,7 @@ def _parquet(path: Path, data: bytes) -> RawTable:
 
     Its rows are numbered as in a text file, from 2 on.
     """
-    parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[fleet]'")
+    parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[logs]'")
     with foreign(f"{path}: not a readable table", "write it again"), parquet.ParquetFile(io.BytesIO(data)) as file:
         refuse_many(path, file.metadata.num_rows * len(file.schema_arrow.names))
         table = file.read()
@@ -166,6 +166,8 @@ def _parquet(path: Path, data: bytes) -> RawTable:
         header = tuple(str(name).strip() for name in table.column_names)
         refuse_repeated_names(header, str(path))
         frame = table.to_pandas(ignore_metadata=True).set_axis(header, axis=1)
+        # Truth values are words, as they are in a text file; pandas would take them for 0 and 1.
+        frame = frame.astype(dict.fromkeys(frame.select_dtypes(bool).columns, str))
     if not len(frame):
         raise InputError(f"{path}: no rows; at least one is needed")
     return RawTable(path, header, (), frame, np.arange(len(frame)) + 2, table_form.Form("parquet"))

@@ -1,6 +1,7 @@
 """Small parts of the ground floor, each against another way to say the same."""
 
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -88,17 +89,28 @@ def test_a_toml_table_is_a_table() -> None:
 
 def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "of others").mkdir()
-    (tmp_path / "cache").symlink_to(tmp_path / "of others")
-    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "casadical").symlink_to(tmp_path / "of others")
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
     assert private_folder() is None
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "new"))
-    assert private_folder("kernels") == tmp_path / "new" / "kernels"
+    assert private_folder("kernels") == tmp_path / "new" / "casadical" / "kernels"
+
+
+def test_the_folder_that_holds_the_cache_keeps_its_mode_and_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tmp_path.chmod(0o777)
+    (tmp_path / f"of-another-program-{'0' * 32}.so").touch()
+    monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path))
+    assert private_folder() == tmp_path / "casadical"
+    assert stat.S_IMODE(tmp_path.stat().st_mode) == 0o777
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["casadical", f"of-another-program-{'0' * 32}.so"]
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="no owners of files here")
 def test_a_folder_of_another_user_is_no_private_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CASADICAL_CACHE", str(tmp_path / "cache"))
-    assert private_folder() == tmp_path / "cache"
+    assert private_folder() == tmp_path / "cache" / "casadical"
     another = os.geteuid() + 1
     monkeypatch.setattr(os, "geteuid", lambda: another)
     assert private_folder() is None

@@ -53,7 +53,7 @@ def test_kept_formulas_give_the_same_bits_and_are_not_composed_again(columns, mo
 def test_other_code_has_a_file_of_its_own(columns: Columns, tmp_path: Path) -> None:
     columns()
     s = seams_of(robot("kr210"))
-    assert [*tmp_path.glob("formulas-*.json")] == [FormulaCache(s, code_hash(PACKAGE_FOLDER)).path]
+    assert [*tmp_path.rglob("formulas-*.json")] == [FormulaCache(s, code_hash(PACKAGE_FOLDER)).path]
     assert FormulaCache(s, "other").path != FormulaCache(s, code_hash(PACKAGE_FOLDER)).path
 
 
@@ -69,7 +69,7 @@ def test_the_code_is_that_of_all_rooms_on_which_a_formula_depends(tmp_path: Path
 
 def test_a_damaged_file_is_replaced(columns: Columns, tmp_path: Path) -> None:
     first = columns()
-    (file,) = tmp_path.glob("formulas-*.json")
+    (file,) = tmp_path.rglob("formulas-*.json")
     whole = file.read_text()
     file.write_text(whole[:1000])
     np.testing.assert_array_equal(columns(), first)
@@ -86,4 +86,4 @@ def test_a_folder_that_cannot_be_written_costs_time_alone(columns, monkeypatch, 
 def test_effects_of_other_packages_and_learnt_sizes_are_not_kept(columns: Columns, tmp_path: Path) -> None:
     learnt = JointErrorCurve(None).with_sizes({1: 0.7})
     columns([Own(2), learnt])
-    assert not list(tmp_path.glob("formulas-*.json"))
+    assert not list(tmp_path.rglob("formulas-*.json"))

@@ -1,7 +1,8 @@
 """A user's own effect: twenty lines, no change to the package."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar
 
 import casadi as ca
@@ -9,10 +10,11 @@ import numpy as np
 import pytest
 from cases import diagnose, robot, simulated
 
-from casadical import InputError, identify
+from casadical import InputError, identify, isolability
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.effects import Context, Effect, Law
+from casadical.effects.definition import read_definitions
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,17 @@ def test_an_effect_of_a_joint_that_is_not_there_is_refused() -> None:
     law = Law.from_dict({"joint": 2, "settings": {"formula": "a * q9"}})
     with pytest.raises(InputError, match=r"formula 'a \* q9': q9; robot .* has joints 1 to 6"):
         diagnose(robot("ur10e"), with_cable(0.0), effects=[law])
+
+
+@pytest.mark.parametrize("ask", [diagnose, isolability])
+def test_an_effect_of_a_column_that_is_not_there_is_refused(ask: Callable[..., object], tmp_path: Path) -> None:
+    (tmp_path / "damp.effect.toml").write_text(
+        'casadical = 2\n[[definition]]\nname = "damp"\nsignature = "s"\nphysics = "p"\nneeds = ["humidity"]\n'
+        'sizes = {swelling = [5e-5, "rad"]}\nformulas.joint = "swelling * humidity"\n'
+    )
+    effects = [*read_definitions(tmp_path / "damp.effect.toml").values()]
+    with pytest.raises(InputError, match=r"none of the chosen effects can be tried.*damp@2 needs humidity"):
+        ask(robot("ur10e"), with_cable(0.0), effects=effects)
 
 
 def test_unknown_name_lists_those_that_exist() -> None:

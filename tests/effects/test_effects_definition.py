@@ -225,6 +225,7 @@ def test_a_target_looks_in_a_direction(looks: str, tmp_path: Path) -> None:
         ("{give = [50e-6", "{more = [1.0, 'm'], give = [50e-6", "sizes.more: is in no formula"),
         ("50e-6", "0.0", "sizes.give: one sigma of 0.0; must be above 0"),
         ("settings.start", "settings.give", "give: a name of small letters"),
+        ("{give = [50e-6", "{q1 = [1.0, 'm'], give = [50e-6", "q1: is a variable of formulas; give the parameter"),
         ('name = "soft_stop"', 'name = "backlash"', "there is an effect 'backlash' already"),
         ('name = "soft_stop"', 'name = "Soft stop"', "definition[1].name = 'Soft stop'"),
         ("[1.0, 1.5, 2.0]", '"far"', "grid"),

@@ -70,6 +70,8 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     channels: dict[str, dict[str, Array]] = {}
     units: dict[tuple[str, str], str] = {}
     scalars: dict[str, Array] = {}
+    headings: dict[tuple[str, str], str] = {}
+    notes: list[str] = []
     for heading in raw.header:
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
@@ -88,14 +90,24 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
             parts = [(channel, joint, "", column) for joint, column in zip(those, lists.T, strict=True)]
         for channel, joint, unit, cells in parts:
             values = numbers_of(pd.Series(cells))
-            if channel and joint not in channels.get(channel, ()) and np.isfinite(values).any():
+            if not channel or not np.isfinite(values).any():
+                words = cells[pd.Series(cells).notna()] if channel else ()
+                if len(words) and _CANONICAL_NAME.fullmatch(heading.strip()):
+                    raise InputError(f"{source}: column {heading!r}: {shown(words.iloc[0])} is no number")
+                continue
+            first = headings.setdefault((channel, joint), heading)
+            if first == heading:
                 channels.setdefault(channel, {})[joint] = values
                 units[channel, joint] = unit or _si_name(below.get(heading, ""))
+            elif all(_CANONICAL_NAME.fullmatch(name.strip()) for name in (first, heading)):
+                raise InputError(f"{source}: columns {first} and {heading} are the {channel} of one joint; keep one")
+            else:
+                notes.append(f"column {heading} is not used, for {first} is the {channel} of joint {joint}")
     if not channels:
         raise InputError(
             f"{source}: no column holds what joints did; there are {', '.join(raw.header[:40])}. {NAMING_ADVICE}"
         )
-    return Logged(_time(raw), channels, units, np.asarray(raw.line), source, scalars)
+    return Logged(_time(raw), channels, units, np.asarray(raw.line), source, scalars, tuple(notes))
 
 
 def _lists(cells: pd.Series, raw: RawTable) -> Array | None:

@@ -149,6 +149,8 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
                 notes += (f"{channel} is left out, for there is none of {without}. Log it of every joint",)
             if apart or lost.all():
                 del arrays[channel]
+    if "position" not in arrays:
+        raise InputError(f"{log.source}: the positions of the robot's joints have no number in any row")
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
     arrays["current_unsigned"] = "abs" in {log.units.get(("current", key)) for key in keys}
@@ -198,11 +200,17 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
     """Return time and run of the rows that are used, their indices, and sentences on the others."""
     run = log.scalars.get("run")
     numbers = np.zeros(len(log.time)) if run is None else run
-    if not np.isfinite(numbers).all() or not np.isfinite(log.time).all():
-        bad = int(np.argmin(np.isfinite(numbers) & np.isfinite(log.time)))
-        raise InputError(
-            f"{log.source}: row {log.row[bad]}: time or run is no finite number; correct or delete the row"
-        )
+    whole = (numbers == np.round(numbers)) & (np.abs(numbers) < 2**53)
+    for name, values, usable, wanted in (
+        ("time", log.time, np.isfinite(log.time), "finite number"),
+        ("run", numbers, whole, "whole number below 2^53"),
+    ):
+        if not usable.all():
+            bad = int(np.argmin(usable))
+            raise InputError(
+                f"{log.source}: row {log.row[bad]}, column {name!r}: {values[bad]:g} is no {wanted}; correct or "
+                "delete the row"
+            )
     changes, steps = np.diff(numbers) != 0, np.diff(log.time)
     back = ~changes & (steps < 0)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0

@@ -176,11 +176,20 @@ def test_what_is_logged_of_some_joints_alone_is_left_out(tmp_path) -> None:
         ({"time_s": np.full(len(T), 1.0)}, "time grows in none of its 3000 rows from the row before in its run"),
         ({"run": np.arange(len(T))}, "time grows in none of its 3000 rows"),
         ({"time_s": 100 * T}, "rows lie 1 s apart; a motion is logged some times a second"),
+        ({"run": np.full(len(T), 1e30)}, r"row 2, column 'run': 1e\+30 is no whole number"),
+        ({"run": np.full(len(T), 1.5)}, r"row 2, column 'run': 1.5 is no whole number"),
+        ({"q1_deg": 0 * T}, "columns q1_rad and q1_deg are the position of one joint; keep one"),
     ],
 )
 def test_cells_that_cannot_be_are_refused(tmp_path, changes, fault) -> None:
     with pytest.raises(InputError, match=fault):
         said(tmp_path, **changes)
+
+
+def test_a_second_column_of_a_quantity_is_left_out_and_said(tmp_path) -> None:
+    assert "column joint_1_position is not used, for q1_rad is the position of joint 1" in said(
+        tmp_path, joint_1_position=0 * T
+    )
 
 
 def test_a_heading_that_is_there_twice_is_refused(tmp_path) -> None:

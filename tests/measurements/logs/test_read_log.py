@@ -164,6 +164,12 @@ def test_what_no_arm_can_have_logged_is_refused(changes, said) -> None:
         JointLog(**({"time": T, "joints": ("a", "b"), "position": Q, "command": Q} | changes))
 
 
+def test_truth_values_are_no_positions(tmp_path) -> None:
+    frame(q1_rad=T > 1, q2_rad=T > 2).to_parquet(tmp_path / "log.parquet")
+    with pytest.raises(InputError, match="column 'q1_rad': False is no number"):
+        read_log(tmp_path / "log.parquet")
+
+
 def test_gzip_that_is_damaged_or_too_large_is_refused(tmp_path) -> None:
     path = tmp_path / "log.csv.gz"
     path.write_bytes(gzip.compress(b"time_s,q1_rad\n" * 1000)[:40])

@@ -109,6 +109,10 @@ def test_bags_that_cannot_be_used(tmp_path) -> None:
             "create table topics(id,name,type,serialization_format,offered_qos_profiles);"
             f"create table messages(id,topic_id,timestamp,data);{odd};insert into messages values(1,1,NULL,NULL)"
         )
+    names = ("shoulder", "elbow_joint")
+    nothing = [("/joint_states", 1e9 + t, state(1e9 + t, names, (np.nan, np.nan), (1.0, 1.0))) for t in T]
+    with pytest.raises(InputError, match="the positions of the robot's joints have no number in any row"):
+        read_log(write(tmp_path / "nothing", nothing), ARM)
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta" / "metadata.yaml").write_text("rosbag2_bagfile_information: 5")
     for path in (tmp_path / "odd.db3", tmp_path / "meta"):
