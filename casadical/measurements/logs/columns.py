@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import json_of
 from casadical.measurements.columns import in_seconds, numbers_of
 from casadical.measurements.headings import words_of
@@ -91,8 +91,8 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
         for channel, joint, unit, cells in parts:
             values = numbers_of(pd.Series(cells))
             if not channel or not np.isfinite(values).any():
-                words = cells[pd.Series(cells).notna()] if channel else ()
-                if len(words) and _CANONICAL_NAME.fullmatch(heading.strip()):
+                words = pd.Series(cells).dropna()
+                if channel and len(words) and _CANONICAL_NAME.fullmatch(heading.strip()):
                     raise InputError(f"{source}: column {heading!r}: {shown(words.iloc[0])} is no number")
                 continue
             first = headings.setdefault((channel, joint), heading)
