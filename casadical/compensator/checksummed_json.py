@@ -15,29 +15,36 @@ from casadical.core.reading import MAX_JSON_BYTES, json_of, read_text
 
 
 def digest(body: dict[str, Any]) -> str:
-    """Return the sha256 of a JSON body in canonical form.
+    """Return the SHA-256 of plain data in canonical JSON, as 64 hexadecimal digits.
 
     Keys are sorted, there are no spaces, and numbers are Python's shortest exact decimals.
+
+    Raises ValueError for NaN and infinity.
     """
     text = json.dumps(body, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode("utf-8")).hexdigest()
 
 
 def checksummed(kind: str, version: int, body: dict[str, Any]) -> str:
-    """Return the text of a body as a file with its checksum."""
+    """Return the JSON text of a file with format, version, the fields of `body` and their sha256.
+
+    kind : name of the format; version : version of the format
+    """
     document = {"format": kind, "version": version, **body}
     return json_text(document | {"sha256": digest(document)})
 
 
 def write_checksummed(path: str | os.PathLike[str], kind: str, version: int, body: dict[str, Any]) -> None:
-    """Write a body with its checksum, atomically. Raises InputError where it cannot be written."""
+    """Write the file of `checksummed` atomically. Raises InputError where it cannot be written."""
     write_whole(Path(path), checksummed(kind, version, body))
 
 
 def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> dict[str, Any]:
     """Return the fields of a file that `write_checksummed` wrote, without the checksum.
 
-    Raises InputError when it is not there, truncated, changed, of another kind, or of a later
+    format and version are among them.
+
+    Raises InputError when it is not there, truncated, changed, of another kind, or of another
     version.
     """
     try:
@@ -56,7 +63,7 @@ def read_checksummed(path: str | os.PathLike[str], kind: str, version: int) -> d
 
 
 def _intact(document: dict[str, Any], text: str) -> bool:
-    """Return whether the checksum fits and the text is the canonical one to the last digit."""
+    """Return whether a document has its own checksum and `text` is its JSON to the last digit."""
     try:
         body = {name: value for name, value in document.items() if name != "sha256"}
         return document.get("sha256") == digest(body) and json_text(document) == text

@@ -29,9 +29,10 @@ if TYPE_CHECKING:
 class Progress:
     """Progress of a series of trainings.
 
-    training, trainings : number of the current one, from 1, and of all
-    step : of the current training
-    loss_mm2 : of its best weights so far [mm^2]
+    training : number of the current training, from 1
+    trainings : number of all trainings
+    step : number of steps done in the current training
+    loss_mm2 : the paper's loss (eq. 14) of its best weights so far [mm^2]
     """
 
     training: int
@@ -44,11 +45,11 @@ class Progress:
 class Training:
     """Outcome of one training.
 
-    weights : shape (count,)
-    loss_mm2 : the paper's loss (eq. 14) on the training poses [mm^2]
+    weights : best weights, shape (count,), in the order of `Layout`
+    loss_mm2 : the paper's loss (eq. 14) of the training poses [mm^2]
     steps : number of steps
-    reasons : why it stopped
-    note : what the trainer chose
+    reasons : why the training stopped, as text
+    note : what the trainer chose by itself, in words
     history : (step, loss [mm^2]) at regular intervals
     """
 
@@ -94,11 +95,11 @@ def train_all(
     """Train one network for each task, one after the other, and return the outcomes.
 
     tasks : training problems
-    trainer : with its settings
-    seed : of all random numbers
-    every : steps between two calls of ``progress`` and two entries of the history
-    progress : called with the state of the series
-    Raises InputError: ``every`` is below 1.
+    trainer : trainer with its settings
+    seed : seed of every training, the same for all
+    every : number of steps between two calls of `progress` and two entries of the history
+    progress : function that is called with the state of the series
+    Raises InputError: `every` is below 1.
     """
     if every < 1:
         raise InputError(f"every must be at least 1 step; got {every}")
@@ -128,21 +129,21 @@ Data = tuple[ArrayLike, ArrayLike]
 class Compensator:
     """A trained compensator, or the null one if the network was refused.
 
-    network : the one in use; None: the null compensator, which corrects nothing
+    network : network in use; None: the null compensator, which corrects nothing
     layout : sizes of the network
-    trained_box : the joint readings seen in training [rad]
+    trained_box : ranges of the joint readings of the training poses [rad]
     training : errors of the training poses without and with the trained network, even if refused
-    choice : the same of poses it was not trained on and that decided
-    validation : the same of poses that had no part in any choice
-    chosen_by : which poses decided, in words
-    margin : standard errors by which the gain had to exceed zero
+    choice : the same for poses that it was not trained on and that decided whether it is used
+    validation : the same for poses that had no part in any choice; None: none were given
+    chosen_by : poses of `choice`, in words
+    margin : number of its standard errors by which the gain had to exceed zero
     trainer : name of the trainer
-    settings : of the trainer
-    note : what the trainer chose, in words
-    seed : of everything random
-    data_sha256 : hash of the training data
-    trained : the network as trained, also when it was refused; after a fit only, it is not saved
-    history : (step, loss [mm^2]) of the training; after a fit only, it is not saved
+    settings : settings of the trainer, by name
+    note : why the training stopped and what the trainer chose, in words
+    seed : seed of everything random
+    data_sha256 : SHA-256 of the training data
+    trained : network as trained, even if refused; None for a compensator from a file
+    history : (step, loss [mm^2]) of the training; empty for a compensator from a file
 
     Examples
     --------
@@ -192,22 +193,21 @@ class Compensator:
     ) -> Self:
         """Return a network trained on residuals, or the null compensator if it does not help.
 
-
         q : shape (n, joints) [rad]: readings of the training poses
         residual_mm : shape (n, outputs) [mm]: their residuals, measured less computed
         validate : (q, residual_mm) of further poses, for the report only
         choose : (q, residual_mm) of poses that decide whether the network helps, instead of a
             cross-validation
-        trainer : one of `known_trainers` by its name, or one with its settings
-        layout : default one hidden layer of 5
-        joint_range : scales the inputs; default the box of the training poses
-        output_scale_mm : millimetres of one output unit, 1 in the paper; default the root mean
-            square residual
-        loss : what is minimised; default: the paper's
-        seed : of everything random
-        folds : trainings of the cross-validation, where `choose` is not given
+        trainer : name of one of `known_trainers`, or a trainer with its settings
+        layout : sizes of the network; None: one hidden layer of 5 neurons
+        joint_range : joint ranges that scale the inputs; None: those of the training poses
+        output_scale_mm : millimetres of one unit of the output layer, 1 in the paper; None: root
+            mean square of the residual's coordinates
+        loss : loss that is minimised; None: the paper's
+        seed : seed of everything random
+        folds : number of folds of the cross-validation, where `choose` is not given
         margin : number of its standard errors that the gain must exceed
-        progress : see `train_all`
+        progress : as of `train_all`
         Raises InputError: arrays of wrong shape or with values that are not finite, and for fewer
         than 10 poses.
         """
@@ -261,12 +261,16 @@ class Compensator:
 
     @property
     def helps(self) -> bool:
-        """Whether a network is in use."""
+        """Whether a network is in use; if not, the compensator corrects nothing."""
         return self.network is not None
 
     @property
     def verdict(self) -> str:
-        """A sentence whether the network helps, with its gain on poses not trained on."""
+        """A sentence that states whether the network helps, with its effect on held-out poses.
+
+        It has the mean error before and after [mm] and its relative reduction with the standard
+        error [%], of poses not trained on; a second sentence warns if the largest error grows.
+        """
         c = self.choice
         change = f"{c.before.mean_mm:.4g} -> {c.after.mean_mm:.4g} mm on poses not trained on, by {self.chosen_by}"
         gain = f"gain {100 * c.gain:.1f} % +/- {100 * c.gain_error:.1f} %"
@@ -284,12 +288,12 @@ class Compensator:
         return f"{self.verdict}\n{which}{table(rows)}\n{self.trainer}, seed {self.seed}: {self.note}"
 
     def correction_mm(self, q: ArrayLike) -> Array:
-        """Return what to add to computed positions, shape (n, outputs) or (outputs,) [mm].
+        """Return the correction to add to computed positions, (n, outputs) or (outputs,) [mm].
 
-        The null compensator returns zeros.
+        It is in the measuring frame. The null compensator returns zeros.
 
-        q : joint readings, shape (n, joints) or (joints,) [rad]; extrapolated outside of
-            ``trained_box``, see `inside`
+        q : joint readings, shape (n, joints) or (joints,) [rad]; outside of `trained_box` the
+            network extrapolates, see `inside`
         """
         if self.network is not None:
             return self.network.output_mm(np.asarray(q))
@@ -297,13 +301,14 @@ class Compensator:
         return np.zeros((len(rows), self.layout.outputs) if np.ndim(q) == 2 else self.layout.outputs)
 
     def inside(self, q: ArrayLike) -> Array:
-        """Return whether each row of q, (n, joints) [rad], is in the training range, shape (n,)."""
+        """Return a mask of those rows of q, (n, joints) [rad], within the training ranges, (n,)."""
         return self.trained_box.contains(joint_angles(q, self.layout.joints))
 
     def function(self) -> "casadi.Function":
         """Return the CasADi function ``network:(q[joints] rad)->(dp[outputs] mm)``.
 
-        That of the null compensator is zero."""
+        That of the null compensator is zero.
+        """
         if self.network is not None:
             return self.network.function()
         import casadi
@@ -313,7 +318,10 @@ class Compensator:
 
 
 def _apply(network: Network, data: Data) -> BeforeAfter:
-    """Return the errors of poses (q, residual_mm) without and with a network."""
+    """Return the position errors of poses without and with a network.
+
+    data : joint readings, shape (n, joints) [rad], and residuals, shape (n, outputs) [mm]
+    """
     rows = joint_angles(data[0], network.layout.joints)
     before = residuals(data[1], len(rows), network.layout.outputs)
     return BeforeAfter.compare(before, before - network.output_mm(rows))

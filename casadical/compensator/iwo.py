@@ -24,13 +24,13 @@ class IwoSettings:
     """Settings of the search; the defaults are the paper's (section 4).
 
     initial : number of members at the start
-    maximum : largest number of members
-    seeds_min : children of the worst member
-    seeds_max : children of the best member
-    exponent : of eq. 13
+    maximum : largest number of members of later generations
+    seeds_min : number of children of the worst member
+    seeds_max : number of children of the best member
+    exponent : exponent with which the steps shrink, eq. 13
     sigma_initial : standard deviation of steps at the start, eq. 13 [unit of the bounds]
     sigma_final : standard deviation of steps at the end, eq. 13 [unit of the bounds]
-    lower, upper : bounds of all coordinates, or one for each coordinate
+    lower, upper : bounds, one number for all coordinates or one for each
     dispersal : "normal" for steps N(0, sigma), "literal" for the printed sigma * K with K uniform
         in [0, 1]
     iterations : largest number of generations
@@ -75,7 +75,8 @@ class IwoSettings:
     def sigma(self, iteration: int) -> float:
         """Return the standard deviation of steps in a generation [unit of the bounds] (eq. 13).
 
-        iteration : number of the generation, 0 .. iterations"""
+        iteration : number of the generation, 0 to `iterations`
+        """
         left = (self.iterations - iteration) / self.iterations
         return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
 
@@ -83,10 +84,11 @@ class IwoSettings:
 def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
     """Return the number of children of every member, shape (members,) (eqs. 15-16).
 
-    If all losses are equal, all members count as best. A member whose loss is not finite has the
-    fewest.
+    The number falls linearly from the best to the worst finite loss. If all losses are equal, all
+    members count as best. A member whose loss is not finite has `seeds_min` children.
 
     losses : shape (members,)
+    seeds_min, seeds_max : numbers of children of the worst and the best member
     """
     best, worst = losses.min(), losses.max()
     if not isfinite(worst):
@@ -99,11 +101,11 @@ def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:
 
 @dataclass(frozen=True)
 class IwoHistory:
-    """History of a search by generation.
+    """History of a search, with one entry per generation.
 
-    evaluations : number so far
+    evaluations : number of points evaluated so far
     best, worst : loss of the best and the worst member
-    sigma : standard deviation of the steps
+    sigma : standard deviation of the steps [unit of the bounds]
     """
 
     evaluations: tuple[int, ...] = ()
@@ -117,10 +119,10 @@ class IwoResult:
     """Outcome of a search.
 
     x : best point, shape (dimension,) [unit of the bounds]
-    loss : at x
-    reasons : why the search stopped
+    loss : loss at x
+    reasons : why the search stopped, as text
     evaluations : number of evaluated points
-    history : by generation
+    history : evaluations, losses and steps by generation
     """
 
     x: Array
@@ -172,9 +174,10 @@ class InvasiveWeeds:
             raise InputError(f"start must have shape (k, {dimension}); its shape is {self._start.shape}")
 
     def ask(self) -> Array:
-        """Return the points to evaluate next, shape (k, dimension) [unit of the bounds].
+        """Return the k points to evaluate next, shape (k, dimension) [unit of the bounds].
 
-        They stay the same until `tell` is called.
+        They are the first members or the children of the members; they stay the same until `tell`
+        is called.
         """
         if self._asked is None and self.iteration < 0:
             missing = max(self.settings.initial - len(self._start), 0)
@@ -185,9 +188,9 @@ class InvasiveWeeds:
         return self._asked
 
     def tell(self, losses: ArrayLike) -> None:
-        """Take the losses, shape (k,), of the points of `ask`, and select the next members.
+        """Record the losses, shape (k,), of the points of `ask`, and select the next members.
 
-        Parents compete with their children; a NaN counts as an infinite loss.
+        Those of least loss among parents and children are selected; NaN counts as infinite.
         Raises InputError: no ask() before, or another number of losses.
         """
         if self._asked is None:
@@ -210,7 +213,7 @@ class InvasiveWeeds:
         self._asked = None
 
     def stop(self) -> tuple[str, ...]:
-        """Return the reasons to stop; empty as long as the search should continue."""
+        """Return the reasons to stop as text; empty as long as the search should continue."""
         reasons, s = [], self.settings
         if self.iteration >= s.iterations:
             reasons.append(f"iterations: all {s.iterations} generations done")
@@ -223,14 +226,15 @@ class InvasiveWeeds:
     def result(self) -> IwoResult:
         """Return the best point so far with the history.
 
-        Raises InputError: nothing was evaluated yet."""
+        Raises InputError: nothing was evaluated yet.
+        """
         if self.iteration < 0:
             raise InputError("nothing has been evaluated yet: call ask() and tell() first")
         history = IwoHistory(*(tuple(column) for column in zip(*self._log, strict=True)))
         return IwoResult(self.members[0].copy(), float(self.losses[0]), self.stop(), self.evaluations, history)
 
     def _children(self) -> Array:
-        """Return the children of all members, clipped at the bounds, shape (k, dimension)."""
+        """Return random children of all members, clipped at the bounds, shape (k, dimension)."""
         s = self.settings
         counts = seed_counts(self.losses, s.seeds_min, s.seeds_max)
         children = self.members.repeat(counts, axis=0)
@@ -252,7 +256,7 @@ def iwo_minimise(
     vectorised: bool = True,
     start: ArrayLike | None = None,
 ) -> IwoResult:
-    """Return the minimum of an objective, found by invasive weed optimisation.
+    """Return the lowest point of an objective that invasive weed optimisation finds.
 
     objective : takes points of shape (k, dimension) and returns k losses; with ``vectorised=False``
         one point, shape (dimension,), and returns its loss

@@ -53,23 +53,24 @@ class Layout:
 
     @property
     def features(self) -> int:
-        """The number of network inputs: one for each joint, two for a periodic one."""
+        """The number of network inputs, without that of the biases: two for a periodic joint."""
         return self.joints + len(self.periodic)
 
     @cached_property
     def shapes(self) -> tuple[tuple[int, int], ...]:
-        """The shape of ``[W | b]`` of every layer, inputs to outputs."""
+        """The shape (neurons, inputs + 1) of ``[W | b]`` of every layer, inputs to outputs."""
         sizes = (self.features, *self.hidden, self.outputs)
         return tuple((m, k + 1) for k, m in pairwise(sizes))
 
     @cached_property
     def count(self) -> int:
-        """The number of weights."""
+        """The number of weights, biases included."""
         return sum(m * k for m, k in self.shapes)
 
     def layers(self, weights: Array) -> list[Array]:
-        """Split weights, shape (..., count), into one array (..., m, k + 1) for each layer.
+        """Return the weights of each layer, shape (..., m, k + 1), for m neurons on k inputs.
 
+        weights : shape (..., count)
         Raises InputError: another number of weights.
         """
         weights = np.asarray(weights)
@@ -83,8 +84,9 @@ class Layout:
         ]
 
     def weights(self, layers: Sequence[Array]) -> Array:
-        """Join layers, shape (..., m, k + 1) each, into weights, shape (..., count).
+        """Return the weights, shape (..., count), of given layers.
 
+        layers : shape (..., m, k + 1) each, for m neurons on k inputs
         Raises InputError: layers of other shapes.
         """
         got = [np.shape(layer)[-2:] for layer in layers]
@@ -93,7 +95,7 @@ class Layout:
         return np.concatenate([np.asarray(part).reshape(*np.shape(part)[:-2], -1) for part in layers], axis=-1)
 
     def output_biases(self) -> Array:
-        """Return a mask of the output layer's biases in a weight vector, shape (count,)."""
+        """Return a mask of a weight vector, true for the output layer's biases, shape (count,)."""
         marks = [np.zeros(shape, dtype=bool) for shape in self.shapes]
         marks[-1][:, -1] = True
         return np.concatenate([mark.ravel() for mark in marks])
@@ -103,9 +105,9 @@ class Layout:
 class JointBox:
     """Joint ranges by which a network's inputs are scaled and within which it is valid.
 
-    lower : for each joint [rad]; it is mapped to -1
-    upper : for each joint [rad]; it is mapped to +1; a joint that does not move (lower == upper) is
-        mapped to q - lower
+    lower : lower end of each joint's range [rad], which is mapped to -1
+    upper : upper end of each joint's range [rad], which is mapped to +1; a joint that does not move
+        (lower == upper) is mapped to q - lower
 
     Examples
     --------
@@ -139,21 +141,21 @@ class JointBox:
         return np.where(half > 0, half, 1.0)
 
     def contains(self, q: Array) -> Array:
-        """Return whether each row of q, (n, joints) [rad], lies in the box, shape (n,)."""
+        """Return a mask of those rows of q, (n, joints) [rad], that lie in the box, shape (n,)."""
         within: Array = (q >= self.lower) & (q <= self.upper)
         return np.asarray(within.all(axis=1), dtype=np.bool_)
 
 
 def box_around(q: Array) -> JointBox:
-    """Return the smallest box that holds the joint angles q, shape (n, joints) [rad]."""
+    """Return the smallest box that contains the joint angles q, shape (n, joints) [rad]."""
     return JointBox(tuple(q.min(axis=0)), tuple(q.max(axis=0)))
 
 
 def network_inputs(layout: Layout, box: JointBox, q: Array) -> Array:
     """Return joint angles q, shape (n, joints) [rad], as network inputs, shape (features + 1, n).
 
-    The rows are, joint after joint, the scaled angle, or sin and cos of a periodic joint. The last
-    row is one: the input of the biases.
+    The rows are, joint after joint, the angle scaled from the box to -1..1, or sin and cos of a
+    periodic joint. The last row is one: the input of the biases.
     """
     rows: list[Array] = []
     centre, half = box.centre, box.half_width

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class OutputBuffers:
-    """Reusable arrays for the layers' outputs.
+    """Memory for the layers' outputs, which is reused by the next call.
 
     Allocating new memory in each call costs more than the matrix products.
     """
@@ -35,9 +35,11 @@ class OutputBuffers:
         self._arrays: dict[tuple[int, bool], Array] = {}
 
     def __call__(self, level: int, shape: tuple[int, ...], dtype: np.dtype[Any], ones: bool = False) -> Array:
-        """Return an array of this shape with undefined content, initially ones if `ones` is set.
+        """Return an array of this shape, whose memory the next call for the same layer reuses.
 
-        The last row, the input of the biases, is never written to and therefore stays one.
+        level : index of the layer
+        ones : whether the array is an input of the layer and begins as ones; its last row, the
+            input of the biases, is never written to and stays one. Else its content is undefined.
         """
         buffer, tail = self._arrays.get((level, ones)), shape[1:]
         if buffer is None or buffer.dtype != dtype or buffer.shape[1:] != tail or len(buffer) < shape[0]:
@@ -48,8 +50,9 @@ class OutputBuffers:
 def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffers | None = None) -> Array:
     """Return the outputs of every network for every sample, shape (P, O, N).
 
-    The precision is that of the arguments.
+    They are in units of the output layer and have the precision of the arguments.
 
+    weights : shape (P, count); inputs : as of `network_inputs`, shape (features + 1, N)
     buffers : memory for the outputs; the next call with it overwrites them
     """
     first, *rest = layout.layers(weights)
@@ -66,7 +69,12 @@ def forward(layout: Layout, weights: Array, inputs: Array, buffers: OutputBuffer
 
 
 def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
-    """Return every layer's input, shape (P, k + 1, N), with a last row of ones, and the outputs."""
+    """Return the input of every layer, shape (P, k + 1, N), and then the outputs, (P, O, N).
+
+    The last row of an input is one.
+
+    weights : shape (P, count); inputs : shape (features + 1, N)
+    """
     count, samples = len(weights), inputs.shape[1]
     enters = [np.broadcast_to(inputs, (count, *inputs.shape))]
     layers = layout.layers(weights)
@@ -78,9 +86,12 @@ def _activations(layout: Layout, weights: Array, inputs: Array) -> list[Array]:
 
 
 def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) -> Array:
-    """Return the gradient of a scalar by the weights, shape (P, count), by back-propagation.
+    """Return the gradient of a function of the outputs by the weights, shape (P, count).
 
-    sensitivity : its gradient by the outputs, shape (P, O, N)
+    It is computed by back-propagation.
+
+    weights : shape (P, count); inputs : shape (features + 1, N)
+    sensitivity : gradient of the function by the outputs, shape (P, O, N)
     """
     *enters, _ = _activations(layout, weights, inputs)
     layers = layout.layers(weights)
@@ -95,7 +106,10 @@ def gradient(layout: Layout, weights: Array, inputs: Array, sensitivity: Array) 
 
 
 def outputs_and_jacobian(layout: Layout, weights: Array, inputs: Array) -> tuple[Array, Array]:
-    """Return outputs, (P, O, N), and their Jacobian by the weights, (P, count, O, N)."""
+    """Return the outputs, (P, O, N), and their Jacobian by the weights, (P, count, O, N).
+
+    weights : shape (P, count); inputs : shape (features + 1, N)
+    """
     *enters, outputs = _activations(layout, weights, inputs)
     layers = layout.layers(weights)
     count, size, samples = outputs.shape
@@ -120,9 +134,9 @@ class Network:
     """A trained network.
 
     layout : layer sizes
-    box : joint ranges of the input scaling [rad]
+    box : joint ranges by which the inputs are scaled [rad]
     weights : in the order that `casadical.compensator.layout` defines, shape (layout.count,)
-    output_scale_mm : factor from the output layer to millimetres [mm]; 1 in the paper
+    output_scale_mm : millimetres of one unit of the output layer; 1 in the paper
 
     Examples
     --------
@@ -154,9 +168,9 @@ class Network:
         object.__setattr__(self, "weights", weights)
 
     def output_mm(self, q: Array) -> Array:
-        """Return the correction at joint readings, shape (n, outputs) or (outputs,) [mm].
+        """Return the position correction at joint readings, shape (n, outputs) or (outputs,) [mm].
 
-        q : shape (n, joints) or (joints,) [rad]
+        q : joint readings, shape (n, joints) or (joints,) [rad]
 
         Raises InputError: another shape, or an angle that is not finite.
         """
@@ -186,7 +200,7 @@ class Network:
 def joint_angles(q: ArrayLike, joints: int | None) -> Array:
     """Return q as an array of shape (n, joints) [rad]; a single pose may have shape (joints,).
 
-    joints : None: as many as there are
+    joints : required number of joints; None: any
     Raises InputError for another shape or values that are not finite.
     """
     rows = _numbers(q, "q")
@@ -198,8 +212,9 @@ def joint_angles(q: ArrayLike, joints: int | None) -> Array:
 
 
 def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
-    """Return residuals as an array (poses, outputs) [mm].
+    """Return residuals as an array of shape (poses, outputs) [mm].
 
+    poses : required number of rows; outputs : required number of columns; None: any
     Raises InputError for another shape or values that are not finite.
     """
     rows = _numbers(residual_mm, "residual_mm")
@@ -213,7 +228,10 @@ def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
 
 
 def _numbers(values: ArrayLike, name: str) -> Array:
-    """Return values as an array of doubles. Raises InputError."""
+    """Return values as an array of doubles; name : of the argument, for the message.
+
+    Raises InputError: they are no numbers.
+    """
     try:
         return np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -221,7 +239,10 @@ def _numbers(values: ArrayLike, name: str) -> Array:
 
 
 def _finite(rows: Array, name: str, unit: str) -> None:
-    """Check that all values are finite. Raises InputError."""
+    """Check that all values are finite; name, unit : of the argument, for the message.
+
+    Raises InputError.
+    """
     bad = np.argwhere(~np.isfinite(rows))
     if len(bad):
         row, column = bad[0]
@@ -233,11 +254,11 @@ def _finite(rows: Array, name: str, unit: str) -> None:
 
 @dataclass(frozen=True)
 class Loss:
-    """The loss mean * mean(E) + max * max(E), E a pose's mean square error [mm^2].
+    """The loss mean * mean(E) + max * max(E) of the poses' mean square errors E [mm^2].
 
-    Source: paper, eqs. 12 and 14.
+    E is the mean over the outputs of a pose's squared errors. Source: paper, eqs. 12 and 14.
 
-    mean, max : weights of the two terms; 1 and 0.7 in the paper
+    mean, max : weights of the mean and the maximum over the poses; 1 and 0.7 in the paper
     """
 
     mean: float = 1.0
@@ -248,9 +269,9 @@ class Loss:
             raise InputError(f"the weights of the loss must not be negative nor both zero; got {self}")
 
     def value(self, errors: Array) -> Array:
-        """Return the loss of every network, shape (P,) [mm^2].
+        """Return the loss of every network, shape (P,), in the squared unit of the errors.
 
-        errors : shape (P, outputs, N) [mm]
+        errors : outputs less targets, shape (P, outputs, N)
         """
         _, outputs, samples = errors.shape
         totals = np.einsum("pon,pon->pn", errors, errors)
@@ -261,7 +282,10 @@ class Loss:
         return np.asarray(losses)
 
     def slope(self, errors: Array) -> Array:
-        """Return a (sub)gradient of the loss by the errors, both of shape (P, outputs, N) [mm]."""
+        """Return a (sub)gradient of the loss by the errors, shape (P, outputs, N), in their unit.
+
+        errors : outputs less targets, shape (P, outputs, N)
+        """
         networks, outputs, samples = errors.shape
         weight = np.full((networks, samples), self.mean / samples)
         worst = np.einsum("pon,pon->pn", errors, errors).argmax(axis=1)
@@ -271,13 +295,13 @@ class Loss:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A training problem.
+    """A training problem of N poses.
 
     layout : sizes of the network
-    inputs : as of `network_inputs`, shape (features + 1, N)
-    targets : residuals divided by ``scale_mm``, shape (outputs, N) [units of the output layer]
-    scale_mm : millimetres of one unit of the output layer [mm]
-    loss : what is minimised
+    inputs : scaled joint angles as of `network_inputs`, shape (features + 1, N)
+    targets : residuals divided by `scale_mm`, shape (outputs, N) [units of the output layer]
+    scale_mm : millimetres of one unit of the output layer
+    loss : loss that is minimised
     """
 
     layout: Layout
@@ -287,9 +311,12 @@ class Task:
     loss: Loss = Loss()
 
     def losses(self, weights: Array) -> Array:
-        """Return the loss of every row of weights, shape (P,) [mm^2].
+        """Return the loss of every row of weights, shape (P,) [mm^2], without a ridge.
 
-        weights : shape (P, count)
+        It is `Loss.value`: by default the mean plus 0.7 times the maximum of the poses' mean square
+        errors.
+
+        weights : one network per row, shape (P, count)
         """
         try:  # each thread uses buffers of its own
             buffers = self._idle_buffers.pop()
@@ -303,7 +330,7 @@ class Task:
 
     @cached_property
     def _idle_buffers(self) -> list[OutputBuffers]:
-        """Buffers that no thread uses at the moment."""
+        """Buffers for `losses` that no thread uses at the moment."""
         return []
 
     def errors_mm(self, weights: Array) -> Array:
@@ -318,14 +345,14 @@ class Task:
 def make_task(
     layout: Layout, box: JointBox, q: Array, residual_mm: Array, *, scale_mm: float = 1.0, loss: Loss | None = None
 ) -> Task:
-    """Return joint angles and residuals as a training problem.
+    """Return the problem of training a network on joint angles and residuals.
 
     layout : sizes of the network
-    box : joint ranges of the input scaling [rad]
+    box : joint ranges by which the inputs are scaled [rad]
     q : shape (n, joints) [rad]: joint readings
-    residual_mm : shape (n, outputs) [mm]: residuals
-    scale_mm : millimetres of one unit of the output layer [mm]
-    loss : what is minimised; None: the paper's
+    residual_mm : shape (n, outputs) [mm]: residuals, measured less computed
+    scale_mm : millimetres of one unit of the output layer
+    loss : loss that is minimised; None: the paper's
     Raises InputError: a scale that is not positive.
 
     Examples
@@ -342,18 +369,18 @@ def make_task(
 
 
 def random_weights(layout: Layout, random: np.random.Generator, count: int) -> Array:
-    """Return random start weights, shape (count, layout.count).
+    """Return random start weights of `count` networks, shape (count, layout.count).
 
-    They are normal, with the standard deviation 1 / sqrt(number of inputs of the neuron).
+    They are normal, with the standard deviation 1 / sqrt(k + 1) for a neuron on k inputs.
     """
     spread = layout.weights([np.full(shape, shape[1] ** -0.5) for shape in layout.shapes])
     return np.asarray(spread * random.standard_normal((count, layout.count)), dtype=np.float64)
 
 
 def training_masks(samples: int, folds: int, seed: int) -> Array:
-    """Return random folds as masks of the training samples, shape (folds, samples).
+    """Return a mask of the training samples of each random fold, shape (folds, samples).
 
-    The sizes of the folds differ by at most one.
+    It is false for the samples that the fold holds out, whose number differs by at most one.
     """
     order = np.random.default_rng(seed).permutation(samples)
     masks = np.ones((folds, samples), dtype=bool)

@@ -12,9 +12,9 @@ from casadical.core.basics import Array
 class Errors:
     """Statistics of the position errors of a set of poses.
 
-    poses : number of poses
-    mean_mm, max_mm, std_mm : mean, maximum and sample standard deviation (n - 1) of the distances
-        [mm]
+    poses : number n of poses
+    mean_mm, max_mm, std_mm : mean, maximum and sample standard deviation (divisor n - 1) of the
+        errors' norms [mm]; the last is 0 for one pose
     """
 
     poses: int
@@ -24,7 +24,7 @@ class Errors:
 
     @classmethod
     def summarise(cls, errors_mm: Array) -> Self:
-        """Return the statistics of error vectors, shape (n, outputs) [mm]."""
+        """Return the statistics of the norms of error vectors, shape (n, outputs) [mm]."""
         length = np.linalg.norm(errors_mm, axis=1)
         spread = float(length.std(ddof=1)) if len(length) > 1 else 0.0
         return cls(len(length), float(length.mean()), float(length.max()), spread)
@@ -32,10 +32,10 @@ class Errors:
 
 @dataclass(frozen=True)
 class BeforeAfter:
-    """Errors of poses without and with the network.
+    """Errors of the same poses without and with the network.
 
-    before, after : statistics
-    gain : 1 - mean after / mean before
+    before, after : statistics without and with the network
+    gain : relative reduction of the mean error, 1 - mean after / mean before; 0.3 is 30 %
     gain_error : standard error of the gain
     """
 
@@ -46,7 +46,10 @@ class BeforeAfter:
 
     @classmethod
     def compare(cls, before_mm: Array, after_mm: Array) -> Self:
-        """Return the comparison of the same poses' error vectors, shape (n, outputs) [mm]."""
+        """Return the comparison of n poses' error vectors without and with the network.
+
+        before_mm, after_mm : shape (n, outputs) [mm]
+        """
         was, now = np.linalg.norm(before_mm, axis=1), np.linalg.norm(after_mm, axis=1)
         mean = float(was.mean())
         if mean == 0.0:
@@ -58,7 +61,7 @@ class BeforeAfter:
 
 
 def table(rows: dict[str, BeforeAfter]) -> str:
-    """Return the figures of several sets as a plain text table."""
+    """Return the statistics of several sets of poses, by name, as a plain text table [mm]."""
     lines = [f"{'[mm]':24}{'poses':>6}  {'mean':>15}  {'max':>15}  {'std':>15}"]
     for name, row in rows.items():
         b, a = row.before, row.after

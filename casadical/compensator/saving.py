@@ -14,8 +14,9 @@ from casadical.compensator.network import Network
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.core.basics import InputError
 
-# Name and version of the file format, which are in each file.
+# Name of the file format, which is in each file.
 FILE_FORMAT = "casadical-compensator"
+# Version of the file format, which is in each file.
 FORMAT_VERSION = 1
 # Largest number of joints, layers, or neurons of a layer in a file.
 MAX_LAYER_SIZE = 1000
@@ -24,7 +25,7 @@ MAX_LAYER_SIZE = 1000
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
     """Write a compensator to a JSON file; an older file is replaced atomically.
 
-    compensator : of a fit
+    compensator : compensator of a fit; its fields `trained` and `history` are not saved
     path : JSON file
 
     Examples
@@ -36,12 +37,12 @@ def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> 
 
 
 def compensator_text(compensator: Compensator) -> str:
-    """Return the text that `save_compensator` writes, to be written with other files."""
+    """Return the JSON text that `save_compensator` writes, for writing it with other files."""
     return checksummed(FILE_FORMAT, FORMAT_VERSION, _body(compensator))
 
 
 def _body(compensator: Compensator) -> dict[str, Any]:
-    """Return a compensator as plain data."""
+    """Return a compensator as plain data, the fields of `_Saved`, for a checksummed JSON file."""
     net = compensator.network
     network = None
     if net is not None:
@@ -84,7 +85,10 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
 
 
 def _refuse_large(found: Compensator) -> None:
-    """Check that a network's corrections inside its box are at most ten times its training errors.
+    """Check that a network's corrections in its training box are at most ten times its errors.
+
+    The largest correction at 1000 random joint angles in the box is compared with ten times the
+    largest training error without the network.
 
     Raises InputError.
     """
@@ -103,6 +107,8 @@ def _refuse_large(found: Compensator) -> None:
 
 
 class _Strict(BaseModel):
+    """Base of the tables of a saved compensator: no other keys, no conversions, finite numbers."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
@@ -139,7 +145,7 @@ class _SavedComparison(_Strict):
 
 
 class _Saved(BaseModel):
-    """The types of a saved compensator; consistency is checked by `Compensator` and its parts."""
+    """The keys and types of a saved compensator; `Compensator` and its parts check consistency."""
 
     model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
 
@@ -162,7 +168,7 @@ _UNCHANGED_FIELDS = ("chosen_by", "margin", "trainer", "settings", "note", "seed
 
 
 def _compensator(body: dict[str, Any]) -> Compensator:
-    """Return the compensator from plain data."""
+    """Return the compensator from the fields of a file, as of `_body`."""
     layout = Layout(**body["layout"])
     net = body["network"]
     network = None

@@ -18,13 +18,13 @@ from casadical.pose_selection.workspace import Workspace
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
-# Columns that follow from the time of a measurement.
+# Pattern of the names of columns that follow from the time of a measurement.
 _TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
-# Columns with the direction of approach of a joint.
+# Pattern of the names of columns with the direction of approach of a joint.
 _APPROACH = re.compile(r"approach\d+")
-# The column of candidates with the number of the socket that holds the tool, from 0.
+# Column of candidates with the index, from 0, of the socket that holds the tool.
 SOCKET_COLUMN = "socket"
-# Prefix of the columns of sessions.
+# Prefix of the columns that are 1 for poses of a session, else 0.
 SESSION_PREFIX = "session_"
 
 
@@ -32,15 +32,15 @@ SESSION_PREFIX = "session_"
 class Circumstances:
     """The circumstances under which poses are measured.
 
-    payloads : masses [kg] that can be mounted; empty: the declared one, and also none if an effect
-        needs two
-    every_payload : whether each reading is measured with all of them instead of one
+    payloads : masses that can be mounted [kg]; empty: the declared one, and also zero if an effect
+        needs the payload
+    every_payload : whether each reading is measured with all payloads instead of one
     both_approaches : whether each reading is approached twice, with all joints moving in opposite
         directions
     repeats : number of measurements of each reading, in passes over all poses
-    seconds : time per pose [s]
-    warmup_K : assumed rise of temperature [K]
-    warmup_minutes : its time constant [min]
+    seconds : time per measurement [s]
+    warmup_K : assumed rise of the temperature during the campaign [K]
+    warmup_minutes : time constant of the rise [min]
 
     Examples
     --------
@@ -58,14 +58,14 @@ class Circumstances:
     warmup_minutes: float = 35.0
 
     def states(self, robot: Robot) -> tuple[float, ...]:
-        """Return the payloads [kg] of the campaign."""
+        """Return the payloads with which the robot is measured [kg]."""
         declared = robot.payload.mass if robot.payload else 0.0
         if self.payloads:
             return self.payloads
         return (0.0, declared) if any("payload_kg" in e.needs for e in robot.effects) else (declared,)
 
     def size(self, robot: Robot) -> int:
-        """Return the number of measurements at one reading."""
+        """Return the number of measurements at each reading."""
         return self.repeats * (1 + self.both_approaches) * (len(self.states(robot)) if self.every_payload else 1)
 
 
@@ -73,9 +73,9 @@ class Circumstances:
 class Candidates:
     """N readings, each to be measured g times under its own circumstances.
 
-    q : shape (N, joints) [rad or m]
-    conditions : column -> values, shape (N, g)
-    turn : pass of each measurement, shape (g,)
+    q : readings, shape (N, joints) [rad or m]
+    conditions : values of each column of conditions by its name, shape (N, g) each
+    turn : index of the pass of each measurement, from 0, shape (g,)
     """
 
     q: Array
@@ -94,29 +94,33 @@ class Candidates:
         return replace(self, q=self.q[which], conditions={n: v[which] for n, v in self.conditions.items()})
 
     def joined(self, other: Candidates) -> Candidates:
-        """Return these candidates followed by others."""
+        """Return these candidates followed by others with the same columns."""
         conditions = {n: np.concatenate([v, other.conditions[n]]) for n, v in self.conditions.items()}
         return replace(self, q=np.concatenate([self.q, other.q]), conditions=conditions)
 
     def measurements(self, robot: Robot, source: str = "candidates") -> Measurements:
-        """Return one row per measurement, the g of a reading in sequence.
+        """Return N g measurements at the model's positions, the g of each reading one by one.
 
-        Positions are those of the model.
+        source : name of the table
         """
         conditions = {n: v.ravel() for n, v in self.conditions.items()}
         return expected(robot, np.repeat(self.q, self.size, axis=0), conditions, source)
 
 
 def expected(robot: Robot, q: Array, conditions: Mapping[str, Array], source: str) -> Measurements:
-    """Return measurements at readings q, shape (n, joints) [rad or m], by the model."""
+    """Return measurements of the positions that the model gives at readings q.
+
+    q : shape (n, joints) [rad or m]; conditions : columns by name, shape (n,) each
+    source : name of the table
+    """
     m = unmeasured(q, conditions, source)
     return replace(m, position=predicted(robot, m)[0])
 
 
 def one_turn(robot: Robot) -> Robot:
-    """Return the robot with joint limits within half a turn to either side.
+    """Return the robot with limits of at most half a turn to either side of reading zero.
 
-    It concerns joints with a range of more than one turn.
+    Only joints with a range of more than one turn are changed.
     """
     joints = (
         replace(j, lower=max(j.lower, -np.pi), upper=min(j.upper, np.pi)) if j.upper - j.lower > 2 * np.pi else j
@@ -128,8 +132,9 @@ def one_turn(robot: Robot) -> Robot:
 def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generator, *, to_ends: bool = False) -> Array:
     """Return random readings that the workspace allows, shape (count, joints) [rad or m].
 
-    to_ends : whether every other one tends towards the joints' limits, where good poses often are
-    Raises InputError where hardly any reading is allowed.
+    to_ends : whether every other one is drawn with more density near the joints' limits, where good
+        poses often are
+    Raises InputError where fewer than `count` of 100 times as many are allowed.
     """
     lower, upper = workspace.ranges(robot)
     kept = np.empty((0, robot.n))
@@ -149,11 +154,11 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
 
 
 def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, rng: np.random.Generator) -> Candidates:
-    """Return candidates at readings q with every column that the robot's model needs.
+    """Return candidates at readings q with every column of conditions that the robot's model needs.
 
     Payload, approach and time are drawn at random.
 
-    q : shape (N, joints) [rad or m]
+    q : readings, shape (N, joints) [rad or m]
     n : number of readings of the campaign, which determines its duration
     Raises InputError for a column that cannot be planned.
     """
@@ -185,9 +190,11 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
 
 
 def timeline(names: list[str], progress: Array, n: int, circumstances: Circumstances) -> dict[str, Array]:
-    """Return columns that follow from the time alone, for a campaign of n measurements.
+    """Return columns that follow from the time alone, by name, each of the shape of `progress`.
 
-    progress : shares of the campaign's duration, any shape
+    names : columns, such as time_s or temperature_degC
+    progress : times divided by the campaign's duration, 0 to 1, any shape
+    n : number of measurements of the campaign
     """
     rows = max(n, 2)
     course = np.linspace(0, 1, 200)
@@ -203,8 +210,8 @@ def timeline(names: list[str], progress: Array, n: int, circumstances: Circumsta
 class LaterPoses:
     """Poses that could be measured after a campaign.
 
-    m : readings and columns
-    repeated : row of the campaign that a pose repeats, -1 for none, shape (K,)
+    m : K readings with their columns of conditions, without measured values
+    repeated : index of the campaign's pose that a pose repeats, -1 for none, shape (K,)
     warm : whether the arm is to be warm, shape (K,); None where no column depends on the
         temperature
     """
@@ -227,15 +234,16 @@ def later_poses(
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
 ) -> LaterPoses:
-    """Return random poses and the campaign's own, under random circumstances.
+    """Return random poses and the inliers of a campaign, under random circumstances.
 
-    Half of the random ones are within the campaign's ranges.
+    Half of the random ones are within the campaign's joint ranges.
 
-    kept : mask of the campaign's inliers, shape (n,); columns : names of those that are needed
-    count : number of random poses
-    workspace : allowed poses, by default the robot's ranges; four-bars stay as open as in the
-        campaign
-    payloads : masses [kg] that can be mounted; by default none, the declared one and the campaign's
+    kept : mask of the campaign's inliers, shape (n,)
+    columns : names of the columns of conditions that are needed
+    count : number of random poses at most
+    workspace : allowed poses, by default within the robot's joint limits; four-bars stay as open as
+        in the campaign
+    payloads : masses that can be mounted [kg]; empty: zero, the declared one and the campaign's
     """
     rng = np.random.default_rng(seed)
     room = (workspace or Workspace()).as_open_as(robot, campaign.q)
@@ -243,7 +251,7 @@ def later_poses(
     lower, upper = room.ranges(robot)
 
     def drawn(wanted: int, low: Array, high: Array) -> Array:
-        """Return at most `wanted` random readings between two limits that the workspace allows."""
+        """Return at most `wanted` random readings between limits, which the workspace allows."""
         q = robot.coupled(rng.uniform(low, high, (4 * wanted, robot.n)))
         return np.asarray(q[room.allows(robot, q)][:wanted])
 
@@ -264,18 +272,22 @@ def later_poses(
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
-    """Return the distinct payloads of a campaign [kg].
+    """Return the distinct payloads of a campaign, rising, shape (k,) [kg].
 
-    It is the declared one where none was logged.
+    It is the declared one alone where none was logged.
     """
     declared = robot.payload.mass if robot.payload else 0.0
     return np.unique(campaign.conditions.get("payload_kg", np.array([declared])))
 
 
 def _later_column(name: str, logged: Array | None, warm: Array, states: Array, rng: np.random.Generator) -> Array:
-    """Return a column at later poses: random if it can be chosen, else that of a later day.
+    """Return a column of conditions at K later poses, shape (K,).
 
-    logged : of the campaign; warm : of each pose, shape (K,); states : payloads [kg]
+    Payload and approach are random, the temperature is by `warm`, `progress` is 1, and others are
+    drawn from the campaign's values.
+
+    name : of the column; logged : the campaign's values, None: it has none
+    warm : whether the arm is to be warm at each pose, shape (K,); states : payloads [kg]
     """
     if name == "progress":
         return np.ones(len(warm))
@@ -296,9 +308,11 @@ def _later_column(name: str, logged: Array | None, warm: Array, states: Array, r
 def poses_at_places(
     robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Return about `count` readings with the tool at some places, and each one's place from 0.
+    """Return about `count` readings with the tool point at given places, and the place of each.
 
-    Inverse kinematics from random starts finds them; places that are hardly reachable have none.
+    The readings have the shape (n, joints) [rad or m], the indices of their places, from 0, (n,).
+    Inverse kinematics from random starts finds them; places that are hardly reachable have few or
+    none.
 
     places : in the measuring frame, shape (k, 3) [m]
     """
@@ -307,7 +321,7 @@ def poses_at_places(
     for k, place in enumerate(places):
 
         def off(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
-            """Return the position errors at readings q, shape (n, 3) [m], and their Jacobian."""
+            """Return place less tool point, shape (n, 3) [m], and the tool point's Jacobian."""
             m = unmeasured(q)
             return place - predicted(robot, m)[0], joint_jacobian(robot, m)
 
@@ -321,9 +335,9 @@ def poses_at_places(
 
 
 def reachable_places(robot: Robot, places: Array, count: int, workspace: Workspace, rng: np.random.Generator) -> Array:
-    """Return those of the places, shape (k, 3) [m], that the robot reaches well.
+    """Return those of the places that the robot's tool point reaches well, shape (r, 3) [m].
 
-    count : the number that is required
+    places : in the measuring frame, shape (k, 3) [m]; count : number of places that are required
     Raises InputError where they are fewer.
     """
     # A socket is reachable if at least 4 of 8 attempted poses hold the tool in it.

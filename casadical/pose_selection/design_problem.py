@@ -37,17 +37,21 @@ from casadical.robot.robot import Robot
 class DesignProblem:
     """The input of a pose search.
 
-    robot : with the values and effects that are planned for
-    workspace, circumstances, noise : as requested
-    names : parameters that will be identified; held : the others, each with its reason
+    robot : robot with the values at which Jacobians are taken, and with the effects to identify
+    workspace : which poses can be measured
+    circumstances : payloads, approaches and repeats of the poses
+    noise : assumed noise of the instrument and the joints
+    names : parameters that will be identified
+    held : the other requested parameters, each with its reason
     measured : poses measured before, which count as well
     task : poses at which the robot is to be accurate
-    pool : candidates; open : whether new ones may be drawn near them
-    fixed : information from measured poses and priors, shape (p, p)
-    weight : W of the mean variance, shape (p, p)
-    instrument : what is read in place of positions; its unknown places are further columns after
-        the names
-    prior : from another campaign; included in `fixed`
+    pool : candidate poses
+    open : whether additional candidates may be drawn near those of the pool
+    fixed : information from measured poses and priors, shape (p, p), in units of scale; the p
+        variables are those of names, then the unknown coordinates of the instrument's places
+    weight : W of the mean variance trace(W C), shape (p, p) [mm^2]
+    instrument : what is read in place of positions; None: positions
+    prior : prior of another campaign, which is included in `fixed`
     """
 
     robot: Robot
@@ -66,7 +70,10 @@ class DesignProblem:
     prior: Prior | None = None
 
     def design(self, pool: Candidates, min_distance: float | None) -> Design:
-        """Return the state of a search over a pool; see `experimental_design.Design`."""
+        """Return the initial state of a search over a pool, with no candidate chosen.
+
+        min_distance : as of `select_poses`
+        """
         lower, upper = self.workspace.ranges(self.robot)
         span = upper - lower
         occupied = np.empty((0, self.robot.n)) if self.measured is None else self.measured.q
@@ -82,9 +89,12 @@ class DesignProblem:
 def _rows(
     robot: Robot, names: Sequence[str], m: Measurements, noise: Noise, instrument: Instrument | None = None
 ) -> Array:
-    """Return the whitened Jacobian of poses, shape (n, numbers, p and the instrument's unknowns).
+    """Return the whitened Jacobian of n poses, shape (n, numbers, p + unknowns).
 
-    It is scaled, in units of sigma.
+    It is in standard deviations of the noise per unit of scale. `numbers` are read at each pose, 3
+    without an instrument; the unknowns are the coordinates of its places.
+
+    names : the p parameters
     """
     if instrument is not None:
         return instrument.rows(robot, names, m, noise)
@@ -109,9 +119,12 @@ def prepare(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> DesignProblem:
-    """Return candidates, independent parameters and weights for a search.
+    """Return the input of a pose search: candidates, independent parameters, weights.
 
-    Arguments are as of `select_poses`. Raises InputError.
+    n : number of readings that will be chosen
+    pool : number of candidates to draw; rng : their random generator
+    candidates : readings to choose from, shape (N, joints) [rad or m]; None: drawn ones
+    All others are as of `select_poses`. Raises InputError.
     """
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
@@ -127,13 +140,13 @@ def prepare(
     extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
 
     def before(kept: Sequence[str]) -> Array:
-        """Return the information before any pose, of some parameters and the unknown places."""
+        """Return the information matrix of some parameters and the unknown places without poses."""
         size = len(kept) + extra
         known = known_before(robot, kept, prior, size)
         return known + (instrument.before(size, noise) if instrument else 0.0)
 
     def information(kept: Sequence[str]) -> Array:
-        """Return the information of as many random poses as are planned, with that before them."""
+        """Return the information matrix of as many random poses as are planned, priors included."""
         A = _rows(robot, kept, m, noise, instrument)
         A = A.reshape(-1, A.shape[2])
         return A.T @ A * (total / len(m)) + before(kept)
@@ -162,16 +175,23 @@ def prepare(
 
 
 def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:
-    """Return the scaled Jacobian of a task, shape (n, 3, p) [mm per unit of scale].
+    """Return the Jacobian of positions at a task's poses, shape (n, 3, p) [mm per unit of scale].
 
-    Where the places of an instrument are unknown, the base is assumed to be fitted again.
+    Where the places of an instrument are unknown, the base is assumed to be fitted again at these
+    poses, and its part is removed.
+
+    names : the p parameters; m : the poses
     """
     J = scaled_jacobian(robot, names, m)
     return J if instrument is None or instrument.known else without_base(robot, J, m)
 
 
 def _refuse_combination(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
-    """Raise InputError for what an instrument does not allow: measured poses, given candidates."""
+    """Check that an instrument can be combined with measured poses and given candidates.
+
+    measured, given : whether there are poses measured before, and given candidates
+    Raises InputError.
+    """
     if instrument is None:
         return
     if measured:
@@ -193,10 +213,12 @@ def _readings(
     rng: np.random.Generator,
     instrument: Instrument | None,
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the candidate readings, and their columns.
+    """Return the candidate readings, shape (N, joints) [rad or m], and their columns by name.
 
-    They are drawn, given, or poses that hold the tool in sockets; a column then has the number of
-    the socket.
+    They are the given ones that the workspace allows, drawn ones, or poses that hold the tool in
+    sockets; only the latter have a column, the index of the socket, shape (N,).
+
+    given : readings to choose from; pool : number of candidates to draw
     """
     if instrument is not None and instrument.kind == "sockets":
         q, which = poses_at_places(robot, instrument.places, pool, workspace, rng)
@@ -207,9 +229,12 @@ def _readings(
 
 
 def _task_weight(J: Array, chosen: Array, C: Array) -> Array:
-    """Return W: the task's mean J'J and, with equal weight, the parameters of interest.
+    """Return W of the mean variance: the task's mean J'J, and the parameters of interest, (p, p).
 
-    C : covariance from as many random poses, by which both parts are normalised
+    With parameters of interest both parts are normalised to equal variance at random poses.
+
+    J : Jacobian of the task, shape (n, 3, p); chosen : weight of each parameter, shape (p,)
+    C : covariance of the parameters from as many random poses as are planned, shape (p, p)
     """
     of_interest = np.diag(chosen)
     of_task = np.einsum("kip,kiq->pq", J, J) / len(J)
@@ -219,9 +244,12 @@ def _task_weight(J: Array, chosen: Array, C: Array) -> Array:
 
 
 def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:
-    """Return the inverse squared priors of the parameters of interest, zero for others, shape (p,).
+    """Return the inverse prior variances of parameters of interest, zero for others, shape (p,).
 
     They are in units of scale.
+
+    interest : parameters, as of `select_poses`; names : the p parameters that will be identified
+    Raises InputError: none of the parameters of interest will be identified.
     """
     words = tuple(interest)
     hit = robot.parameters.select(words) if words else ()
@@ -233,7 +261,11 @@ def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[
 
 
 def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
-    """Return the given candidates that the workspace allows. Raises InputError for none."""
+    """Return the given readings that the workspace allows, shape (k, joints) [rad or m].
+
+    q : shape (N, joints) [rad or m]
+    Raises InputError: another shape, or none is allowed.
+    """
     q = np.atleast_2d(np.asarray(q, dtype=float))
     if q.ndim != 2 or q.shape[1] != robot.n or not np.isfinite(q).all():
         raise InputError(f"candidates of shape {q.shape}; allowed: (poses, {robot.n}) finite readings [rad or m]")
@@ -245,7 +277,10 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
 
 
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:
-    """Return measured positions with every column that the robot needs. Raises InputError."""
+    """Return measured positions with every column that the robot's effects need.
+
+    Raises InputError: no positions, another number of joints, or a missing column.
+    """
     if measured.position is None or measured.q.shape[1] != robot.n:
         raise InputError(f"{measured.source}: measured poses must be positions of {robot.name}'s {robot.n} joints")
     derived, missing = derive(measured, robot.conditions, robot.loads)

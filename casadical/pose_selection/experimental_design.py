@@ -14,27 +14,27 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.statistics import first_of_best
 
-# Information added in every direction, as a share of the whole pool's per candidate: it keeps sets
-# of few poses invertible.
+# Information added to each parameter, divided by its mean information from one candidate; it keeps
+# the information matrix of few poses invertible.
 RIDGE_SHARE = 1e-10
-# A pose is indispensable if without it the determinant of the information falls below this share.
-# Rounding decides how far below, so that all of them are equal.
+# Smallest ratio of the information's determinants without and with a pose at which the pose may be
+# removed. Rounding decides how far below an indispensable pose is, so that all are equal.
 MIN_DETERMINANT_SHARE = 1e-6
 
 
 class Design:
-    """Chosen candidates, and the gain of adding or removing one; larger values are better.
+    """State of a search: chosen candidates, and the gain of adding or removing each candidate.
 
-    weight : W, shape (p, p)
-    rows : scaled Jacobians in units of sigma, shape (N, m, p)
-    fixed : information from poses already measured, shape (p, p)
-    places : coordinates of the candidates, shape (N, d)
-    apart : candidates within this distance of a chosen one cannot be chosen, itself included; below
-        zero: a candidate may be chosen more than once
+    weight : W of the mean variance trace(W C), shape (p, p)
+    rows : whitened Jacobian of each of N candidates, shape (N, m, p) [sigmas per unit of scale]
+    fixed : information from priors and poses already measured, shape (p, p)
+    places : coordinates of the candidates, shape (N, d), in shares of the joints' ranges
+    apart : candidates within this distance (largest coordinate difference) of a chosen one cannot
+        be chosen, itself included; below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)
 
-    A set that does not determine all parameters is extended by the determinant of the information,
-    until it does.
+    As long as the set does not determine all parameters, gains are those of the determinant of the
+    information.
     """
 
     def __init__(self, weight: Array, rows: Array, fixed: Array, places: Array, apart: float, occupied: Array) -> None:
@@ -50,11 +50,11 @@ class Design:
         self.start([])
 
     def _near(self, place: Array) -> Array:
-        """Return 1 for each candidate that is too near to a place, else 0, shape (N,)."""
+        """Return 1 for each candidate within `apart` of a place, shape (d,), else 0, shape (N,)."""
         return np.asarray((np.abs(self.places - place).max(axis=1) <= self.apart).astype(int))
 
     def start(self, chosen: list[int]) -> None:
-        """Restart with these candidates chosen, indices of the pool."""
+        """Restart with these candidates chosen, given by their indices."""
         self.chosen = list(chosen)
         self.closed = self._taken + sum((self._near(self.places[k]) for k in chosen), np.zeros(self.N, dtype=int))
         A = self.rows[self.chosen].reshape(-1, self.p)
@@ -62,22 +62,22 @@ class Design:
         self._refresh()
 
     def _change(self, k: int, sign: int) -> None:
-        """Update the state after candidate k was added (1) or removed (-1)."""
+        """Update information, covariance and gains for candidate k, added (1) or removed (-1)."""
         self.closed = self.closed + sign * self._near(self.places[k])
         self.M = self.M + sign * self.rows[k].T @ self.rows[k]
         self._update(self.rows[k], sign)
 
     def add(self, k: int) -> None:
-        """Add candidate k to the chosen poses, and update the gains."""
+        """Add the candidate of index k to the chosen ones, and update the gains."""
         self.chosen.append(k)
         self._change(k, 1)
 
     def remove(self, position: int) -> None:
-        """Remove the candidate at this position in `chosen`."""
+        """Remove the candidate at this position in the list `chosen`, and update the gains."""
         self._change(self.chosen.pop(position), -1)
 
     def best_to_add(self) -> int | None:
-        """Return the candidate with the largest gain; None where none may be chosen."""
+        """Return the index of the candidate with the largest gain; None if none may be chosen."""
         candidates = np.flatnonzero(self.closed == 0)
         if not len(candidates):
             return None
@@ -86,11 +86,11 @@ class Design:
         return int(candidates[best]) if np.isfinite(gains[best]) else None
 
     def worst(self) -> int:
-        """Return the position in `chosen` of the candidate whose removal costs least."""
+        """Return the position in `chosen` of the candidate whose removal has the largest gain."""
         return first_of_best(self.gains(np.array(self.chosen), -1))
 
     def snapshot(self) -> dict[str, Any]:
-        """Return the whole state; arrays are replaced, never changed in place."""
+        """Return the whole state for `restore`; arrays are replaced, never changed in place."""
         return vars(self) | {"chosen": list(self.chosen)}
 
     def restore(self, kept: dict[str, Any]) -> None:
@@ -99,7 +99,10 @@ class Design:
 
     @property
     def regular(self) -> bool:
-        """Whether the chosen and the measured poses determine all parameters."""
+        """Whether the chosen and the measured poses determine all parameters.
+
+        Parameters without any information do not count.
+        """
         determined = np.diag(self.M) > 0
         root = np.sqrt(np.diag(self.M)[determined])
         least = np.linalg.eigvalsh(self.M[np.ix_(determined, determined)] / np.outer(root, root))[0]
@@ -109,23 +112,27 @@ class Design:
 
     @property
     def value(self) -> float:
-        """Minus the logarithm of the mean variance by the chosen and the measured poses."""
+        """Minus the logarithm of the mean variance trace(W C) of chosen and measured poses."""
         variance = float(np.sum(self.W * self.C))
         return -np.log(variance) if variance > 0 else -np.inf
 
     def _times(self, B: Array) -> Array:
-        """Return A_k B for all candidates, shape (N, m, columns of B)."""
+        """Return A_k B for all candidates k, shape (N, m, columns); B : shape (p, columns)."""
         return np.asarray((self.rows.reshape(-1, self.p) @ B).reshape(self.N, self.m, -1))
 
     def _refresh(self) -> None:
-        """Compute covariance C, D_k = A_k C A_k' and L_k = A_k C W C A_k' from information M."""
+        """Compute C = M^-1 and, for each candidate k, D_k = A_k C A_k' and L_k = A_k C W C A_k'.
+
+        M is the information matrix and C the covariance of the parameters, A_k the whitened
+        Jacobian of candidate k, and trace(W C) the mean variance.
+        """
         self.C: Array = inverse(self.M)
         self.D: Array = np.einsum("kip,kjp->kij", self._times(self.C), self.rows)
         self.L: Array = np.einsum("kip,kjp->kij", self._times(self.C @ self.W @ self.C), self.rows)
         self._age = 0
 
     def _update(self, A: Array, sign: int) -> None:
-        """Update covariance and gains after rows A (m, p) were added (1) or removed (-1)."""
+        """Update C, D_k and L_k (see `_refresh`) for rows A, (m, p), added (1) or removed (-1)."""
         self._age += 1
         U = self.C @ A.T
         small = np.eye(len(A)) + sign * A @ U
@@ -143,10 +150,13 @@ class Design:
         self.D = self.D - P @ S @ P.transpose(0, 2, 1)
 
     def gains(self, which: Array, sign: int) -> Array:
-        """Return the gain of adding (1) or removing (-1) some candidates, one at a time.
+        """Return the gain of adding (1) or removing (-1) each of some candidates, (len(which),).
 
-        The shape is (len(which),). It is the reduction of the mean variance, or, while the set is
-        singular, the logarithm of the ratio of the determinants.
+        It is the reduction of the mean variance, negative for a removal, or, as long as the set
+        does not determine all parameters, the logarithm of the ratio of the information's
+        determinants after and before. It is minus infinity for an indispensable pose.
+
+        which : indices of the candidates
         """
         small = np.eye(self.m) + sign * self.D[which]
         if not self.regular:
@@ -176,7 +186,10 @@ def grow_to(design: Design, n: int) -> bool:
 
 
 def improve(design: Design, depth: int = 4) -> None:
-    """Exchange candidates until no excursion of up to `depth` poses increases the value."""
+    """Exchange chosen candidates until no excursion of up to `depth` poses increases the value.
+
+    The number of chosen candidates stays the same; see `excursion`.
+    """
     n = len(design.chosen)
     reach = 1
     while reach <= min(depth, n):
@@ -194,11 +207,11 @@ def improve(design: Design, depth: int = 4) -> None:
 
 
 def excursion(design: Design, n: int, reach: int, up: bool) -> None:
-    """Add the best `reach` poses and remove the worst, or (up=False) remove first and then add.
+    """Add the best `reach` poses and remove the worst, or, if not `up`, remove first and then add.
 
-    Source: Mitchell (1974).
+    The set is smaller than n afterwards if too few can be added. Source: Mitchell (1974).
 
-    n : number of poses before and after
+    n : number of chosen poses before and after
     """
     for target in (n + reach if up else n - reach, n):
         if not grow_to(design, target):
@@ -210,7 +223,9 @@ def excursion(design: Design, n: int, reach: int, up: bool) -> None:
 def search(design: Design, n: int, restarts: int, seed: int) -> Array:
     """Return the indices of the best n candidates of several searches, shape (n,).
 
-    The first starts from an empty set, each other from a random half.
+    The first search starts from an empty set, each other one from n // 2 random candidates.
+
+    restarts : number of searches; seed : of the random starts
     Raises InputError where fewer than n can be chosen.
     """
     rng = np.random.default_rng(seed)

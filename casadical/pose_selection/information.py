@@ -19,17 +19,19 @@ from casadical.identification.reduction import independent_parameters
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Metres in a millimetre.
+# Metres per millimetre.
 MM = 1e-3
-# Jacobians are computed for at most this number of poses at a time: larger problems would be
-# compiled for a single use.
+# Largest number of poses whose Jacobians are computed at a time: larger problems would be compiled
+# for a single use.
 MAX_POSES_PER_PART = 1000
 
 
 def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Array:
-    """Return the Jacobian of the positions by some parameters, shape (n, 3, p), scaled.
+    """Return the Jacobian of the measured point by p parameters, shape (n, 3, p).
 
-    It is in mm per unit of scale, at the robot's values, in the measuring frame.
+    It is taken at the robot's values, in the measuring frame, in mm per unit of scale.
+
+    names : the p parameters; m : poses, whose measured values do not count
     """
     parts = [
         m[np.arange(start, min(start + MAX_POSES_PER_PART, len(m)))] for start in range(0, len(m), MAX_POSES_PER_PART)
@@ -41,23 +43,30 @@ def scaled_jacobian(robot: Robot, names: Sequence[str], m: Measurements) -> Arra
 
 @lru_cache(maxsize=16)
 def _joint_jacobian(robot: Robot) -> ca.Function:
-    """Return (q, w, phi) -> (J[3, n]), the point's derivative by the joint variables."""
+    """Return the CasADi function (q, w, phi) -> J[3, n]: the point's derivative by joint variables.
+
+    q are readings, w the conditions of a pose, phi the parameters; J is in m/rad or m/m, in the
+    measuring frame.
+    """
     model = robot.model
     J = ca.densify(ca.jacobian(model.p, model.q))
     return ca.Function("by_joints", [model.q, model.w, model.phi], [J], ["q", "w", "phi"], ["J"])
 
 
 def joint_jacobian(robot: Robot, m: Measurements) -> Array:
-    """Return the derivative of the position by the joints, shape (n, 3, joints) [m/rad or 1]."""
+    """Return the derivative of the measured point by the joint variables, shape (n, 3, joints).
+
+    It is in the measuring frame [m/rad or m/m].
+    """
     w = m.condition_matrix(robot.conditions, robot.declared)
     J = _joint_jacobian(robot).map(len(m))(m.q.T, w.T, robot.parameters.values).full()
     return np.asarray(J.reshape(3, len(m), robot.n).transpose(1, 0, 2))
 
 
 def noise_covariance(robot: Robot, m: Measurements, noise: Noise) -> Array:
-    """Return the covariance of each measured point, shape (n, 3, 3) [mm^2].
+    """Return the noise covariance of each measured point, shape (n, 3, 3) [mm^2].
 
-    It has contributions of the instrument and of the joints' repeatability.
+    It is the sum of the instrument's and of the joint repeatability's, in the measuring frame.
     """
     joints = {"repeatability": joint_jacobian(robot, m)} if noise.repeatability else {}
     ratios = dict.fromkeys(joints, noise.repeatability / MM)
@@ -71,18 +80,19 @@ def independent(
     information: Callable[[Sequence[str]], Array],
     prior: Prior | None = None,
 ) -> tuple[tuple[str, ...], tuple[Unidentifiable, ...]]:
-    """Return the names that an identification from such poses would keep, and the others.
+    """Return the parameters that an identification from such poses would keep, and the others.
 
     The others have their reasons. Dependent parameters are left out first, then, one by one, those
     that the data would determine less accurately than their own priors (as in
     `reduction.reduce_and_solve`). With the prior of another campaign, which constrains them, the
     second step is omitted.
 
-    names : of the parameters to choose from
-    sets : what would be measured at some of the poses
-    information : names -> their information matrix, that of unknown points at its end, in units of
-        scale
-    Raises InputError: none is left.
+    names : parameters to choose from
+    sets : measurements at some of the poses
+    information : function from names of k parameters to their information matrix, shape (k + u,
+        k + u), in units of scale; u coordinates of unknown points are at its end
+    prior : prior of another campaign
+    Raises InputError: no parameter remains.
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
     analysis = independent_parameters(problem)
@@ -96,9 +106,12 @@ def independent(
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
-    """Return the information of priors on some parameters, shape (size, size), in units of scale.
+    """Return the prior information matrix of parameters, shape (size, size), in units of scale.
 
-    It is that of `identify`; rows beyond the parameters are zero.
+    It is that which `identify` uses; rows and columns beyond the parameters are zero.
+
+    names : the parameters; prior : prior of another campaign
+    size : number of all variables; less than the number of parameters: that number
     """
     means, known = (prior.means, prior.known) if prior is not None else (False, ())
     matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix

@@ -32,10 +32,10 @@ from casadical.robot.robot import Robot
 class Instrument:
     """What is read at every pose, in place of a position.
 
-    kind : distances to every place at each pose (wires), or the ball of the tool in one of the
-        places (sockets)
-    places : Array, shape (k, 3) [m]: approximate positions of anchors or sockets in the measuring
-        frame
+    kind : "wires" for distances to every place at each pose; "sockets" for the ball of the tool in
+        one of the places
+    places : approximate positions of the anchors or sockets in the measuring frame, shape (k, 3)
+        [m]
     known : whether the places are measured too, so that they are no unknowns
     """
 
@@ -54,9 +54,10 @@ class Instrument:
         return 0 if self.known else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
-        """Return the noise-free measurements of this instrument at poses m.
+        """Return the noise-free measurements of this instrument at poses m with model positions.
 
-        They are a set for each wire, or one set of all sockets.
+        There is one set of distances per wire, or one set of contacts for all sockets, which has
+        one known distance between two sockets.
         """
         assert m.position is not None
         if self.kind == "sockets":
@@ -76,10 +77,12 @@ class Instrument:
         return tuple(wires)
 
     def rows(self, robot: Robot, names: Sequence[str], m: Measurements, noise: Noise) -> Array:
-        """Return the scaled Jacobian in units of sigma, shape (n, numbers, len(names) + extra).
+        """Return the whitened Jacobian of readings, shape (n, numbers, len(names) + extra).
 
-        It is taken at the robot's values and poses m.
+        It is in standard deviations of the noise per unit of scale, and for the unknown places per
+        `POINT_SCALE`; it is taken at the robot's values.
 
+        m : poses with model positions, for sockets with the column `SOCKET_COLUMN`
         noise : of a distance, or of a coordinate in a socket, and of the joints
         """
         J, covariance = scaled_jacobian(robot, names, m), noise_covariance(robot, m, Noise(1e-12, noise.repeatability))
@@ -102,7 +105,7 @@ class Instrument:
         return whitening_of(covariance + own) @ whole
 
     def table(self, m: Measurements) -> pd.DataFrame:
-        """Return the columns of a plan at poses m: socket, or approximate wire lengths [mm]."""
+        """Return a plan's columns at poses m: name of the socket, or nominal wire lengths [mm]."""
         if self.kind == "sockets":
             return pd.DataFrame({"point": [f"S{int(k) + 1}" for k in m.conditions[SOCKET_COLUMN]]})
         assert m.position is not None
@@ -110,11 +113,13 @@ class Instrument:
         return pd.DataFrame(length.round(1), columns=[f"nominal_wire{k}_mm" for k in range(1, len(self.places) + 1)])
 
     def before(self, size: int, noise: Noise) -> Array:
-        """Return the information that exists without poses: one distance between two sockets.
+        """Return the information matrix without any pose, shape (size, size).
 
-        The shape is (size, size), in units of scale and of POINT_SCALE.
+        It is that of one known distance between the two sockets farthest apart, per squared
+        `POINT_SCALE`; for wires and known places it is zero.
 
-        size : number of all columns; noise : its sigma is that of the distance
+        size : number of all variables, the places' coordinates at the end
+        noise : its sigma is that of the distance
         """
         fixed = np.zeros((size, size))
         if self.kind == "wires" or self.known or len(self.places) < 2:
@@ -128,9 +133,12 @@ class Instrument:
 
 
 def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
-    """Return the scaled Jacobian of positions, shape (n, 3, p), with the base projected out.
+    """Return a Jacobian of positions orthogonal to that of the base's pose, shape (n, 3, p).
 
-    What another base frame would compensate is removed.
+    What another base frame would compensate at these poses is removed. The Jacobian is returned
+    unchanged if the robot's base is not identified.
+
+    J : Jacobian of positions, shape (n, 3, p) [mm per unit of scale]; m : the poses
     """
     names = robot.parameters.select(["base_*"]) if robot.base.unknown != "none" else ()
     if not names:
@@ -143,13 +151,14 @@ def without_base(robot: Robot, J: Array, m: Measurements) -> Array:
 def best_places(
     robot: Robot, every: Instrument, count: int, names: Sequence[str], m: Measurements, noise: Noise, weight: Array
 ) -> Array:
-    """Return the indices of the places with the least mean variance, shape (count,).
+    """Return the indices of those `count` places with the least mean variance, shape (count,).
 
-    All subsets are tried if there are at most 20 000, else exchanges.
+    All subsets are tried if there are at most 20 000, else exchanges of single places.
 
-    every : instrument with all candidate places; names, weight : as of `DesignProblem`, shape (p,
-        p)
-    m : poses, of sockets those in each of the places
+    every : instrument with all candidate places
+    names : parameters to identify, p of them
+    m : poses with model positions, for sockets the poses in all of the places
+    weight : W of the mean variance trace(W C) of their covariance C, shape (p, p)
     Raises InputError where there are too few places.
     """
     number = len(every.places)
@@ -166,7 +175,7 @@ def best_places(
         each.append(rows.T @ rows)
 
     def variance(which: Iterable[int]) -> float:
-        """Return the mean variance with some of the places, over p parameters.
+        """Return the mean variance trace(W C) of the parameters, with these places alone.
 
         The information of each place has the parameters and its own coordinates.
         """
@@ -186,10 +195,12 @@ def best_places(
 
 
 def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -> list[int]:
-    """Return `count` indices out of K with a small variance.
+    """Return `count` indices below K with a small variance, found by exchanges.
 
-    The best pair is extended by the best further ones, then single exchanges follow while they
-    help.
+    The best pair is extended by the best additional ones, then single indices are exchanged as long
+    as this reduces the variance by more than 0.1 %.
+
+    variance : function of chosen indices
     """
     pairs = list(combinations(range(K), min(count, 2)))
     chosen = list(pairs[first_of_best([-variance(pair) for pair in pairs])])
@@ -207,7 +218,7 @@ def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -
 
 
 def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
-    """Return candidate places where none were given, shape (K, 3) [m], in the measuring frame.
+    """Return default candidate places of an instrument, shape (K, 3) [m], in the measuring frame.
 
     Anchors of wires are on posts around the robot, one and a half times its reach away, at heights
     up to that; sockets are on a table before it and half its reach above. The reach is the largest
@@ -223,7 +234,10 @@ def usual_places(robot: Robot, kind: Literal["wires", "sockets"]) -> Array:
 
 
 def _farthest(places: Array) -> tuple[int, int]:
-    """Return the indices of the two places with the largest distance."""
+    """Return the indices of the two places with the largest distance, rising.
+
+    places : shape (k, 3) [m]
+    """
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     i, j = np.unravel_index(first_of_best(apart), apart.shape)
     return int(min(i, j)), int(max(i, j))

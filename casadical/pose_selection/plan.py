@@ -20,14 +20,14 @@ from casadical.pose_selection.selection import Selection, travel
 
 @dataclass(frozen=True, eq=False)
 class MeasurementPlan(Result):
-    """Poses to measure, and the accuracy to expect of them and of further ones.
+    """Poses to measure, and the accuracy to expect of them and of additional ones.
 
     forecast : expected error against the number of poses
-    selection : the poses in order, None for the forecast alone
-    target : required accuracy [m]
-    checked_for_obstacles : whether a workspace limited the poses
+    selection : the poses in measuring order; None: there is the forecast alone
+    target : required rms position error over the task [m]; None: none
+    checked_for_obstacles : whether a workspace file limited the poses
     instrument : what is read in place of positions, with the chosen places
-    noise : assumed noise
+    noise : assumed noise; None: the default one
     """
 
     report: ClassVar[str] = "plan.j2"
@@ -59,18 +59,24 @@ class MeasurementPlan(Result):
         return self._report_blocks(**more)
 
     def places_of(self, kind: str) -> list[list[float]] | None:
-        """Return the places of an instrument of this kind, shape (n, 3) [mm]; else None."""
+        """Return the places of the instrument in the measuring frame, n lists of 3 numbers [mm].
+
+        None is returned for an instrument of another kind, or none.
+
+        kind : "wires" or "sockets"
+        """
         if self.instrument is None or self.instrument.kind != kind:
             return None
         places: list[list[float]] = (1e3 * self.instrument.places).round(3).tolist()
         return places
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """Return texts by path: poses, expected standard errors, error map, and data.
+        """Return the texts of the plan's files by path: poses, standard errors, error map, data.
 
-        They are for a folder, or belong to a table FILE.csv: these are FILE.expected.csv,
-        FILE.map.csv and FILE.json, with wires or sockets FILE.places.csv. A forecast alone has its
-        table.
+        They are FILE.csv, FILE.expected.csv, FILE.map.csv and FILE.json, with wires or sockets also
+        FILE.places.csv. A forecast alone has FILE.csv with its table.
+
+        folder : path of FILE.csv, or a folder, in which FILE is "plan"; nothing is written
         """
         plan, path = self.selection, Path(folder)
         path = path if path.suffix else path / "plan.csv"
@@ -89,7 +95,10 @@ class MeasurementPlan(Result):
 
 
 def _map(plan: Selection) -> Table:
-    """Return expected errors by height and by distance from joint 1's axis, each in thirds."""
+    """Return the table of expected rms errors [mm] by thirds of height and of distance.
+
+    Both are of the task's points in the robot's base frame; the distance is from its z axis.
+    """
     assert plan.task.position is not None
     local = (plan.task.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3]
     error = plan.expected_error()
@@ -103,7 +112,7 @@ def _map(plan: Selection) -> Table:
 
 
 def _errors(plan: Selection) -> Table:
-    """Return the table of expected standard errors, and of parameters not identifiable."""
+    """Return the table of expected standard errors, with a reason where there is none."""
     known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]

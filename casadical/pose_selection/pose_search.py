@@ -45,7 +45,7 @@ def select_poses(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Selection:
-    """Choose n readings to measure with the least mean position variance over the task.
+    """Return n readings to measure with the least mean position variance over the task.
 
     robot : Jacobians are taken at its values, so give the calibrated one when continuing; its
         effects (`with_effect`) are parameters like any other
@@ -113,7 +113,13 @@ def select_poses(
 def _sources(
     among: Array | tuple[Array, Array] | Workspace | None, workspace: Workspace | None
 ) -> tuple[Array | None, Workspace]:
-    """Return the given candidates, None for limits, and the workspace with the given limits."""
+    """Return the given candidates, shape (N, joints), and the workspace with the given limits.
+
+    The candidates are None where they are to be drawn.
+
+    among : as of `select_poses`
+    Raises InputError.
+    """
     if isinstance(among, Workspace):
         if workspace is not None:
             raise InputError("two workspaces were given; give one of them, or limits as a tuple (lower, upper)")
@@ -131,10 +137,10 @@ def _sources(
 
 @dataclass(frozen=True, eq=False)
 class Forecast(Shown):
-    """Expected position error as the best next poses are added.
+    """Expected position error of the calibrated robot against the number of measured poses.
 
-    poses : numbers of poses, shape (k,)
-    error : rms position error over the task, shape (k,) [m]
+    poses : rising numbers of poses, poses measured before included, shape (k,)
+    error : expected rms position error over the task with each number, shape (k,) [m]
     """
 
     line: ClassVar[str] = (
@@ -145,18 +151,20 @@ class Forecast(Shown):
     error: Array
 
     def enough(self, target: float) -> int | None:
-        """Return the smallest number of poses with an expected error of at most target [m].
+        """Return the smallest number of poses with an expected rms error of at most `target` [m].
 
-        None where none of these reaches it.
+        None is returned where no number of `poses` reaches it.
         """
         good = np.flatnonzero(self.error <= target)
         return int(self.poses[good[0]]) if len(good) else None
 
     def stop(self, gain: float = 0.1, ahead: int = 10) -> int | None:
-        """Return the number of poses from which on more of them hardly reduce the error.
+        """Return the smallest number of poses from which additional ones hardly reduce the error.
 
-        From there `ahead` more would reduce it by less than the share `gain`; None where none of
-        these is enough.
+        None is returned where there is no such number.
+
+        gain : relative reduction of the error below which additional poses are not worth it
+        ahead : number of additional entries of `poses` over which it is taken
         """
         shares = 1 - self.error[ahead:] / self.error[:-ahead]
         small = np.flatnonzero(shares < gain)
@@ -164,7 +172,7 @@ class Forecast(Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Poses and expected error [mm]."""
+        """Table of the numbers of poses and the expected error [mm]."""
         return pd.DataFrame({"poses": self.poses, "expected_error_mm": 1e3 * self.error})
 
 
@@ -183,10 +191,10 @@ def forecast(
     instrument: Instrument | None = None,
     prior: Prior | None = None,
 ) -> Forecast:
-    """Return the expected error as poses are added one by one, each the best next one.
+    """Return the expected error as poses are added one by one, each the best additional one.
 
-    It starts with the measured poses or, without any, with a fifth more equations than parameters
-    without a prior from another campaign.
+    It starts with the measured poses or, if these are fewer, with as many as give a fifth more
+    numbers than there are parameters without a prior of another campaign.
 
     most : largest number of poses, measured ones included
     workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
@@ -243,11 +251,11 @@ def place_instrument(
 ) -> Instrument:
     """Return the instrument at those of the places from which readings determine the robot best.
 
-    robot : base and tool as far as they are known
+    robot : robot with base and tool as far as they are known
     kind : as of `Instrument`
     places : shape (K, 3) [m]: candidates, in the measuring frame
     count : required number of places
-    known : whether they will be measured, too
+    known : whether the places will be measured, too
     workspace : which poses can be measured
     q : shape (n, joints) [rad or m]: poses that will be read by wires; None: random ones
     free : as of `select_poses`
@@ -290,9 +298,13 @@ def select_with_places(
     seed: int = 0,
     **options: Any,
 ) -> Selection:
-    """Choose places and poses in turn, until the places do not change or the error increases.
+    """Return n poses and, with its chosen places, the instrument that is read at them.
 
-    Arguments are as of `select_poses` and `place_instrument`; the error is the expected one.
+    Places and poses are chosen in turn, at most three times, until the places do not change or the
+    expected error increases; for sockets each are chosen once.
+
+    n : number of poses; places : candidates; count : number of places to choose
+    All arguments are as of `select_poses` and `place_instrument`; options are those of the first.
     """
     best: Selection | None = None
     q = None

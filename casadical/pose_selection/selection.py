@@ -35,17 +35,17 @@ from casadical.pose_selection.information import (
 )
 from casadical.robot.robot import Robot
 
-# Number of parts of a campaign; poses planned for a certain time may be reordered within one.
+# Number of parts of equal time into which a campaign is divided; poses that are planned for a
+# certain time are reordered within their part only.
 TIME_PARTS = 4
-# Columns that are chosen with a pose, and do not depend on the order of measurement.
+# Columns of conditions that are chosen with a pose and do not depend on the order of measurement.
 POSE_COLUMNS = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
 
 
 def travel_distances(robot: Robot, q: Array) -> Array:
-    """Return the travel between readings, shape (n, n) [rad].
+    """Return the travel between each pair of n readings, shape (n, n) [rad].
 
-    It is that of the joint that moves most; a full stroke of a prismatic joint counts as half a
-    turn.
+    It is that of the joint that moves most; a full stroke of a prismatic joint counts as pi.
 
     q : shape (n, joints) [rad or m]
     """
@@ -54,17 +54,21 @@ def travel_distances(robot: Robot, q: Array) -> Array:
 
 
 def travel(robot: Robot, q: Array) -> float:
-    """Return the sum of the travel from each reading to the next [rad]."""
+    """Return the sum of the travel from each reading to the next [rad]; see `travel_distances`.
+
+    q : shape (n, joints) [rad or m]
+    """
     D = travel_distances(robot, q)
     return float(D[np.arange(len(q) - 1), np.arange(1, len(q))].sum())
 
 
 def short_tour(D: Array, before: Array | None = None) -> Array:
-    """Return an order of poses with a short path, shape (n,).
+    """Return the indices of n poses in an order with a short path, shape (n,).
 
     It is the shortest of the nearest-neighbour paths from up to twelve starts.
 
-    D : distances, shape (n, n); before : distances from the previous pose, shape (n,)
+    D : distances between the poses, shape (n, n), in any unit
+    before : distances from the pose before them, shape (n,); None: any start is as good
     """
     n = len(D)
     first = np.zeros(n) if before is None else before
@@ -83,12 +87,12 @@ def short_tour(D: Array, before: Array | None = None) -> Array:
 
 
 def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumstances, *, travel: bool) -> Measurements:
-    """Return the chosen poses as measurements, in order.
+    """Return the chosen poses as measurements by the model, in measuring order.
 
-    Columns that depend on the order are computed again.
+    The order is by pass, part of the campaign and payload. Columns that depend on the order, such
+    as the time, are computed again.
 
-    travel : whether poses of one pass, part of the campaign and payload are ordered for short
-        travel
+    travel : whether poses of equal pass, part and payload are ordered for short travel
     """
     rows = {n: v.ravel() for n, v in chosen.conditions.items()}
     q = np.repeat(chosen.q, chosen.size, axis=0)
@@ -116,10 +120,10 @@ def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumst
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Selection(DesignProblem, Shown):
-    """Poses to measure, in order, and the expected accuracy; with all that they were chosen for.
+    """Poses to measure in order, the input of the search that chose them, and expected accuracy.
 
-    chosen : readings and circumstances
-    m : one row per measurement, in order, at the positions that the model gives
+    chosen : chosen readings with their circumstances
+    m : one row per measurement in measuring order, at the positions that the model gives
 
     Examples
     --------
@@ -142,29 +146,32 @@ class Selection(DesignProblem, Shown):
 
     @property
     def q(self) -> Array:
-        """Readings in order, shape (n, joints) [rad or m]."""
+        """Readings in measuring order, shape (n, joints) [rad or m]."""
         return self.m.q
 
     def ordered(self) -> Selection:
-        """Return the same poses in an order of short travel."""
+        """Return the selection with the same poses in an order of short travel."""
         return replace(self, m=in_measuring_order(self.robot, self.chosen, self.circumstances, travel=True))
 
     @cached_property
     def _sets(self) -> tuple[Measurements, ...]:
-        """The planned and the measured poses."""
+        """The planned poses and, if there are any, the poses measured before."""
         return (self.m,) if self.measured is None else (self.m, self.measured)
 
     @cached_property
     def jacobian(self) -> Array:
-        """Scaled Jacobian, shape (n, 3, p) [mm per unit of scale], measured poses last."""
+        """Jacobian of the position by the p parameters, shape (n, 3, p) [mm per unit of scale].
+
+        Poses measured before are at its end.
+        """
         return np.concatenate([scaled_jacobian(self.robot, self.names, m) for m in self._sets])
 
     @cached_property
     def _covariance(self) -> Array:
-        """Covariance of the parameters in units of scale, shape (p, p).
+        """Expected covariance of the p parameters in units of scale, shape (p, p).
 
-        With the noise N of each pose it is H J'N J H, H = (J'J)^-1; with a prior of information P
-        and a mean variance s^2 it is H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
+        With the noise covariance N of each pose it is H J'N J H, H = (J'J)^-1; with a prior of
+        information P and a mean variance s^2 it is H (J'N J / s^4 + P) H, H = (J'J / s^2 + P)^-1.
         """
         if self.instrument is not None:
             rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)
@@ -182,7 +189,7 @@ class Selection(DesignProblem, Shown):
 
     @cached_property
     def scale(self) -> Array:
-        """Unit of each parameter's variable, shape (len(names),) [SI]."""
+        """Scale of each parameter: the SI value of its unit in the solver, shape (p,)."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     @property
@@ -196,26 +203,26 @@ class Selection(DesignProblem, Shown):
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def expected_error(self, m: Measurements | None = None) -> Array:
-        """Return the expected rms position error of the calibrated robot due to noise.
+        """Return the expected rms position error of the calibrated robot at n poses, (n,) [m].
 
-        The shape is (n,) [m]. Where the places of an instrument are not measured, the base is
-        assumed to be fitted again at these poses.
+        It is that due to noise of the calibration. Where the places of an instrument are not
+        measured, the base is assumed to be fitted again at these poses.
 
-        m : poses; None: the task
+        m : the poses; None: the task
         """
         J = jacobian_of(self.robot, self.names, self.task if m is None else m, self.instrument)
         return np.asarray(MM * np.sqrt(np.einsum("kip,pq,kiq->k", J, self._covariance, J, optimize=True)))
 
     @cached_property
     def accuracy(self) -> float:
-        """Root mean square of the expected error over the task [m]."""
+        """Expected position error of the calibrated robot, rms over the task [m]."""
         return float(np.sqrt(np.mean(self.expected_error() ** 2)))
 
     @cached_property
     def reading_error(self) -> float | None:
-        """Expected rms of an instrument's readings over the task [m], noise included.
+        """Expected rms residual of positions measured over the task [m], their noise included.
 
-        None for wires and sockets.
+        It is None for wires and sockets.
         """
         if self.instrument is not None:
             return None
@@ -224,9 +231,9 @@ class Selection(DesignProblem, Shown):
 
     @property
     def parameters(self) -> pd.DataFrame:
-        """Expected standard errors in readable units (mm, deg).
+        """Table of expected standard errors in readable units (mm, deg), a row per parameter.
 
-        Parameters that would not be identified are listed with the reason.
+        Parameters that would not be identified are listed with NaN and the reason.
         """
         rows = [
             (name, p.group, p.readable(error), p.readable_unit, "")
@@ -238,7 +245,10 @@ class Selection(DesignProblem, Shown):
 
     @property
     def error_map(self) -> pd.DataFrame:
-        """Expected error [mm] at every pose of the task: position, readings, error."""
+        """Table of the expected error [mm] at every pose of the task, with position and readings.
+
+        Positions are in the measuring frame [mm].
+        """
         assert self.task.position is not None
         table = pd.DataFrame(1e3 * self.task.position, columns=["x_mm", "y_mm", "z_mm"])
         table["expected_error_mm"] = 1e3 * self.expected_error()
@@ -246,10 +256,11 @@ class Selection(DesignProblem, Shown):
 
     @property
     def table(self) -> pd.DataFrame:
-        """The table for the robot: one row per measurement.
+        """The measuring plan as a table with one row per measurement.
 
-        It has readings, circumstances and the predicted position. The columns nominal_x_mm ... help
-        to find the reflector; they are not measurements.
+        It has the pose's number, payload, approach, the instrument's columns, readings (q1_deg,
+        ...) and the model's position in the measuring frame. The columns nominal_x_mm ... help to
+        find the reflector; they are not measurements.
         """
         assert self.m.position is not None
         table = pd.DataFrame({"pose": np.arange(1, len(self.m) + 1)})
@@ -263,6 +274,9 @@ class Selection(DesignProblem, Shown):
 
 
 def readings_table(robot: Robot, q: Array) -> pd.DataFrame:
-    """Return readings as columns q1_deg, q2_mm, ..., to 1e-6 of a degree or millimetre."""
+    """Return readings as a table with columns q1_deg, q2_mm, ..., rounded to 1e-6 deg or mm.
+
+    q : shape (n, joints) [rad or m]
+    """
     columns = robot.reading_units
     return pd.DataFrame(np.round(q / list(columns.values()), 6), columns=list(columns))

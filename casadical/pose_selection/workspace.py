@@ -49,15 +49,16 @@ class Box:
             )
 
     def holds(self, points: Array, clearance: float = 0.0) -> Array:
-        """Return which points are in the box or within a clearance [m] of it, boolean, shape (...).
+        """Return a mask of points in the box widened by a clearance, shape (...).
 
         points : in the measuring frame, shape (..., 3) [m]
+        clearance : distance by which each face is moved outwards [m]
         """
         inside = (points > np.asarray(self.low) - clearance) & (points < np.asarray(self.high) + clearance)
         return np.asarray(inside.all(axis=-1))
 
     def hides(self, points: Array, station: Array) -> Array:
-        """Return whether lines from a station to points pass through the box, shape (n,).
+        """Return whether the box hides each of n points from a station, boolean, shape (n,).
 
         points : shape (n, 3) [m]; station : shape (3,) [m]; both in the measuring frame
         """
@@ -77,14 +78,15 @@ class Box:
 class Tracker:
     """A laser tracker in the measuring frame and the cone in which it sees.
 
-    station : Array, shape (3,) [m]: position of its head
-    towards : Array, shape (3,) [m]: a point on the axis of its cone; None: it sees all around
-    half_angle : half of the cone's angle [rad]
-    nearest : least distance [m]
-    farthest : greatest distance [m]
-    opening : Array, shape (3,): direction of the reflector's opening in the tool frame; None: it is
-        visible from all sides
-    acceptance : largest angle between the beam and that direction [rad]
+    station : position of its head in the measuring frame, shape (3,) [m]
+    towards : a point on the axis of its cone in the measuring frame, shape (3,) [m]; None: it sees
+        all around
+    half_angle : half of the cone's opening angle [rad]
+    nearest : smallest distance of a reflector [m]
+    farthest : largest distance of a reflector [m]
+    opening : direction out of the reflector's opening in the tool frame, shape (3,), of any length;
+        None: it is visible from all sides
+    acceptance : largest angle between `opening` and the direction to the tracker [rad]
     """
 
     station: Array
@@ -96,10 +98,10 @@ class Tracker:
     acceptance: float = np.pi / 6
 
     def sees(self, points: Array, R: Array) -> Array:
-        """Return whether the tracker sees reflectors, shape (n,).
+        """Return whether the tracker sees each of n reflectors, boolean, shape (n,).
 
-        points : in the measuring frame, shape (n, 3) [m]; R : orientations of their tool frames,
-            shape (n, 3, 3)
+        points : reflectors in the measuring frame, shape (n, 3) [m]
+        R : orientations of their tool frames in the measuring frame, shape (n, 3, 3)
         """
         beam = points - self.station
         distance = np.linalg.norm(beam, axis=1)
@@ -118,13 +120,14 @@ class Tracker:
 class Workspace:
     """Which poses can be measured.
 
-    lower : shape (joints,) [rad or m]: least readings; None: the robot's
-    upper : shape (joints,) [rad or m]: greatest readings; None: the robot's
-    margin : least margin of every four-bar, see `fourbar.margin`
-    floor : height in the measuring frame below which no point may lie [m]
+    lower : lower limits of the readings, shape (joints,) [rad or m]; None: the robot's
+    upper : upper limits of the readings, shape (joints,) [rad or m]; None: the robot's
+    margin : smallest margin of every four-bar, see `fourbar.margin`
+    floor : height in the measuring frame below which no link origin or tool point may lie [m];
+        None: any
     boxes : obstacles
-    clearance : least distance of tool point and link origins from floor and boxes [m]
-    tracker : it must see the tool point, past the boxes
+    clearance : smallest distance of tool point and link origins from floor and boxes [m]
+    tracker : laser tracker that must see the tool point, past the boxes; None: none
 
     Examples
     --------
@@ -149,10 +152,12 @@ class Workspace:
     tracker: Tracker | None = None
 
     def ranges(self, robot: Robot) -> tuple[Array, Array]:
-        """Return least and greatest readings, shape (joints,) each [rad or m].
+        """Return lower and upper limits of the joint readings, shape (joints,) each [rad or m].
 
-        Raises InputError: limits of another number of joints, or a lower one that is not below the
-        upper.
+        Where the workspace has none, they are the robot's own.
+
+        Raises InputError: limits whose number is not the number of joints, or a lower limit that is
+        not below the upper one.
         """
         given = zip((self.lower, self.upper), robot.limits, strict=True)
         lower, upper = (own if side is None else np.asarray(side, float) for side, own in given)
@@ -163,9 +168,12 @@ class Workspace:
         return lower, upper
 
     def refusals(self, robot: Robot, q: Array) -> dict[str, Array]:
-        """Return for each reason which readings it excludes, boolean, shape (n,).
+        """Return a mask of the readings that the workspace excludes, shape (n,), for each reason.
 
-        q : shape (n, joints) [rad or m]
+        The reasons are "joint range", "four-bar margin", "floor", "box" and "line of sight", as far
+        as the workspace has such limits.
+
+        q : readings, shape (n, joints) [rad or m]
         """
         lower, upper = self.ranges(robot)
         refused: dict[str, Array] = {"joint range": np.asarray(((q < lower - 1e-9) | (q > upper + 1e-9)).any(axis=1))}
@@ -184,27 +192,30 @@ class Workspace:
         return refused
 
     def as_open_as(self, robot: Robot, q: Array) -> Workspace:
-        """Return the workspace with four-bars no less open than at any of some readings.
+        """Return the workspace with the smallest four-bar margin of some readings as its own.
 
-        q : shape (n, joints) [rad or m]
+        A larger margin of the workspace stays; without four-bars it is returned unchanged.
+
+        q : readings, shape (n, joints) [rad or m]
         """
         if not robot.loops:
             return self
         return replace(self, margin=max(self.margin, float(places_about(robot, q)[2].min())))
 
     def allows(self, robot: Robot, q: Array) -> Array:
-        """Return which readings may be measured, boolean, shape (n,).
+        """Return a mask of the readings that may be measured, shape (n,).
 
-        q : shape (n, joints) [rad or m]
+        q : readings, shape (n, joints) [rad or m]
         """
         return np.asarray(~np.any(list(self.refusals(robot, q).values()), axis=0))
 
 
 @lru_cache(maxsize=16)
 def _places_function(robot: Robot) -> ca.Function:
-    """Return the function (q, w, phi) -> (points[3, n], R, margin).
+    """Return the CasADi function (q, w, phi) -> (points[3, n], R[3, 3], margin) of the rigid robot.
 
-    Points are the origins of frames 2 to n (the first is fixed), then the tool.
+    Points are the origins of link frames 2 to n (the first is fixed), then the tool point, in the
+    measuring frame [m]; R is the tool's orientation there, margin that of each four-bar.
     """
     rigid = robot.with_only(())
     model = rigid.model
@@ -218,10 +229,13 @@ def _places_function(robot: Robot) -> ca.Function:
 
 
 def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
-    """Return link origins and tool points, tool orientations, and least four-bar margins.
+    """Return points of the robot, tool orientations, and smallest four-bar margins at n readings.
 
-    The points have shape (n, joints, 3) [m], the orientations (n, 3, 3), both in the measuring
-    frame; the margins (n,).
+    The points, shape (n, joints, 3) [m], are the origins of link frames 2 to n, then the tool
+    point; the orientations have the shape (n, 3, 3), both in the measuring frame; the margins (n,)
+    are 1 without a four-bar.
+
+    q : readings, shape (n, joints) [rad or m]
     """
     count, rigid = len(q), robot.with_only(())
     f = _places_function(robot)
@@ -230,7 +244,7 @@ def places_about(robot: Robot, q: Array) -> tuple[Array, Array, Array]:
     return (points.full().T.reshape(count, robot.n, 3), R.full().reshape(3, count, 3).transpose(1, 0, 2), least)
 
 
-# An angle of a TOML file between 0 and half a turn, in rad or deg.
+# Type of an angle in a TOML file, above 0 and at most pi, with its unit in the key.
 HalfTurn = Annotated[float, Quantity(ANGLE.factors, np.pi), Field(gt=0)]
 
 
@@ -249,7 +263,7 @@ class _Box(TomlTable):
 
     @model_validator(mode="after")
     def _ordered(self) -> _Box:
-        """Refuse a box unless its corners are in order."""
+        """Check that each coordinate of low is below that of high. Raises FaultError."""
         if not np.less(self.low, self.high).all():
             raise FaultError("high", "each of its coordinates must be greater than that of low")
         return self
@@ -268,7 +282,10 @@ class _Tracker(TomlTable):
 
     @model_validator(mode="after")
     def _sees(self) -> _Tracker:
-        """Refuse a tracker whose keys are incomplete or whose cone is empty."""
+        """Check that the tracker's keys are complete and that it can see anything.
+
+        Raises FaultError.
+        """
         for needed, key in (("towards", "half_angle"), ("opening", "acceptance")):
             if key in self.model_fields_set and getattr(self, needed) is None:
                 raise FaultError(key, f"has no effect without {needed}; give both")
@@ -294,7 +311,9 @@ class _Workspace(TomlTable):
 
 
 def read_workspace(path: str | Path, robot: Robot) -> Workspace:
-    """Read a workspace file, which is in the measuring frame.
+    """Return the workspace in a TOML file, whose coordinates are in the measuring frame.
+
+    Its joint limits are narrowed to the robot's own.
 
     Raises InputError that names file and key.
     """

@@ -15,12 +15,12 @@ class Backprop(Trainer):
     """Full-batch gradient descent with momentum and an adaptive learning rate.
 
     steps : number of gradient steps
-    rate : first learning rate
-    momentum : share of the previous step in the next one
+    rate : initial learning rate
+    momentum : factor of the previous step in the next one
     faster : factor on the rate after a step that lowers the loss
-    slower : factor on the rate after a step that raises it by more than ``tolerance``; that step is
-        undone
-    tolerance : relative increase of the loss that is accepted
+    slower : factor on the rate after a step that raises the loss by more than `tolerance`; that
+        step is undone
+    tolerance : largest relative increase of the loss that is accepted
     """
 
     name: ClassVar[str] = "backprop"
@@ -35,7 +35,7 @@ class Backprop(Trainer):
     tolerance: float = 0.04
 
     def begin(self, task: Task, seed: int) -> "BackpropRun":
-        """Start a training from random weights."""
+        """Return a gradient descent from random weights, with no step done."""
         weights = random_weights(task.layout, np.random.default_rng(seed), 1)
         return BackpropRun(self, task, weights)
 
@@ -51,7 +51,10 @@ class BackpropRun:
         self.best_weights, self.best_loss = weights, self.loss
 
     def _value_and_slope(self, weights: Array) -> tuple[float, Array]:
-        """Return the loss in units of the scaled targets, and its gradient."""
+        """Return the loss in squared units of the output layer, and its gradient, (1, count).
+
+        weights : shape (1, count)
+        """
         task = self.task
         errors = np.asarray(forward(task.layout, weights, task.inputs) - task.targets, dtype=np.float64)
         slope = gradient(task.layout, weights, task.inputs, task.loss.slope(errors))

@@ -19,10 +19,10 @@ class Run(Protocol):
         """Do the next step."""
 
     def reasons(self) -> tuple[str, ...]:
-        """Return why the training is over; empty as long as it should continue."""
+        """Return why the training is over, as text; empty as long as it should continue."""
 
     def best(self) -> Array:
-        """Return the best weights so far, shape (count,)."""
+        """Return the best weights so far, shape (count,), in the order of `Layout`."""
 
     def note(self) -> str:
         """Return in words what the trainer chose by itself; empty if nothing."""
@@ -33,10 +33,10 @@ class Trainer(ABC):
     """Settings of one training method; each is a small frozen dataclass in a file of its own.
 
     name : short name, as in tables and saved files
-    method : name in problem.toml and `calibrate --method` of a network that it trains on the
-        residuals of SKCM; "" for none
-    output_scale_mm : millimetres of one output unit for that method; None: root mean square
-        residual
+    method : name in problem.toml and of `calibrate --method` for a network that this trainer trains
+        on the residuals of SKCM (joint identification of geometry and compliance); "" for none
+    output_scale_mm : millimetres of one unit of the output layer for that method; None: root mean
+        square residual
 
     Examples
     --------
@@ -58,9 +58,9 @@ class Trainer(ABC):
 
     @classmethod
     def for_method(cls) -> Self:
-        """Return the trainer with the settings of its method; by default the usual ones."""
+        """Return the trainer with the settings for its `method`; by default the default ones."""
         return cls()
 
     @abstractmethod
     def begin(self, task: Task, seed: int) -> Run:
-        """Start a training with this seed and return it."""
+        """Return a training with no step done; seed : seed of all its random numbers."""

@@ -18,9 +18,9 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-# Range of the length scales [half ranges of the joints].
+# Lower and upper bound of the length scales [half ranges of the joints].
 LENGTH_RANGE = (0.1, 100.0)
-# Number of poses from which the length scales are estimated; the process itself uses all.
+# Largest number of poses from which the length scales are estimated; the process itself uses all.
 MAX_POSES_FOR_LENGTHS = 300
 
 
@@ -28,9 +28,10 @@ MAX_POSES_FOR_LENGTHS = 300
 class GaussianProcess:
     """A Gaussian process with its data.
 
-    inputs : shape (n, d); solved : inverse covariance times targets, shape (n, outputs)
-    lengths : length scale of each input, shape (d,)
-    size, noise : standard deviations of the process and of the noise
+    inputs : inputs of the n data, scaled joint angles, shape (n, d)
+    solved : inverse covariance of the data times the targets, shape (n, outputs)
+    lengths : length scale of each input, shape (d,), in its unit
+    size, noise : standard deviations of the process and of the noise [unit of the targets]
     """
 
     inputs: Array
@@ -43,7 +44,9 @@ class GaussianProcess:
     def fit(cls, inputs: Array, targets: Array, steps: int = 120) -> Self:
         """Return the process fitted to inputs, shape (n, d), and targets, shape (n, outputs).
 
-        The length scales are estimated from the first 300 poses.
+        The hyperparameters are estimated from the first `MAX_POSES_FOR_LENGTHS` poses.
+
+        steps : number of steps of their maximum-likelihood search from each of two starts
         """
         few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
@@ -60,21 +63,24 @@ class GaussianProcess:
         return cls(inputs, solved, lengths, size, noise)
 
     def mean(self, at: Array) -> Array:
-        """Return the posterior mean at inputs (m, d), shape (m, outputs)."""
+        """Return the posterior mean at inputs (m, d), shape (m, outputs) [unit of the targets]."""
         return np.asarray(self.size**2 * _correlation(at, self.inputs, self.lengths) @ self.solved)
 
 
 def _correlation(a: Array, b: Array, lengths: Array) -> Array:
-    """Return the squared exponential correlation of two sets of inputs, shape (len(a), len(b))."""
+    """Return the squared exponential correlation of two sets of inputs, shape (len(a), len(b)).
+
+    a, b : shape (., d); lengths : length scale of each input, shape (d,)
+    """
     a, b = a / lengths, b / lengths
     square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
     return np.asarray(np.exp(-0.5 * np.maximum(square, 0)))
 
 
 def cost_and_slope(logs: Array, x: Array, y: Array) -> tuple[float, Array]:
-    """Return the negative log likelihood without constants, and its gradient.
+    """Return the negative log likelihood without constants, and its gradient by `logs`, (d + 2,).
 
-    logs : logarithms of the length scales, size and noise
+    logs : logarithms of the d length scales, of size and of noise, see `GaussianProcess`
     x : inputs, shape (n, d); y : targets, shape (n, outputs)
     """
     lengths, size, noise = np.exp(logs[:-2]), np.exp(logs[-2]), np.exp(logs[-1])
@@ -94,9 +100,13 @@ def cost_and_slope(logs: Array, x: Array, y: Array) -> tuple[float, Array]:
 def _minimise_by_sign_steps(
     x: Array, y: Array, start: Array, low: Array, high: Array, steps: int
 ) -> tuple[Array, float]:
-    """Return the point of least cost on a path of sign steps, and its cost.
+    """Return the hyperparameters of least cost on a path of sign steps (Rprop), and that cost.
 
-    A step grows while the sign of the gradient stays, and shrinks when it changes (Rprop).
+    The step of a coordinate grows while the sign of its gradient stays, and shrinks when it
+    changes. The cost is that of `cost_and_slope`.
+
+    x, y : inputs and targets; start, low, high : start and bounds of the logarithms, (d + 2,)
+    steps : number of evaluations
     """
     at, step, before = start.copy(), np.full(len(start), 0.2), np.zeros(len(start))
     best, least = start, np.inf
@@ -117,8 +127,8 @@ class Taught(Trainer):
 
     It is not for periodic inputs, whose box is no box of joint angles.
 
-    lessons : number of poses at which the process predicts
-    lm : training on its predictions
+    lessons : number of random poses at which the process predicts, besides the measured ones
+    lm : trainer of the network on these predictions
     """
 
     name: ClassVar[str] = "taught"
@@ -132,12 +142,15 @@ class Taught(Trainer):
             raise InputError(f"lessons must be at least 10 poses; got {self.lessons}")
 
     def begin(self, task: Task, seed: int) -> LmRun:
-        """Fit the process and start the training on its predictions."""
+        """Fit the process and return a training on its predictions, with no step done."""
         lessons, note = self._lessons(task, seed)
         return self.lm.begin(lessons, seed).with_note(note)
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
-        """Return the training problem of the process's predictions, and its lengths in words."""
+        """Return the task of learning the process's predictions, and its length scales in words.
+
+        Raises InputError for periodic inputs.
+        """
         if task.layout.periodic:
             raise InputError("the trainer 'taught' takes no periodic inputs; take 'lm', or a layout without them")
         inputs, ones = task.inputs[:-1].T, task.inputs[-1]

@@ -33,7 +33,7 @@ class Iwo(Trainer):
             raise InputError(f"precision is 'double' or 'single'; got {self.precision!r}")
 
     def begin(self, task: Task, seed: int) -> "IwoRun":
-        """Start a search over all weights."""
+        """Return a search over all weights, with no generation done."""
         return IwoRun(self, task, InvasiveWeeds(task.layout.count, self.settings, seed=seed))
 
 
@@ -52,7 +52,7 @@ class IwoRun:
         return self.search.iteration + 1
 
     def step(self) -> None:
-        """Do one generation."""
+        """Evaluate the next generation and select its members."""
         self.search.tell(self._task.losses(self.search.ask().astype(self._dtype, copy=False)))
 
     def reasons(self) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ class IwoThenLm(Trainer):
     lm: LevenbergMarquardt = field(default_factory=LevenbergMarquardt)
 
     def begin(self, task: Task, seed: int) -> "IwoThenLmRun":
-        """Start with the invasive weed optimisation."""
+        """Return a training that begins with the invasive weed optimisation, with no step done."""
         return IwoThenLmRun(self, task, seed, self.iwo.begin(task, seed))
 
 

@@ -6,24 +6,25 @@ from casadical.compensator.trainers import Backprop, Iwo, IwoThenLm, LevenbergMa
 from casadical.compensator.trainers.base import Trainer
 from casadical.core.basics import InputError
 
-# In the order in which their methods run.
+# Classes of all trainers, in the order in which their methods run.
 _TRAINERS = (Backprop, Iwo, LevenbergMarquardt, IwoThenLm, Taught)
 
 
 def known_trainers() -> Mapping[str, type[Trainer]]:
-    """Return every trainer by its name."""
+    """Return the class of every trainer by its short name, such as "lm"."""
     return {kind.name: kind for kind in _TRAINERS}
 
 
 def network_methods() -> Mapping[str, type[Trainer]]:
-    """Return the trainers by the name of their method in problem.toml."""
+    """Return the class of every trainer by its method in problem.toml, such as "LM-NN-SKCM"."""
     return {kind.method: kind for kind in _TRAINERS}
 
 
 def trainer_named(trainer: Trainer | str) -> Trainer:
     """Return a trainer unchanged, or the one of this name with its default settings.
 
-    Raises InputError: there is none of this name."""
+    Raises InputError: there is none of this name.
+    """
     if isinstance(trainer, Trainer):
         return trainer
     if trainer not in known_trainers():

@@ -27,10 +27,11 @@ from casadical.core.basics import Array, InputError
 class Batch:
     """P training problems in progress.
 
-    weights : shape (P, count)
-    damping, growth : damping and its next growth factor, shape (P,)
-    cost : shape (P,)
-    active : 1 for problems that are not finished, shape (P,)
+    weights : weights of each network, shape (P, count)
+    damping : damping of the next step, shape (P,); below zero: to be set in the first step
+    growth : factor on the damping after the next step that is refused, shape (P,)
+    cost : `penalised_cost` at the weights, shape (P,)
+    active : 1 for problems that are not finished, else 0, shape (P,)
     """
 
     weights: Array
@@ -41,14 +42,23 @@ class Batch:
 
 
 def begin_batch(task: Task, weights: Array, samples: Array, ridge: Array) -> Batch:
-    """Start P problems at weights (P, count), with sample weights (P, N) and ridges (P,)."""
+    """Return P training problems with no step done.
+
+    weights : start of each network, shape (P, count)
+    samples : weight of each pose, shape (P, N); ridge : of each problem, shape (P,)
+    """
     count = len(weights)
     cost = penalised_cost(task, weights, samples, ridge)
     return Batch(weights, np.full(count, -1.0), np.full(count, 2.0), cost, np.ones(count))
 
 
 def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> Array:
-    """Return the cost of every problem, shape (P,), in squared units of the scaled targets."""
+    """Return the cost of every problem, shape (P,), in squared units of the output layer.
+
+    It is the weighted sum of squared errors plus the ridge times the sum of squared weights.
+
+    weights, samples, ridge : as of `begin_batch`
+    """
     errors = forward(task.layout, weights, task.inputs) - task.targets
     fit = np.einsum("pon,pon,pn->p", errors, errors, samples)
     return np.asarray(fit + ridge * ((weights * _penalty_mask(task)) ** 2).sum(axis=1), dtype=np.float64)
@@ -57,7 +67,8 @@ def penalised_cost(task: Task, weights: Array, samples: Array, ridge: Array) -> 
 def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: float = 1e-7) -> Batch:
     """Return the batch after one damped step of every active problem.
 
-    A problem ends when a step reduces its cost by less than the share ``tolerance``.
+    samples, ridge : as of `begin_batch`
+    tolerance : relative reduction of the cost in a step at or below which a problem ends
     """
     at = np.flatnonzero(batch.active)
     new = {name: value.copy() for name, value in vars(batch).items()}
@@ -69,7 +80,11 @@ def advance(task: Task, batch: Batch, samples: Array, ridge: Array, tolerance: f
 
 
 def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ridge: Array, tolerance: float) -> None:
-    """Do one damped step of the problems `at`, and write the results into `new`."""
+    """Do one damped step of the problems of indices `at`, and write the results into `new`.
+
+    new : fields of a `Batch` by name
+    samples, ridge : sample weights and ridges of these problems alone
+    """
     weights, cost = new["weights"][at], new["cost"][at]
     slope, curvature = _normal_equations(task, weights, samples, ridge)
     diagonal = np.einsum("pii->pi", curvature)
@@ -93,7 +108,10 @@ def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ri
 
 
 def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) -> tuple[Array, Array]:
-    """Return half the gradient, (P, count), half the Gauss-Newton Hessian, (P, count, count)."""
+    """Return half the cost's gradient, (P, count), and Gauss-Newton Hessian, (P, count, count).
+
+    weights, samples, ridge : as of `begin_batch`
+    """
     outputs, jacobian = outputs_and_jacobian(task.layout, weights, task.inputs)
     count, total = weights.shape
     root = np.sqrt(samples)[:, None]
@@ -108,19 +126,19 @@ def _normal_equations(task: Task, weights: Array, samples: Array, ridge: Array) 
 
 
 def _penalty_mask(task: Task) -> Array:
-    """Return 1 for weights that the ridge penalises, 0 for output biases, shape (count,)."""
+    """Return 1 for each weight that the ridge penalises, 0 for output biases, shape (count,)."""
     return np.asarray(~task.layout.output_biases(), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class LevenbergMarquardt(Trainer):
-    """Settings of the training.
+    """Settings of the Levenberg-Marquardt training.
 
     restarts : number of random starts of the final training
-    iterations : largest number of iterations of each
-    ridges : candidates, strongest first, as a fraction of the mean square residual per unit of
-        squared weight; a single one skips the cross-validation, 0 is no ridge
-    folds : of the cross-validation
+    iterations : largest number of steps of the final training
+    ridges : candidates, strongest first; the ridge is the cost per unit of squared weight, divided
+        by the mean squared norm of the targets. A single one skips the cross-validation.
+    folds : number of folds of the cross-validation
     fold_starts : number of random starts of each fold
     """
 
@@ -146,9 +164,9 @@ class LevenbergMarquardt(Trainer):
         return cls(restarts=20)
 
     def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
-        """Start a training.
+        """Return a training with no step done.
 
-        starts : shape (k, count) [scaled], in place of the random starts of the final training
+        starts : weights, shape (k, count), that replace the random starts of the final training
         """
         return LmRun(self, task, seed, starts)
 
@@ -169,11 +187,11 @@ class LmRun:
 
     @property
     def choosing_ridge(self) -> bool:
-        """Whether the ridge is still to be chosen."""
+        """Whether the cross-validation that chooses the ridge is still running."""
         return self.ridge is None
 
     def step(self) -> None:
-        """Do one damped step of all problems, and change the ridge when its steps are done."""
+        """Do one damped step of all problems, and begin the next ridge when its steps are done."""
         self.batch = advance(self.task, self.batch, self.samples, self.ridges)
         self.steps, self.inner = self.steps + 1, self.inner + 1
         # There are 100 iterations at the weakest ridge, and 20 at each stronger one.
@@ -206,7 +224,7 @@ class LmRun:
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"
 
     def set_problem(self, count: int) -> None:
-        """Set sample weights and ridges of a batch of `count` problems."""
+        """Set sample weights and ridges of a batch of `count` problems: folds or final training."""
         total, ridge = self.task.targets.shape[1], self.ridge
         if ridge is None:
             ridge = self._candidates[self.level]
@@ -217,7 +235,10 @@ class LmRun:
         self.ridges = np.full(count, ridge * self._unit)
 
     def _begin(self, weights: Array | None = None) -> Batch:
-        """Start the batch of the current ridge, from ``weights`` or from new starts."""
+        """Return the batch of the current ridge with no step done.
+
+        weights : start of each problem; None: random ones, or the given starts of the final one
+        """
         if weights is None:
             count = self.folds * self.trainer.fold_starts if self.choosing_ridge else self.trainer.restarts
             random = np.random.default_rng((self.seed, int(self.choosing_ridge)))
@@ -239,7 +260,10 @@ class LmRun:
             self.batch = self._begin(self.batch.weights)
 
     def _held_out(self) -> float:
-        """Return the mean square error on held-out poses, by each fold's best start."""
+        """Return the mean squared norm of the held-out error, in squared units of the output layer.
+
+        Each fold predicts with the start of lowest training cost.
+        """
         cost = self.batch.cost.reshape(self.folds, -1)
         chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
         errors = forward(self.task.layout, self.batch.weights[chosen], self.task.inputs) - self.task.targets
