@@ -52,7 +52,7 @@ def _loaded_effect(point: EntryPoint, origin: str) -> type[Effect]:
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
     """Return the class of an effect.
 
-    name : as in the table of docs/diagnosis.md
+    name : as in the table of docs/effects.md
     own : additional classes to search
     Raises InputError, with the names of all effects, for an unknown one.
     """

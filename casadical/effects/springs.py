@@ -247,7 +247,7 @@ class LinkFlexure(Effect):
     physics = (
         "A beam under a moment turns its end by M l / (E I) about each axis; the part about the next joint's axis is "
         "that joint's compliance (Klimchik, Pashkevich and Chablat 2013). Its own weight bends it less where it is "
-        "spread. Turns are those under the great torque of the joints at its ends."
+        "spread. Turns are those under the peak gravity torque of the joints at its ends."
     )
     confused_with = "cross_coupling of torques; base_compliance for the first link"
 

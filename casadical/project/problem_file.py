@@ -291,7 +291,7 @@ class LogsTable(_Strict):
 
 
 class ProblemFile(_Strict):
-    """The contents of problem.toml (docs/measurements.md lists the keys)."""
+    """The contents of problem.toml (docs/problem-folder.md lists the keys)."""
 
     casadical: Annotated[Literal[1], WHOLE_NUMBER]
     title: str

@@ -159,7 +159,7 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
         raise InputError(
             f"{m.source}: the robot file has several targets, {target_names}, and the table does not say which one was "
             "measured: add a column 'tool' with one of these names in each row, or list the rows in `tools` of "
-            "problem.toml (docs/measurements.md)"
+            "problem.toml (docs/problem-folder.md)"
         )
 
 

@@ -1,6 +1,7 @@
 """python docs/studies/diagnosis_tables.py
 
-Writes the tables of docs/diagnosis.md again from the effect classes and the thresholds in the code; a test compares.
+Writes the tables of docs/effects.md and docs/diagnosis-statistics.md again from the effect classes and the
+thresholds in the code; a test compares.
 """
 
 import re
@@ -13,15 +14,15 @@ from casadical.effects.plugins import signature_of
 from casadical.project.problem import read_campaign_robot
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "diagnosis.md"
+PAGES = [ROOT / "docs" / name for name in ("effects.md", "diagnosis-statistics.md")]
 MOST = 40  # names in a row of a table
 READABLE = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
-READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of great torque")}
+READABLE |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "": (1e2, "% of peak torque")}
 READABLE |= {"kg/kg": (1e2, "%")}
 
 
 def tables() -> dict[str, str]:
-    """Name of each marked place in the page -> what must stand there."""
+    """Return what must stand at each marked place of the pages, by its name."""
     robot = read_campaign_robot(ROOT / "problems" / "hh800")
     standard = [c for c in standard_candidates(robot) if c.listed]
     names = {c.name for c in standard}
@@ -81,9 +82,9 @@ def _columns(c: Candidate) -> str:
         elif column.startswith("warmth"):
             words |= {"temperature_degC", "time_s"}
         elif column.startswith("approach"):
-            words.add("approach (logged, or from the order)")
+            words.add("approach")
         elif column == "progress" or column.startswith(("move", "memory")):
-            words.add("time_s, pose, or the order of the rows")
+            words.add("order")
         else:
             words.add(column)
     return ", ".join(sorted(words)) or "-"
@@ -129,13 +130,13 @@ def _shares(prior: dict[str, float]) -> str:
 
 
 def filled(page: str) -> str:
-    """The page with every marked place written again."""
+    """Return the page with its marked places written again."""
     for name, text in tables().items():
         mark = re.compile(rf"(<!-- {name} -->\n).*?(<!-- end -->)", re.DOTALL)
-        assert mark.search(page), name
         page = mark.sub(lambda m, text=text: f"{m[1]}{text}\n{m[2]}", page)
     return page
 
 
 if __name__ == "__main__":
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for path in PAGES:
+        path.write_text(filled(path.read_text(encoding="utf-8")), encoding="utf-8")

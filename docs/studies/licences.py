@@ -2,8 +2,8 @@
 
     python docs/studies/licences.py
 
-Writes the table of docs/licences.md from the metadata of the environment that it runs in, which must have the
-extras of users (`dev` brings them).
+From the metadata of the environment that it runs in, which must have the extras of users (`dev` brings them): name,
+version, licence, and the extras that bring it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from pathlib import Path
 from packaging.requirements import Requirement
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "licences.md"
 
 
 def licence(distribution: metadata.Distribution) -> str:
@@ -55,13 +54,10 @@ def main() -> None:
         for name in sorted({n for text in texts for n in needed(Requirement(text), seen)}):
             if "" not in brought.setdefault(name, []):
                 brought[name].append(group)
-    lines = ["| package | version | licence, as it states | brought by |", "|---|---|---|---|"]
     for name, groups_of in sorted(brought.items()):
         package = metadata.distribution(name)
-        by = "the base" if "" in groups_of else ", ".join(f"`{group}`" for group in groups_of)
-        lines.append(f"| {package.metadata['Name']} | {package.version} | {licence(package)} | {by} |")
-    text, mark = PAGE.read_text(encoding="utf-8"), "<!-- packages -->"
-    PAGE.write_text(text.partition(mark)[0] + "\n".join([mark, "", *lines, ""]), encoding="utf-8")
+        by = "the base" if "" in groups_of else ", ".join(groups_of)
+        print(f"{package.metadata['Name']:28} {package.version:14} {licence(package):50} {by}")
 
 
 if __name__ == "__main__":

@@ -78,9 +78,8 @@ def test_a_problems_readme_names_its_own_command(folder: Path) -> None:
 def test_the_problem_file_shown_is_one() -> None:
     from casadical.project.problem_file import ProblemFile
 
-    (text,) = [
-        b.text for b in blocks(ROOT / "docs" / "measurements.md") if b.language == "toml" and "casadical = 1" in b.text
-    ]
+    page = ROOT / "docs" / "problem-folder.md"
+    (text,) = [b.text for b in blocks(page) if b.language == "toml" and "casadical = 1" in b.text]
     assert ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation
 
 

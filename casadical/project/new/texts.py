@@ -124,7 +124,7 @@ com_mm = {centre:g}
 
 # problem.toml.
 _PROBLEM_TEMPLATE = """\
-# What is calibrated, from what. Every key: docs/measurements.md.
+# What is calibrated, from what. Every key: docs/problem-folder.md.
 casadical = 1
 title = "{title}"
 {data}{mark}
