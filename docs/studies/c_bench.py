@@ -1,14 +1,11 @@
 """What the studies of the exported C share: tools, products, builds for processors under QEMU, and how they print."""
 
 import os
-import re
 import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-
-import casadi as ca
 
 ROOT = Path(__file__).parents[2]
 sys.path[:0] = [str(ROOT / "tests" / "export" / folder) for folder in ("c", "controller")]
@@ -17,15 +14,9 @@ import controller_arms as arms  # noqa: E402, F401
 import export_models as models  # noqa: E402
 import export_targets as targets  # noqa: E402
 
-from casadical.export.c.emit import elementary_functions  # noqa: E402
-from casadical.export.c.tape_program import tape_program  # noqa: E402
-
 PACKAGES = {
     "gcc": "gcc",
     "clang": "clang",
-    "clang-tidy": "clang-tidy",
-    "cppcheck": "cppcheck",
-    "frama-c": "frama-c-base",
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "qemu-system-arm": "qemu-system-arm",
     "qemu-aarch64": "qemu-user",
@@ -33,7 +24,6 @@ PACKAGES = {
     "arm-linux-gnueabihf-gcc": "gcc-arm-linux-gnueabihf libc6-dev-armhf-cross",
     "riscv64-linux-gnu-gcc": "gcc-riscv64-linux-gnu libc6-dev-riscv64-cross",
     "powerpc64-linux-gnu-gcc": "gcc-powerpc64-linux-gnu libc6-dev-ppc64-cross",
-    "valgrind": "valgrind",
 }
 FOREIGN = {
     "aarch64": "aarch64-linux-gnu-gcc",
@@ -54,14 +44,10 @@ def install():
     lacking = sorted({p for tool, p in PACKAGES.items() if shutil.which(tool) is None})
     if lacking and os.geteuid() == 0 and shutil.which("apt-get"):
         names = " ".join(lacking).split()
-        if not list(Path("/usr/lib").glob("clang/*/lib/linux/libclang_rt.fuzzer*")):
-            names.append("libclang-rt-14-dev")
         subprocess.run(["apt-get", "update"], check=False, capture_output=True)
         command = ["apt-get", "install", "-y", "--no-install-recommends", *names]
         environment = os.environ | {"DEBIAN_FRONTEND": "noninteractive"}
         subprocess.run(command, check=False, capture_output=True, env=environment)
-    if shutil.which("frama-c") is None:
-        print("(frama-c cannot be installed here)")
 
 
 def section(title):
@@ -97,30 +83,6 @@ def host_and_foreign(folder, flags):
             continue
         found[name] = run([*([qemu] if name in FOREIGN else []), out]).stdout.strip()
     return found
-
-
-def casadi_c(real):
-    """CasADi's generated network in three variants: tanh, 1-2/(exp+1), and tanh on the exporter's own functions."""
-    generated = {}
-    for form in ("tanh", "one_minus"):
-        name = f"generated_{form}_{real}"
-        options = {"casadi_real": real, "casadi_int": "long long int", "with_header": False}
-        generator = ca.CodeGenerator(name, options)
-        q = ca.SX.sym("q", 6)
-        generator.add(ca.Function("network", [q], [models.network_dp(q, 0, 5, form)]))
-        path = WORK / f"{name}.c"
-        path.write_text(generator.dump())
-        generated[form] = path
-    return generated | {"portable": portable(generated["tanh"], real)}
-
-
-def portable(path, real):
-    """CasADi's C with its tanh replaced by the exporter's: the second way to get there, for comparison."""
-    function = elementary_functions([tape_program(PRODUCTS["network"], real).tapes["network"]], "arm", real)
-    text = path.read_text().replace("#include <math.h>", f"#include <stdint.h>\ntypedef {real} arm_real;\n{function}\n")
-    out = path.with_name(f"portable_{real}.c")
-    out.write_text(re.sub(r"\btanh\(", "arm_tansig(", text))
-    return out
 
 
 def nothing(board, real, optimise):

@@ -1,11 +1,10 @@
 """python docs/studies/mutants.py [--room ROOM] [--seconds S] [--most N]; then --print > docs/studies/mutants.txt
 
-Which wrong formulas would the tests notice? Each mutant is one change of the package that cosmic-ray makes (`pip$
-cosmic-ray`): an operator, a comparison, a constant, a condition turned, a loop of no turn, a decorator or an exception
-lost. In each room `EACH` are drawn with a fixed seed: every place that can be changed is as likely as another, no rule
-names a file, a line or a kind of change; only what changes no program (annotations, no Python) is passed over. The draw
-belongs to a state of the package: continue on the commit on which it began. With them run those of mutants_listed.py,
-which an audit had found alive; they are not in the score of a room.
+Which wrong formulas would the tests notice? Each mutant is one change of the package that cosmic-ray makes (install it
+by `pip install cosmic-ray`): an operator, a comparison, a constant, a condition turned, a loop of no turn, a decorator
+or an exception lost. In each room `EACH` are drawn with a fixed seed: every place that can be changed is as likely as
+another, no rule names a file, a line or a kind of change; only what changes no program (annotations, no Python) is
+passed over. The draw belongs to a state of the package: continue on the commit on which it began.
 
 A mutant runs tests until one fails: the one that killed it before; then those of its room (the folder of tests with its
 name) that call the mutant's function, the quickest first, the others of their files, and then 60 tests of other rooms
@@ -38,8 +37,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mutants_listed import EQUIVALENT
-from mutants_rules import Mutant, drawn, listed
+from mutants_equivalent import EQUIVALENT
+from mutants_rules import Mutant, drawn
 from mutants_tests import Bench, chosen, read_map, run_tests
 
 ROOT = Path(__file__).parents[2]
@@ -48,22 +47,15 @@ ROOMS = (
     "core", "effects", "robot", "measurements", "identification", "pose_selection", "compensator", "diagnosis",
     "project", "blind_check", "export", "fleet", "cli",
 )  # fmt: skip
-AUDIT = "the audit's"
 MAP = ROOT / "build" / "mutants_map.jsonl"
 LOG = Path(__file__).with_name("mutants.jsonl")
 
 
 def mutants(room: str = "") -> Iterator[Mutant]:
-    """All, or those of one room; the audit's come first."""
-    yield from (m for m in listed() if room in ("", AUDIT, m.room))
+    """All, or those of one room."""
     for name in ROOMS:
         if room in ("", name):
             yield from drawn(name, EACH, SEED)
-
-
-def counts_in(mutant: Mutant) -> tuple[str, ...]:
-    """The lines of the print that a mutant counts in."""
-    return (AUDIT,) if mutant.what.startswith("audit: ") else (mutant.room, "all")
 
 
 def outcome(mutant: Mutant, bench: Bench, tests: Sequence[str], stamp: int) -> tuple[str, str]:
@@ -123,14 +115,14 @@ def report(log: Path) -> None:
     print(f"{len(done)} of {len(known)} mutants ran; * no failure within the limit")
     print()
     print(f"{'room':16s}   ran  killed  by its own tests  lived  equivalent  score   of  commits")
-    for room in (*ROOMS, "all", AUDIT):
-        rows = {key: line for key, line in done.items() if room in counts_in(known[key])}
+    for room in (*ROOMS, "all"):
+        rows = {key: line for key, line in done.items() if room in (known[key].room, "all")}
         killed = sum(line["outcome"] == "killed" for line in rows.values())
         own = sum(f"tests/{known[key].room}/" in line["by"] for key, line in rows.items())
         same = sum(key in EQUIVALENT and line["outcome"] != "killed" for key, line in rows.items())
         lived = len(rows) - killed - same
         score = f"{killed / (len(rows) - same):6.3f}" if len(rows) > same else "     -"
-        total = sum(room in counts_in(m) for m in known.values())
+        total = sum(room in (m.room, "all") for m in known.values())
         commits = " ".join(sorted({line["commit"] for line in rows.values()})) if room != "all" else ""
         figures = f"{len(rows):5d} {killed:7d} {own:17d} {lived:6d} {same:11d} {score} {total:4d}  {commits}"
         print(f"{room:16s} {figures}".rstrip())

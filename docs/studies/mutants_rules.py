@@ -14,7 +14,6 @@ from typing import Any
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
 from cosmic_ray.operators.provider import OperatorProvider
-from mutants_listed import LISTED
 
 PACKAGE = Path(__file__).parents[2] / "casadical"
 
@@ -95,15 +94,3 @@ def drawn(room: str, number: int, seed: int) -> Iterator[Mutant]:
     rng.shuffle(order)
     tried = (_mutant(path, span[0][0], *rng.choice(places[path, span])) for path, span in order)
     yield from islice((mutant for mutant in tried if mutant), number)
-
-
-def listed() -> list[Mutant]:
-    """The mutants of the audit. Raises ValueError: the package has not what one changes, which must be listed again."""
-    found = []
-    for path, old, new, what in LISTED:
-        text = (PACKAGE / path).read_text(encoding="utf-8")
-        if old not in text:
-            raise ValueError(f"mutants_listed.py: {what}: {path} has no {old!r}")
-        line = text[: text.find(old)].count("\n") + 1
-        found.append(Mutant(path, line, text.replace(old, new, 1), f"audit: {what}"))
-    return found

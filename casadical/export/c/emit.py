@@ -1,8 +1,8 @@
 """C99 text of a tape, and of the elementary functions that it calls.
 
-CasADi's own generator with these elementary functions would run as fast (docs/studies/c_matrix.txt,
-"portable"). Walking the tape gives exact constants, no MISRA findings and guards where they are
-needed; and the NumPy reference, with which the compiled C is compared, reads the same list.
+CasADi's own generator with these elementary functions would run as fast. Walking the tape gives
+exact constants, no MISRA findings and guards where they are needed; and the NumPy reference, with
+which the compiled C is compared, reads the same list.
 """
 
 import re

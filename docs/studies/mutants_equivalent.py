@@ -1,40 +1,8 @@
 # ruff: noqa: E501
-"""Mutants that an audit found alive against the file of tests nearest to each, and mutants of the draw that change
-nothing a caller can see. What the package no longer has (the exponent of detection, of the audit) is left out."""
+"""Mutants of the draw that change nothing a caller can see, for mutants.py: file and change, and why."""
 
 from __future__ import annotations
 
-# File, what stands there (once), what is put in its place, and what that means.
-LISTED = (
-    ("diagnosis/posterior.py", '"unknown": 0.15}', '"unknown": 0.015}', "prior of the unknown"),
-    ("diagnosis/posterior.py", "SAME_JOINT_PRIOR_FACTOR = 0.05", "SAME_JOINT_PRIOR_FACTOR = 0.5", "a second cause at a joint"),
-    ("diagnosis/noise_floor.py", "Noise(scale * noise.sigma, scale * noise.repeatability)",
-     "Noise(scale * noise.sigma, noise.repeatability)", "scale of repeatability"),
-    ("diagnosis/noise_floor.py", "-3 * np.log(OUTLIER_NOISE_FACTORS)", "-2 * np.log(OUTLIER_NOISE_FACTORS)", "-3 log of a pose's noise"),
-    ("diagnosis/conclusion.py", "distance[out][0] < 2 * SETTINGS.outlier_distance", "distance[out][0] < SETTINGS.outlier_distance", "limit of one outlier"),
-    ("diagnosis/settings_search.py", "log[best] - log[0] < MIN_SETTING_GAIN", "log[best] - log[0] < -MIN_SETTING_GAIN", "sign of MIN_SETTING_GAIN"),
-    ("fleet/comparison.py", "DAYS_PER_YEAR = 365.25", "DAYS_PER_YEAR = 36.525", "DAYS_PER_YEAR"),
-    ("fleet/comparison.py", "(1 - ONSET_HAZARD) ** (k - 1)", "(1 - ONSET_HAZARD) ** k", "ONSET_HAZARD's exponent"),
-    ("fleet/comparison.py", "('sine', 'cosine')[w]", "('cosine', 'sine')[w]", "sine for cosine"),
-    ("fleet/comparison.py", "Amount(name, 1e6 * a[w]", "Amount(name, 1e3 * a[w]", "1e6 for 1e3"),
-    ("fleet/run.py", 'row.status != "ok"', 'row.status == "ok"', "a robot that failed is computed again"),
-    ("measurements/derived_columns.py", "np.exp(-abs(move) / way)", "np.exp(abs(move) / way)", "which way memory runs"),
-    ("measurements/columns.py", '"temperature_degC": (-273.15,', '"temperature_degC": (-2731.5,', "-273.15"),
-    ("export/c/chord.py", "ORIENTATION_LENGTH_M = 0.3", "ORIENTATION_LENGTH_M = 3.0", "ORIENTATION_LENGTH_M"),
-    ("export/controller/inverse.py", "np.clip(np.round((near - arms) / _FULL_TURN_RAD), min_turns, max_turns)",
-     "np.round((near - arms) / _FULL_TURN_RAD)", "clip of a turn"),
-    ("project/check/plausible.py", "freedom = len(m) - distinct", "freedom = len(m)", "freedom of repeats"),
-    ("project/check/plausible.py", "first_of_best(-np.log(", "first_of_best(np.log(", "sign of what is plausible"),
-    ("project/check/information.py", "residual, free = r - Q @ (Q.T @ r)", "residual, free = r + Q @ (Q.T @ r)", "sign"),
-    ("project/check/slip_fit.py", "return self.q[shift:], self.y[: n - shift]",
-     "return self.q[: n - shift], self.y[shift:]", "alignment of a shift"),
-    ("project/check/slip_fit.py", "(moved + 1) // 2", "moved", "count of swaps"),
-    ("project/targets.py", "max(MIN_DISAGREEING_POSES, 0.7 * len(points))", "max(MIN_DISAGREEING_POSES, 0.07 * len(points))", "cut-off of targets"),
-    ("project/acceptance/verification.py", "(freedom + made_up) / freedom", "freedom / (freedom + made_up)",
-     "`made_up` of verify"),
-)  # fmt: skip
-
-# Mutants of the draw that lived and do not differ from the original for a caller: file and change, and why.
 EQUIVALENT: dict[str, str] = {
     "diagnosis/motion/response.py NumberReplacer 241: step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(LOCAL), b[..., None])[..., 0] => step = np.linalg.solve(H + damping[:, None, None] * H * np.eye(LOCAL), b[..., None])[..., -1]": "there is one right-hand side: the last is the first",
     "core/linear_gaussian/columns.py ReplaceComparisonOperator_Eq_Lt 2: return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns => return slice(columns[0], columns[-1] + 1) if (np.diff(columns) < 1).all() else columns": "columns rise, so that all are taken by number, the same ones: time alone",
@@ -56,8 +24,6 @@ EQUIVALENT: dict[str, str] = {
     "core/parts.py ReplaceComparisonOperator_Gt_NotEq 2: return not any(j.body and j.body.mass > 0 for j in arm.joints) => return not any(j.body and j.body.mass != 0 for j in arm.joints)": "a mass is zero or more: another is refused",
     "project/live/estimate.py NumberReplacer 206: P = np.where(free > 0, free, factor * width) ** -2 => P = np.where(free > 1, free, factor * width) ** -2": "`free` is zero or far above one: a metre in millimetres",
     'export/controller/programs/urscript.py ReplaceComparisonOperator_Gt_NotEq 6: return str(first) if len(argument.children) > 1 and isinstance(first, Token) and first.type == "NAME" else "" => return str(first) if len(argument.children) != 1 and isinstance(first, Token) and first.type == "NAME" else ""': "the first child was read before: there is one at least",
-    "cli/check.py NumberReplacer 7: for _ in range(REPAIRS if repair else 0): => for _ in range(REPAIRS if repair else -1):": "range(-1) has no turn, as range(0)",
-    "fleet/placements.py NumberReplacer 17: p = first.robot.parameters[c.names[0]] => p = first.robot.parameters[c.names[ -1]]": "a zero and a stiffness have one name: the first is the last",
     "fleet/changes.py ReplaceAndWithOr 0: left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None] => left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None or c.freedom is not None]": "a campaign in a table has both, a robot file neither",
     "export/controller/commands.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "fleet/comparison.py ReplaceTrueWithFalse 3: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
