@@ -15,7 +15,7 @@ from casadical.blind_check import mujoco_physics, recording
 from casadical.blind_check.generation import UNSEEN_POSES, campaign_of, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
-from casadical.blind_check.recording import draw_plans, in_shares
+from casadical.blind_check.recording import draw_plans
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.project.problem import read_campaign_robot
 
@@ -37,11 +37,6 @@ def test_the_mix_is_as_told() -> None:
 
 def test_a_robot_that_can_have_one_effect_only_has_no_two() -> None:
     assert {p.effects for p in draw_plans(20, 1, (["a"], ["x"])) if p.kind == "several"} == {("a",)}
-
-
-def test_shares_add_up_whatever_the_number() -> None:
-    for n in range(4, 60):
-        assert len(in_shares(n, {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15})) == n
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from checks import ROOT
 
 pytestmark = pytest.mark.slow  # a process each
 ROOM = "casadical.blind_check"
@@ -24,19 +23,6 @@ for word in (*LISTED, *UNLISTED):
     plant = built("kr210")
     campaign(plant, [draw_effect(plant, word, np.random.default_rng(0))], 2, seed=1, truth=True)
 """
-COMMAND = """
-from casadical.cli import main
-sys.argv[1:] = {words!r}
-try:
-    main()
-except SystemExit as end:
-    assert not end.code
-"""
-PREDICTING = """
-from casadical.blind_check.prediction import predict
-import casadical.blind_check.prediction, casadical.blind_check.prediction
-import casadical.diagnosis.diagnose, casadical.diagnosis.json_answer
-"""
 
 
 def loaded_by(program: str) -> set[str]:
@@ -48,10 +34,6 @@ def loaded_by(program: str) -> set[str]:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return set(json.loads(done.stdout.splitlines()[-1]))
-
-
-def of_the_room(loaded: set[str]) -> list[str]:
-    return sorted(m for m in loaded if m == ROOM or m.startswith(f"{ROOM}."))
 
 
 @pytest.mark.parametrize(
@@ -67,23 +49,3 @@ def test_the_physics_load_nothing_of_what_they_judge(program: str, needs: str) -
     assert {m.split(".")[0] for m in loaded} & {"casadi", "pinocchio", "sklearn"} == set()
     assert f"{ROOM}.mujoco_physics.causes_load" in ours
     assert ("mujoco" in loaded) == (needs == "mujoco")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["calibrate", str(ROOT / "problems" / "planar"), "-q"],
-        ["diagnose", str(ROOT / "problems" / "ur10e"), str(ROOT / "data/campaigns/practice/ur10e-P03.csv"), "-q"],
-    ],
-    ids=lambda words: words[0],
-)
-def test_a_user_who_calibrates_or_diagnoses_loads_nothing_of_the_blind_check(words: list[str]) -> None:
-    loaded = loaded_by(COMMAND.format(words=words))
-    assert "casadical.identification.identification" in loaded
-    assert of_the_room(loaded) == []
-
-
-def test_predicting_loads_nothing_that_makes_campaigns() -> None:
-    loaded = of_the_room(loaded_by(PREDICTING))
-    assert f"{ROOM}.prediction" in loaded
-    assert [m for m in loaded if m.startswith((*PHYSICS, f"{ROOM}.recording", f"{ROOM}.generation"))] == []

@@ -18,7 +18,7 @@ from casadical.blind_check.mujoco_physics.cause import placed, reflector, settle
 from casadical.blind_check.mujoco_physics.draw import impossible
 from casadical.blind_check.mujoco_physics.fourbar import unfolded
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
-from casadical.blind_check.own_robot import RobotCheck, check_robot, subject_of
+from casadical.blind_check.own_robot import check_robot, subject_of
 from casadical.blind_check.recording import Plan, record
 from casadical.cli import app
 from casadical.core.basics import InputError
@@ -264,14 +264,3 @@ def test_the_command_says_how_often_a_diagnosis_would_be_right(gantry: Path, tmp
     assert hidden == set(told["effects"])
     assert not hidden & set(told["not_drawn"])
     assert told["failed"] == {}
-
-
-def test_its_json_is_known_again(gantry: Path, tmp_path: Path) -> None:
-    """A second run replaces the file of the first; another file of that name is kept."""
-    checked = RobotCheck("Gantry", 24, 1e-5, 2, (), (), {}, (), {})
-    kept = tmp_path / "own.json"
-    words = ["withheld", str(gantry), "--poses", "5", "--json", str(kept)]
-    kept.write_text(json.dumps(checked.to_json()))
-    assert "5 poses; a campaign" in str(CliRunner().invoke(app, words).exception)
-    kept.write_text('{"mine": 1}')
-    assert "5 poses" not in str(CliRunner().invoke(app, words).exception)

@@ -69,47 +69,6 @@ def test_answers_that_are_there_are_kept(small, stubbed, tmp_path) -> None:
     assert sorted(path.read_bytes().splitlines()) == sorted(small.answers.read_bytes().splitlines())
 
 
-# At every line of Python that deals with the answers a copy of the process is killed there; then the file is read.
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from checks import Here
-from casadical.blind_check.prediction import predict
-
-FILES = ("blind_check/prediction.py", "blind_check/protocol.py")
-folder, whole, path = map(Path, sys.argv[1:])
-answers, kills = whole.read_bytes(), 0
-
-def trace(frame, _event, _value):
-    global kills
-    file = frame.f_code.co_filename
-    if not file.endswith(FILES) and not ("pathlib" in file and frame.f_locals.get("self") == path):
-        return None
-    kills += 1
-    child = os.fork()
-    if child == 0:
-        os.kill(os.getpid(), signal.SIGKILL)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
-    assert path.read_bytes()[: len(answers)] == answers, kills
-    return trace
-
-path.write_bytes(answers + b'{"campaign": "cut sh')
-sys.settrace(trace)
-predict(folder, path, executor=Here())
-sys.settrace(None)
-assert path.read_bytes() == answers
-print(kills)
-"""
-
-
-@pytest.mark.slow
-def test_a_run_killed_anywhere_loses_no_answer(small, tmp_path, request) -> None:
-    words = [sys.executable, "-c", KILLED, str(small.folder), str(small.answers), str(tmp_path / "answers.jsonl")]
-    done = subprocess.run(words, check=False, capture_output=True, text=True, cwd=request.path.parent)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > 100
-
-
 def begun(small, path, answered: int) -> None:
     """A file with the first answers of the whole one."""
     path.write_bytes(b"".join(small.answers.read_bytes().splitlines(keepends=True)[: answered + 1]))
@@ -126,23 +85,6 @@ def test_an_interrupted_run_keeps_what_it_has(small, stubbed, tmp_path) -> None:
     with pytest.raises(KeyboardInterrupt):
         predict(small.folder, path, executor=Here(), show=stop)
     assert len(read_answers(path)[1]) == N - 1
-
-
-@pytest.mark.slow
-def test_a_real_dask_cluster_gives_the_same_answers(small, tmp_path) -> None:
-    distributed = pytest.importorskip("distributed", reason="distributed (Dask) is not installed")
-    path = tmp_path / "answers.jsonl"
-    begun(small, path, N - 2)
-    with (
-        distributed.LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address=":0") as cluster,
-        distributed.Client(cluster) as client,
-    ):
-        predict(small.folder, path, executor=client.get_executor())
-        assert client.submit(abs, -2).result() == 2  # the cluster is left open to whoever handed it in
-    here = tmp_path / "here.jsonl"
-    begun(small, here, N - 2)
-    predict(small.folder, here, executor=Here())
-    assert sorted(path.read_text().splitlines()) == sorted(here.read_text().splitlines())
 
 
 def test_a_campaign_that_cannot_be_answered_does_not_stop_the_others(small, stubbed, tmp_path) -> None:

@@ -1,17 +1,11 @@
 """The compensator as a whole: it helps where it can, refuses where it cannot, and survives a file."""
 
 import dataclasses
-import json
 import os
-import shutil
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import casadical.compensator as package
 from casadical.compensator import (
     Backprop,
     Compensator,
@@ -23,11 +17,9 @@ from casadical.compensator import (
     load_compensator,
     save_compensator,
 )
-from casadical.compensator.checksummed_json import digest
 from casadical.compensator.report import BeforeAfter, Errors
 from casadical.compensator.trainers.known import known_trainers
 from casadical.core.basics import InputError
-from casadical.core.files import json_text
 from problems import smooth
 
 QUICK = LevenbergMarquardt(restarts=2, iterations=30, ridges=(0.1, 0.01, 0.001), folds=3, fold_starts=2)
@@ -41,6 +33,7 @@ def helping():
 @pytest.fixture(scope="module")
 def refused():
     q, residual = smooth(50, 0)
+    assert not Compensator.fit(q, 0 * residual, trainer=Backprop(steps=20)).helps  # nothing is divided by zero
     return Compensator.fit(q, np.random.default_rng(5).normal(0, 0.1, residual.shape), trainer=QUICK)
 
 
@@ -136,11 +129,6 @@ def test_errors_by_hand():
     assert errors == Errors(2, 3.0, 5.0, 8**0.5)
 
 
-def test_zero_residual_is_refused_without_dividing_by_zero():
-    q, residual = smooth(30, 0)
-    assert not Compensator.fit(q, 0 * residual, trainer=QUICK).helps
-
-
 @pytest.mark.parametrize("name", known_trainers())
 def test_every_trainer_by_name(name):
     trainer = {"iwo": Iwo(IwoSettings(iterations=150)), "lm": QUICK, "iwo-lm": IwoThenLm(lm=QUICK)}.get(name, name)
@@ -151,7 +139,8 @@ def test_every_trainer_by_name(name):
 
 def test_inside_the_trained_box(helping):
     low, high = np.array(helping.trained_box.lower), np.array(helping.trained_box.upper)
-    np.testing.assert_array_equal(helping.inside(np.array([low, high, high + 1e-9])), [True, True, False])
+    q = np.array([low, high, high + 1e-9, low - 1e-9])
+    np.testing.assert_array_equal(helping.inside(q), [True, True, False, False])
 
 
 def test_seven_joints_and_periodic_inputs():
@@ -192,33 +181,6 @@ def test_every_truncation_and_every_changed_number_is_refused(helping, tmp_path)
             load_compensator(path)
 
 
-def reseal(document):
-    """Seal a changed document again, as a determined editor could."""
-    document.pop("sha256")
-    return json_text(document | {"sha256": digest(document)})
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda d: d.update(format="other"), "not a casadical-compensator"),
-        (lambda d: d.update(version=99), "version 99"),
-        (lambda d: d["network"]["weights"].pop(), "53 weights"),
-        (lambda d: d.pop("layout"), "layout"),
-        (lambda d: d["network"].update(output_scale_mm=-1.0), "output_scale_mm"),
-        (lambda d: d["layout"].update(surprise=1), "surprise"),
-    ],
-)
-def test_resealed_but_wrong_files_are_refused(change, message, helping, tmp_path):
-    path = tmp_path / "c.json"
-    save_compensator(helping, path)
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(reseal(document))
-    with pytest.raises(InputError, match=message):
-        load_compensator(path)
-
-
 @pytest.mark.parametrize(
     "text", ["[]", "null", '{"format": "casadical-compensator", "version": 1, "x": NaN}', "[" * 99999]
 )
@@ -231,17 +193,6 @@ def test_strange_files_are_refused(text, tmp_path):
 def test_missing_file_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nothing\.json"):
         load_compensator(tmp_path / "nothing.json")
-
-
-def test_failed_write_leaves_the_old_file(helping, tmp_path, monkeypatch):
-    path = tmp_path / "c.json"
-    save_compensator(helping, path)
-    old = path.read_bytes()
-    monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(OSError("disk full")))
-    with pytest.raises(InputError, match="disk full; nothing was written"):
-        save_compensator(helping, path)
-    assert path.read_bytes() == old
-    assert os.listdir(tmp_path) == ["c.json"]
 
 
 @pytest.mark.parametrize(
@@ -267,24 +218,3 @@ def test_wrong_input_is_named(change, message):
     arguments = {"q": q, "residual_mm": residual, "layout": Layout(), "trainer": Backprop(steps=1)} | change
     with pytest.raises(InputError, match=message):
         Compensator.fit(**arguments)
-
-
-def test_trained_copy_needs_only_its_own_files(tmp_path):
-    """Copied out with the lowest room alone (errors, files, arrays), it still trains."""
-    source = Path(package.__file__).parent
-    (tmp_path / "casadical").mkdir()
-    (tmp_path / "casadical" / "__init__.py").touch()
-    for room in ("core", "compensator"):
-        shutil.copytree(
-            source.parent / room, tmp_path / "casadical" / room, ignore=shutil.ignore_patterns("__pycache__")
-        )
-    code = (
-        "import sys; sys.path.insert(0, '.'); import numpy as np; from casadical.compensator import Compensator, "
-        "Backprop; q = np.random.default_rng(0).uniform(-1, 1, (30, 6)); "
-        "c = Compensator.fit(q, q[:, :3], trainer=Backprop(steps=300), folds=2); import casadical; "
-        "print(c.helps, casadical.__path__[0])"
-    )
-    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path)
-    helps, path = run.stdout.split()
-    assert helps == "True"
-    assert os.path.samefile(path, tmp_path / "casadical")

@@ -5,21 +5,14 @@ from pathlib import Path
 
 import numpy as np
 
-from casadical.compensator import Compensator, JointBox, Layout, load_compensator, save_compensator
+from casadical.compensator import Compensator, Layout, load_compensator, save_compensator
 from casadical.compensator.checksummed_json import checksummed
-from casadical.compensator.compensator import train
 from casadical.compensator.iwo import IwoSettings
 from casadical.compensator.network import Task, forward, random_weights
 from casadical.compensator.trainers.backprop import Backprop
 from casadical.compensator.trainers.iwo import Iwo, IwoRun, IwoThenLm
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, advance, begin_batch
 from problems import small_task, smooth
-
-
-def test_a_box_holds_its_ends_and_nothing_beyond() -> None:
-    box = JointBox((-1.0, 0.0), (2.0, 1.0))
-    q = np.array([[-1, 0], [2, 1], [0.5, 0.5], [-1.1, 0.5], [2.1, 0.5], [0, 1.2], [0, -0.1]])
-    assert box.contains(q).tolist() == [True, True, True, False, False, False, False]
 
 
 def test_starting_weights_keep_the_spread_of_what_comes_in() -> None:
@@ -40,19 +33,6 @@ def test_a_problem_without_an_error_is_left_at_once() -> None:
     assert batch.cost[0] == 0
     assert not batch.active[0]
     np.testing.assert_array_equal(batch.weights, weights)
-
-
-def test_steps_of_a_search_are_generations_and_its_repr_is_short() -> None:
-    run = Iwo(IwoSettings(iterations=5)).begin(small_task(), 0)
-    counted = []
-    while not run.reasons():
-        run.step()
-        counted.append(run.steps)
-    assert counted == list(range(1, len(counted) + 1))
-    done = train(small_task(), LevenbergMarquardt(restarts=1, iterations=2, ridges=(0.0,)))
-    assert done.history
-    assert "history" not in repr(done)
-    assert "weights" not in repr(done)
 
 
 def test_the_second_trainer_waits_for_the_first() -> None:

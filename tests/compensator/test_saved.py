@@ -56,6 +56,8 @@ def test_an_unchanged_copy_is_read(saved: Path, tmp_path: Path) -> None:
         (lambda b: b["training"]["before"].update(max_mm="large"), "valid number"),
         (lambda b: b.pop("layout"), "Field required"),
         (lambda b: b.update(network=[]), "network"),
+        (lambda b: b["layout"].update(surprise=1), "surprise"),
+        (lambda b: b["network"].update(output_scale_mm=-1.0), "output_scale_mm"),
     ],
 )
 def test_what_is_no_such_network_is_refused(saved: Path, tmp_path: Path, change, told: str) -> None:
@@ -63,11 +65,19 @@ def test_what_is_no_such_network_is_refused(saved: Path, tmp_path: Path, change,
         load_compensator(resealed(saved, tmp_path, change))
 
 
-def test_a_version_must_be_a_number(saved: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "version", "told"),
+    [
+        ("casadical-compensator", True, "has version True"),
+        ("casadical-compensator", 99, "version 99"),
+        ("other", 1, "not a casadical-compensator"),
+    ],
+)
+def test_format_and_version_are_those_of_this_package(saved: Path, tmp_path: Path, kind, version, told) -> None:
     body = json.loads(saved.read_text())
-    body.pop("sha256")
-    kind, _ = body.pop("format"), body.pop("version")
+    for key in ("format", "version", "sha256"):
+        body.pop(key)
     path = tmp_path / "v.json"
-    path.write_text(checksummed(kind, True, body))
-    with pytest.raises(InputError, match="has version True"):
+    path.write_text(checksummed(kind, version, body))
+    with pytest.raises(InputError, match=told):
         load_compensator(path)

@@ -8,8 +8,7 @@ import pytest
 from lives import as_built, changed, measured
 
 from casadical import plot
-from casadical.core.telling.blocks import Table
-from casadical.fleet.campaigns import in_order, name_of
+from casadical.fleet.campaigns import name_of
 from casadical.fleet.changes import MEANINGS, Change, times_in_words
 from casadical.fleet.comparison import compare, courses_of
 from casadical.fleet.estimates import estimate
@@ -44,24 +43,6 @@ def test_a_change_is_drawn_in_the_unit_of_its_parameter() -> None:
     assert drawn.y == pytest.approx([0.0, 0.0, np.rad2deg(5e-4)], abs=5e-3)
     assert (drawn.error_y.array[1:] > 0.001).all()
     assert (drawn.error_y.array < 0.01).all()
-
-
-def test_campaigns_of_which_one_has_no_date_are_all_drawn_by_their_numbers() -> None:
-    pytest.importorskip("plotly")
-
-    robot, built = as_built(np.random.default_rng(1))
-    truths = (built, built, changed(built, theta5=5e-4))
-    labels = ("poses", "2026-02-12", "2026-03-12")
-    days = (None, 1000.0, 1028.0)
-    told = [estimate((robot, measured(t, k)), labels[k], days[k]) for k, t in enumerate(truths)]
-    found = compare(in_order(told)[0])
-    figures = plot(found)
-    for figure in figures.values():
-        assert tuple(figure.data[0].x) == (1, 2, 3)
-        assert figure.layout.xaxis.dtick == 1
-    table = next(b for b in found.blocks() if isinstance(b, Table) and b.title == "Campaigns")
-    assert tuple(table.columns[:2]) == ("campaign", "number")
-    assert [tuple(row[:2]) for row in table.rows] == [("poses", "1"), ("2026-02-12", "2"), ("2026-03-12", "3")]
 
 
 def test_odds_beyond_all_measure_are_not_counted() -> None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lives import as_built, changed, measured
+from marks import slow
 from scipy.spatial.transform import Rotation
 
 from casadical import Measurements, Robot
@@ -46,7 +47,7 @@ def poses(robot: Robot, seed: int) -> list[Measurements]:
     return [replace(m, kind="pose", position=noisy, orientation=R @ turn)]
 
 
-@pytest.mark.parametrize("kind", ["wires", "a wire to an unknown place", "poses"])
+@pytest.mark.parametrize("kind", [*slow("wires"), "a wire to an unknown place", "poses"])
 def test_a_joint_that_turned_is_named_and_nothing_else(arm: tuple[Robot, Robot], kind: str) -> None:
     robot, built = arm
 

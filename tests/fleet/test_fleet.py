@@ -2,8 +2,6 @@
 
 import json
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +12,8 @@ from fleet_plants import A1, planar
 
 from casadical import InputError, plot, read_robot
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.drawing import COLOURS
 from casadical.fleet.hierarchy import Common, common_of, population_of
-from casadical.fleet.result import MAX_LABELS, MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type
+from casadical.fleet.result import MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet
 from casadical.fleet.store import EMPTY_ROW, add, fingerprint, one_robot, records, rows
 from casadical.measurements.kinds.position import Position
@@ -131,36 +128,6 @@ def test_a_worker_that_is_killed_midway_loses_nothing(plant: Path, tmp_path: Pat
     found = run_fleet([plant], tmp_path / "fleet.parquet", workers=2, with_diagnosis=False, show=kill)
     assert killed
     assert sorted(found.robots["status"]) == ["failed", *["ok"] * 6]
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_dies_is_said_and_what_was_done_is_kept(plant: Path, tmp_path: Path) -> None:
-    """A scheduler and a worker of their own processes; the scheduler is killed after the first row."""
-    code = (
-        "from distributed import LocalCluster\nimport time\n"
-        "if __name__ == '__main__':\n"
-        "    c = LocalCluster(n_workers=1, threads_per_worker=1, processes=False, protocol='tcp://',"
-        " dashboard_address=None)\n"
-        "    print(c.scheduler_address, flush=True)\n    time.sleep(600)\n"
-    )
-    store = tmp_path / "fleet.parquet"
-    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        address = process.stdout.readline().strip()
-
-        def kill(text: str) -> None:
-            if text.startswith("robot 1 "):
-                process.kill()
-
-        with pytest.raises(InputError, match=r"no longer answers.*robots are in .*run the same command again"):
-            run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=kill)
-    kept, said = len(rows(store)[0]), []
-    assert kept >= 1
-    with pytest.raises(InputError, match="no scheduler answers"):
-        run_fleet([plant], store, scheduler=address, with_diagnosis=False, show=said.append)
-    good = int((rows(store)[0]["status"] == "ok").sum())
-    assert said == [f"robot {good} of 7"]  # it continues with the others
-    assert len(rows(store)[0]) == kept
 
 
 def test_tables_and_robots_elsewhere_count_as_the_robots_own(plant: Path, tmp_path: Path) -> None:
@@ -317,33 +284,6 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(go
     assert fleet_of(good.drop(columns="left_free")).grown == {}
     undated = fleet_of(good[good["robot"] == "arm1"])
     assert [list(s.x) for s in undated.figures()["trends"].series] == [[1, 2, 3]]
-
-
-def test_of_many_robots_those_that_stand_out_are_named_and_the_axes_have_numbers_and_units() -> None:
-    rng = np.random.default_rng(0)
-    count, left = 200, [[0.05, 0.05, 0.05 * (3 if k % 10 == 4 else 1)] for k in range(200)]
-    good = pd.DataFrame([
-        {**EMPTY_ROW, "robot": f"arm{k}", "status": "ok", "type": "t", "before_mm": 2.0, "campaigns": 3,
-         "after_mm": 0.5 if k == 7 else 0.08 * np.exp(0.1 * rng.normal()), "left_mm": left[k], "days": [np.nan] * 3,
-         "left_free": [40.0] * 3, "changes": "lengths" if k == 199 else ""}
-        for k in range(count)
-    ])  # fmt: skip
-    good = pd.concat([good, pd.DataFrame([{**EMPTY_ROW, "robot": "bad", "before_mm": np.nan, "after_mm": np.nan}])])
-    fleet = Fleet(good, (), ("arm7",))
-    (every,) = (b for s in fleet.page().sections for b in s.blocks if getattr(b, "title", "").startswith("Mean errors"))
-    before, after = (every.columns.index(name) for name in ("before", "after"))
-    assert [every.rows[k][before] for k in (0, 7, 200)] == ["2.0000", "2.0000", ""]
-    assert every.rows[7][after] == "0.5000"
-    figures = plot(fleet)
-    assert [a.text for a in figures["map"].layout.annotations] == ["arm7"]
-    assert figures["map"].layout.annotations[0].y == pytest.approx(np.log10(0.5))  # as plotly wants it
-    axis = figures["map"].layout.yaxis
-    assert {"0.1", "0.2", "0.5", "1", "2", "5"} <= set(axis.ticktext)
-    assert dict(zip(axis.ticktext, axis.tickvals, strict=True))["0.2"] == 0.2
-    named = {a.text: a.font.color for a in figures["trends"].layout.annotations}
-    assert len(named) == MAX_LABELS
-    assert named.pop("arm199") == COLOURS["red"][0]
-    assert {int(name[3:]) % 10 for name in named} == {4}
 
 
 def test_departures_of_lengths_angles_and_curves_are_in_mm_and_mrad() -> None:

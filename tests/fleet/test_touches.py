@@ -8,33 +8,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from arms import NOISE, positions, six_axis
 from command_line import main
 
-from casadical import InputError, Joint, Placement, Robot, identify, read_robot, write_robot
+from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
 from casadical.core.telling.figure import Figure
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.touches import plan_touches, touched
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import Measurements, unmeasured
+from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
 
-RIGHT = np.pi / 2
-NOISE = 2e-5
-
-
-def arm() -> Robot:
-    """Six joints about 1.4 m long."""
-    rows = [(0, 0, 0.4), (-RIGHT, 0.05, 0), (0, 0.5, 0), (-RIGHT, 0.03, 0.5), (RIGHT, 0, 0), (-RIGHT, 0, 0.1)]
-    joints = tuple(Joint(alpha=a, a=length, d=d, lower=-2.5, upper=2.5) for a, length, d in rows)
-    tool = Placement(frame(np.eye(3), np.array([0.03, 0.02, 0.15])), "position")
-    base = Placement(frame(from_rpy(np.array([0.1, 0.0, 0.4])), np.array([1.0, 0.3, 0.0])), "pose")
-    return Robot("six joints", joints, base=base, tool=tool)
-
-
-def read(robot: Robot, q: np.ndarray, seed: int) -> Measurements:
-    rng = np.random.default_rng(seed)
-    m = unmeasured(q)
-    return replace(m, position=predicted(robot, m)[0] + NOISE * rng.normal(size=(len(q), 3)))
+BASE = Placement(frame(from_rpy(np.array([0.1, 0.0, 0.4])), np.array([1.0, 0.3, 0.0])), "pose")
+ARM = six_axis(base=BASE)
 
 
 def moved(robot: Robot, by: dict[str, float]) -> Robot:
@@ -51,9 +37,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Robot, np.nda
     """A calibrated robot's file, the robot as it is, and five planned readings."""
     folder = tmp_path_factory.mktemp("touches")
     rng = np.random.default_rng(5)
-    names = [p.name for p in arm().parameters if p.group in ("geometry", "tool")]
-    true = moved(arm(), {n: 3e-4 * rng.normal() for n in names})
-    found = identify(arm(), read(true, rng.uniform(-2.5, 2.5, (80, 6)), 1), method="KM")
+    names = [p.name for p in ARM.parameters if p.group in ("geometry", "tool")]
+    true = moved(ARM, {n: 3e-4 * rng.normal() for n in names})
+    found = identify(ARM, positions(true, rng.uniform(-2.5, 2.5, (80, 6)), 1), method="KM")
     file = folder / "six.robot.toml"
     write_robot(with_knowledge(found), file)
     plan = plan_touches(file, 5)
@@ -61,7 +47,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Robot, np.nda
 
 
 def day(folder: Path, number: int, robot: Robot, q: np.ndarray, **more: float) -> Path:
-    m = read(robot, q, 100 + number)
+    m = positions(robot, q, 100 + number)
     assert m.position is not None
     table = pd.DataFrame(np.rad2deg(m.q), columns=[f"q{j}_deg" for j in range(1, 7)])
     for k, axis in enumerate("xyz"):
@@ -218,7 +204,7 @@ def test_bad_touches_are_refused_or_said(place, tmp_path):
     with pytest.raises(InputError, match=re.escape("the instrument stands elsewhere, or it is another robot")):
         touched(file, [day(tmp_path, 5, elsewhere, q)])
     bare = tmp_path / "bare.robot.toml"
-    write_robot(arm(), bare)
+    write_robot(ARM, bare)
     with pytest.raises(InputError, match="does not say how far it may be off"):
         touched(bare, [first])
     broken = tmp_path / "2026-03-06.csv"

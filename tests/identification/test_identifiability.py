@@ -103,18 +103,6 @@ def test_nearly_parallel_axes_take_beta_and_a_d_is_held():
     assert len(result.names) == 27
 
 
-def test_free_by_name_group_and_pattern():
-    built = arms.planted(ARM, 4, arms.TRACKER)
-    m = arms.positions(built, arms.readings(built, 40, 5), 6)
-    assert set(identify(ARM, m, ["placement"]).names) == {*(f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")),
-                                                         "tool_x", "tool_y", "tool_z"}  # fmt: skip
-    some = identify(ARM, m, ["placement", "theta3", "a*"])
-    assert {"theta3", "a1", "alpha5"} <= set(some.names)
-    assert not any(n.startswith("d") for n in some.names)
-    asked = some.parameters.set_index("name")
-    assert asked.loc["d4", "reason"] == "not asked for"
-
-
 def test_analyse_names_exact_combinations():
     """A plain matrix: c = a + b, z = 0, e = 2 d; d is a wish to hold."""
     rng = np.random.default_rng(0)
@@ -128,11 +116,3 @@ def test_analyse_names_exact_combinations():
     assert found.condition == pytest.approx(
         np.linalg.cond(np.column_stack([v / np.linalg.norm(v) for v in (a, b, d, f)])), rel=1e-9
     )
-
-
-def test_analyse_lets_points_come_first():
-    rng = np.random.default_rng(0)
-    point, a = rng.normal(size=(2, 10))
-    found = analyse(np.column_stack([point, 3 * point, a]), ["shift", "a"], 1, {})
-    assert found.independent == ("a",)
-    assert found.held[0].reason == "the unknown points absorb it"

@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from casadical import identify
 from casadical.core import compile_cache as compiled
 from casadical.core.mapped_function import COMPILATION_POINTS, LIBRARY_LOOKUP_POINTS, MAX_CHUNK_POINTS, MappedFunction
 from casadical.identification.least_squares import LeastSquares
@@ -65,21 +64,6 @@ def with_compiler(monkeypatch, tmp_path):
     return tmp_path / "casadical"
 
 
-def test_compiled_kernels_give_the_same_result(with_compiler):
-    built = arms.planted(ARM, 1, arms.TRACKER)
-    m = arms.positions(built, arms.readings(built, 60, 2), 3)
-    interpreted = identify(ARM, m, ["placement", "a2"])
-    (block,) = interpreted.problem.blocks
-    assert not list(with_compiler.glob("*"))
-    for function in (block.kernel.residual, block.kernel.value):
-        function.compile()
-        assert function.is_compiled
-    machine = identify(ARM, m, ["placement", "a2"])
-    assert machine.names == interpreted.names
-    assert np.allclose(machine.solution.v, interpreted.solution.v, rtol=0, atol=1e-6)
-    assert np.allclose(machine.covariance, interpreted.covariance, rtol=1e-6)
-
-
 def test_machine_code_takes_over_where_it_pays(with_compiler):
     """Looked for after some points, made after more; the bits stay the same."""
     x, a = ca.SX.sym("x", 2), ca.SX.sym("a", 2)
@@ -95,19 +79,3 @@ def test_machine_code_takes_over_where_it_pays(with_compiler):
     another = made()
     another(points[:, :LIBRARY_LOOKUP_POINTS], shared)
     assert another.is_compiled  # it is there already
-
-
-def test_a_library_is_made_once(with_compiler):
-    x = ca.SX.sym("x", 2)
-    f = ca.Function("twice", [x], [2 * ca.sin(x)])
-    first = compiled.compiled(f)
-    (library,) = with_compiler.iterdir()
-    made = library.stat().st_mtime_ns
-    again = compiled.compiled(f)
-    assert library.stat().st_mtime_ns == made
-    points = np.array([[0.3], [1.2]])
-    assert np.array_equal(first(points)[0], again(points)[0])
-    assert np.allclose(first(points)[0], 2 * np.sin(points))
-    other = compiled.compiled(ca.Function("twice", [x], [3 * ca.sin(x)]))
-    assert len(list(with_compiler.iterdir())) == 2
-    assert other(points)[0][0, 0] == pytest.approx(3 * np.sin(0.3))

@@ -1,5 +1,6 @@
 """The start of base and tool where readings determine them badly: held by the robot file."""
 
+import arms
 import numpy as np
 import pytest
 
@@ -7,7 +8,6 @@ from casadical import InputError, Placement, identify
 from casadical.core.transforms import frame, from_xyz
 from casadical.identification.placement import FrameEstimate, PlacementProblem, Readings, place_frames, solve_placement
 from casadical.measurements.measurements import Measurements
-from tests.identification import arms
 
 ARM = arms.six_axis()
 BASE = frame(from_xyz([0.4, -0.2, 1.1]), [1.5, -0.7, 0.3])

@@ -2,7 +2,6 @@
 
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,11 +11,9 @@ from casadical import InputError, identify
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve, JointScale
 from casadical.identification.prior import carry_over
-from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot import Covariance, Knowledge
 from casadical.robot.robot_file import robot_from, to_toml
 
-ROOT = Path(__file__).parents[2]
 ARM = six_axis()
 CURVE = JointErrorCurve(None, (0.0, 2e-4, 2e-4, 0.0, 0.0, 0.0), 5, 17)
 ELSEWHERE = frame(from_rpy(np.array([0.3, 0.5, -2.0])), np.array([-1.1, 2.4, 0.2]))
@@ -63,15 +60,6 @@ def test_a_prior_saves_poses(first, few, moved):
     assert model_error(with_prior.robot, moved) < 0.5 * model_error(alone.robot, moved)
     assert with_prior.is_optimal()
     assert "Prior from first.csv: joint_error_curve" in carry_over(ARM, first)[1].in_words([few])
-
-
-def test_geometry_comes_with_all(first, few, moved):
-    model, prior = carry_over(ARM, first, ("all",))
-    effects_alone, whole = identify(ARM, few, BASE, prior=first), identify(model, few, BASE, prior=prior)
-    assert {"a1", "theta3", "alpha4"} <= set(prior.free)
-    assert not any(name.startswith(("base", "tool")) for name in prior.free)
-    assert model_error(whole.robot, moved) < 0.8 * model_error(effects_alone.robot, moved)
-    assert model_error(whole.robot, moved) < 4 * NOISE
 
 
 def test_data_outvote_a_prior_that_no_longer_holds(first, built):
@@ -142,25 +130,6 @@ def test_names_and_variances_are_checked(first):
         carry_over(ARM, zero)
 
 
-def test_a_file_with_a_bad_covariance_is_refused_by_key(first):
-    text = to_toml(first)
-    number = text.index("lower = [\n    [") + len("lower = [\n    [")
-    end = text.index("]", number)
-    with pytest.raises(InputError, match=r"other\.toml: covariance\[1\]\..*variance of .* is -1; it must be zero"):
-        parse(text[:number] + "-1.0" + text[end:])
-    with pytest.raises(InputError, match=r"covariance\[1\]\.lower\[1\]\[1\] = nan: must be a finite number"):
-        parse(text[:number] + "nan" + text[end:])
-
-
-def test_a_coefficient_that_is_no_number_is_refused(first):
-    text = to_toml(first)
-    line = next(line for line in text.splitlines() if line.startswith("s3_q2"))
-    with pytest.raises(InputError, match=r"effect\[1\]\.values\.s3_q2\.value = nan: must be a finite"):
-        parse(text.replace(line, 's3_q2 = {value = nan, unit = "rad"}'))
-    with pytest.raises(InputError, match=r"prior 'elbow': joint_error_curve\.s3_q2 is nan; it must be a finite number"):
-        carry_over(ARM, first.with_values({"joint_error_curve.s3_q2": np.nan}))
-
-
 def test_poses_outside_of_the_learnt_ranges_are_said_and_nothing_is_lost(first, few):
     q = few.q.copy()
     q[:7, 3] = 4.0
@@ -170,23 +139,6 @@ def test_poses_outside_of_the_learnt_ranges_are_said_and_nothing_is_lost(first, 
     assert prior.to_json([beyond])["uncovered"]["q4"] == 0.5
     assert prior.to_json([few])["uncovered"]["q4"] == 0
     assert set(prior.means) == {p.name for p in CURVE.parameters()}
-
-
-def test_the_curve_of_a_joint_that_did_not_move_stays_unknown(built, few):
-    """In its own campaign it is held at zero, and why is said; in the next one it is as wide as one never seen."""
-    q = readings(ARM, 80, 1)
-    q[:, 1] = 0.4
-    m = positions(replace(built, base=replace(built.base, T=TRACKER)), q, 1)
-    found = identify(ARM.with_effect(CURVE), m, (*BASE, CURVE.label), priors=True)
-    idle = [p.name for p in CURVE.parameters() if p.name.endswith("_q2")]
-    held = {u.name: u for u in found.identifiability.held}
-    assert all("as theta2 does" in held[name].reason for name in idle)
-    assert all(found.robot.effect_values[name] == 0 for name in idle)
-    assert np.abs([found.robot.effect_values[n.replace("q2", "q3")] for n in idle]).min() > 0
-    _, prior = carry_over(ARM, parse(to_toml(found.robot)))
-    sizes = {p.name: p.prior for p in CURVE.parameters()}
-    assert {name: prior.means[name] for name in idle} == {name: (0.0, sizes[name]) for name in idle}
-    assert "q2 100 %" in prior.in_words([few])
 
 
 def test_an_effect_that_the_robot_has_is_replaced(first, few):
@@ -207,26 +159,3 @@ def test_what_robots_of_one_type_have_in_common_is_a_prior_as_it_is():
     assert own.means["a1"][1] == pytest.approx(np.sqrt(1.5 * 9e-10 + 1e-8))
     assert "as far as 12 robots of the type differ" in type_.in_words([])
     assert "variances widened 1.5 times" in own.in_words([])
-
-
-def test_what_the_poses_add_nothing_to_is_said_to_be_the_priors(few):
-    """An exact length of the prior stays exact; one that it hardly knows is measured."""
-    block = (Covariance(("a1",), np.array([[1e-14]])), Covariance(("a2",), np.array([[1e-6]])))
-    model, prior = carry_over(ARM, replace(ARM, knowledge=Knowledge(block, "elsewhere", robots=9)), ("all",))
-    table = identify(model, few, BASE, prior=prior).parameters.set_index("name")
-    assert table.loc["a1", "reason"] == "as the prior has it; these poses tell no more of it"
-    assert list(table.loc[["a1", "a2"], "status"]) == ["identified", "identified"]
-    assert table.loc["a2", "reason"] == ""
-
-
-def test_where_the_robot_stands_is_no_residual_of_the_prior():
-    """The base of the HH800 is the first row of its table, which nothing places before the fit."""
-    drawn = read_campaign_robot(ROOT / "problems/hh800")
-    own = [p for p in drawn.parameters if p.group in ("geometry", "compliance")]
-    block = Covariance(tuple(p.name for p in own), np.diag([(0.1 * p.scale) ** 2 for p in own]))
-    fleet = replace(drawn, knowledge=Knowledge((block,), "20 robots of the fleet", robots=20))
-    m = replace(positions(drawn, readings(drawn, 15, 3), 4), sigma=NOISE)
-    there = replace(m, position=m.position + np.array([0.3, -0.3, 0.3]))
-    found = [identify(drawn, table, prior=carry_over(drawn, fleet, ("all",))[1]) for table in (m, there)]
-    assert found[1].robot.parameters["d1"].value - found[0].robot.parameters["d1"].value == pytest.approx(0.3, abs=1e-3)
-    assert found[1].variance == pytest.approx(found[0].variance, rel=0.02)

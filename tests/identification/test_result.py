@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from casadical import InputError, identify
-from casadical.effects.joint_error_curve import JointErrorCurve
-from casadical.identification.figures import correlated, parameter_tables, stiffness
 from casadical.identification.least_squares import Linearised
+from casadical.identification.pose_errors import ModelErrors, PoseErrors
 
 ARM = arms.six_axis()
 
@@ -57,18 +56,6 @@ def test_where_no_parameter_is_left_because_nothing_fits_the_message_says_so(bui
     assert "THE MODEL DOES NOT FIT" in identify(ARM, backwards, ["kinematic"], loss="linear").verdict
 
 
-def test_twice_the_same_to_the_last_bit(built):
-    """From the start: new robots, kernels and problems."""
-    runs = []
-    for _ in range(2):
-        robot = arms.six_axis()
-        m = arms.positions(built, arms.readings(robot, 50, 6), 7)
-        runs.append(identify(robot, m, ["kinematic"], loss="soft_l1"))
-    assert np.array_equal(runs[0].solution.v, runs[1].solution.v)
-    assert np.array_equal(runs[0].covariance, runs[1].covariance)
-    assert runs[0].solution.history == runs[1].solution.history
-
-
 def test_priors_hold_what_the_data_do_not_tell(built):
     """Eight poses cannot tell 27 numbers apart; with priors every one stays within a few of its widths."""
     m = replace(arms.positions(built, arms.readings(built, 8, 8), 9), sigma=arms.NOISE)
@@ -80,27 +67,6 @@ def test_priors_hold_what_the_data_do_not_tell(built):
     assert np.abs(departures).max() < 3
     widths = np.array([held.start.parameters[n].prior for n in held.names])
     assert (held.standard_errors < 1.3 * widths).all()
-
-
-def test_priors_fade_where_the_data_tell(built):
-    m = arms.positions(built, arms.readings(built, 400, 10), 11)
-    with_priors, without = (identify(ARM, m, ["kinematic"], priors=p) for p in (True, False))
-    assert with_priors.names == without.names
-    assert np.abs((with_priors.estimate - without.estimate) / without.standard_errors).max() < 0.1
-
-
-def test_the_methods_of_the_paper():
-    robot = arms.hh800()
-    built = arms.planted(robot, 3)
-    m = arms.positions(built, arms.readings(robot, 80, 4), 5, sigma=1e-4)
-    km, skcm = identify(robot, m, method="KM"), identify(robot, m, method="SKCM")
-    assert not any(n.startswith("c") for n in km.names)
-    assert not any(j.compliance for j in km.robot.joints)
-    assert [n for n in skcm.names if n.startswith("c")] == ["c2", "c3", "c4", "c5"]
-    held_out = arms.positions(built, arms.readings(robot, 200, 6), 7, sigma=1e-4)
-    assert skcm.accuracy(held_out)["calibrated"].mean < 0.5 * km.accuracy(held_out)["calibrated"].mean
-    assert km.verdict.startswith("KM: 29 parameters")
-    assert skcm.verdict.startswith("SKCM: 33 parameters")
 
 
 @pytest.mark.parametrize("loss", ["huber", "soft_l1"])
@@ -123,16 +89,6 @@ def test_outliers_are_named_and_left_out(built, loss):
     assert (by_default.loss, by_default.outliers) == ("huber", tuple((0, i) for i in range(5, 100, 10)))
 
 
-def test_outliers_of_ten_sigma_all_one_way(built):
-    """They drag the fit along and widen the spread by which they are judged: one look does not find them."""
-    m = arms.positions(built, arms.readings(built, 60, 22), 23)
-    wrong = m.position.copy()
-    wrong[::10] += np.array([1.2e-4, -1.2e-4, 1.06e-4])
-    robust = identify(ARM, replace(m, position=wrong), ["kinematic"], loss="soft_l1")
-    assert robust.outliers == tuple((0, i) for i in range(0, 60, 10))
-    assert robust.is_optimal()
-
-
 def test_loss_auto_is_huber_where_it_finds_outliers_and_else_linear(built):
     m = arms.positions(built, arms.readings(built, 60, 14), 15)
     plain, auto = (identify(ARM, m, iter(["placement", "a2"]), loss=loss) for loss in ("linear", "auto"))
@@ -144,35 +100,6 @@ def test_loss_auto_is_huber_where_it_finds_outliers_and_else_linear(built):
     )
     assert (auto.loss, auto.outliers) == ("huber", ((0, 7),))
     assert auto.solution.v.tolist() == robust.solution.v.tolist()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("poses", "known"), [(20, False), (40, False), (60, True)])
-def test_loss_auto_finds_the_outliers_that_huber_finds(built, poses, known):
-    """Of sizes up to and beyond the bound, of which some are left to the huber loss and some are surely none."""
-    m = replace(arms.positions(built, arms.readings(built, poses, 14), 15), sigma=arms.NOISE if known else None)
-    counts = set()
-    for size in (0, 3, 4, 5, 6, 8, 50):
-        wrong = m.position.copy()
-        wrong[[7, 11]] += size * arms.NOISE * np.array([[0.6, -0.64, 0.48], [-0.48, 0.6, 0.64]])
-        spoilt = replace(m, position=wrong)
-        robust, auto = (identify(ARM, spoilt, ["kinematic"], loss=loss) for loss in ("huber", "auto"))
-        assert auto.outliers == robust.outliers
-        assert auto.loss == ("huber" if robust.outliers else "linear")
-        counts.add(len(robust.outliers))
-    assert {0, 2} <= counts
-
-
-def test_loss_auto_solves_once_where_no_pose_is_near_an_outlier(built):
-    numbers = []
-    m = arms.positions(built, arms.readings(built, 60, 14), 15)
-    identify(ARM, m, ["kinematic"], progress=lambda iteration, cost: numbers.append(iteration))
-    assert numbers.count(0) == 1
-    # Few numbers a variable hide an outlier: the huber loss is asked.
-    few = m[:18]
-    found = identify(ARM, few, ["kinematic"], progress=lambda iteration, cost: numbers.append(iteration))
-    assert found.outliers == ()
-    assert numbers.count(0) > 3
 
 
 def test_a_robust_loss_settles_about_a_linear_fit_where_ipopt_finds_it(built):
@@ -204,28 +131,6 @@ def test_a_weight_of_zero_is_a_pose_left_out(built):
     assert robust.sigmas[0][0] == pytest.approx(arms.NOISE, rel=0.2)
 
 
-@pytest.mark.slow
-def test_predicted_covariance_is_the_scatter_over_repeated_campaigns(built):
-    robot = replace(ARM, base=replace(ARM.base, T=arms.TRACKER))
-    q, probe = arms.readings(built, 40, 16), arms.readings(built, 5, 17)
-    runs = [identify(robot, arms.positions(built, q, 100 + k), ["kinematic"]) for k in range(20)]
-    found = np.array([r.predict(probe)[0] for r in runs])
-    claimed = np.mean([r.predict(probe)[1] for r in runs], axis=0)
-    miss = found - arms.points(built, probe)
-    # Mahalanobis distances squared have mean 3 and, over 20 runs of five dependent probes, spread of about 0.3.
-    d2 = np.einsum("rni,nij,rnj->rn", miss, np.linalg.inv(claimed), miss)
-    assert d2.mean() == pytest.approx(3, abs=0.9)
-    assert np.allclose(found.std(axis=0), np.sqrt(np.diagonal(claimed, axis1=1, axis2=2)), rtol=0.5)
-
-
-def test_progress_hears_every_iteration(built):
-    heard = []
-    m = arms.positions(built, arms.readings(built, 40, 18), 19)
-    identify(ARM, m, ["kinematic"], loss="linear", progress=lambda k, cost: heard.append((k, cost)))
-    assert [k for k, _ in heard] == list(range(len(heard)))
-    assert heard[-1][1] < 1e-3 * heard[0][1]
-
-
 def test_correlations_are_listed_the_strongest_first(result):
     pairs = result.correlations(above=0.5)
     strength = pairs["correlation"].abs().to_numpy()
@@ -238,19 +143,14 @@ def test_correlations_are_listed_the_strongest_first(result):
     assert first["correlation"] == pytest.approx(expected)
 
 
-def test_a_stiffness_that_may_be_rigid_is_said_to_be() -> None:
-    assert stiffness(5.0, 1.0) == "2e+05"
-    assert stiffness(5.0, float("nan")) == "2e+05"
-    assert stiffness(3.0, 4.9) == "above 7.9e+04 (rigid is possible)"
-
-
-def test_effects_of_too_many_coefficients_are_summed_up(built):
-    robot = ARM.with_effect(JointErrorCurve(None, (2e-5,) * 6, orders=2))
-    found = identify(
-        robot, arms.positions(built, arms.readings(built, 60, 2), 3), ["kinematic", "joint_error_curve"], priors=True
-    )
-    table, *words = parameter_tables(found, whole=True)
-    assert len(found.parameters) - len(table.rows) == 24
-    assert not [row[0] for row in table.rows if row[0].startswith("joint_error_curve")]
-    assert any("harmonics of each joint 2" in w.text and "20, 20, 20, 20, 20, 20 urad" in w.text for w in words)
-    assert not any("joint_error_curve" in w.text for w in correlated(found))
+@pytest.mark.parametrize("position", [np.arange(12.0).reshape(4, 3), None])
+def test_of_thinned_poses_each_keeps_what_is_its_own(position):
+    models = (ModelErrors("KM", np.arange(4.0), np.arange(12.0).reshape(4, 3)),)
+    poses = PoseErrors("report", True, np.arange(4) + 2, np.arange(24.0).reshape(4, 6), position, models)
+    assert poses.thinned(4) is poses
+    some = poses.thinned(2)
+    for found, whole in ((some.row, poses.row), (some.q, poses.q), (some.models[0].vector, models[0].vector)):
+        np.testing.assert_array_equal(found, whole[[0, 3]])
+    assert (some.position is None) == (position is None)
+    if position is not None:
+        np.testing.assert_array_equal(some.position, position[[0, 3]])

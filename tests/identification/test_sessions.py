@@ -83,13 +83,6 @@ def test_a_column_names_the_sessions_of_one_table(tmp_path: Path) -> None:
     assert sessions_in((both,)) == ("May", "June")
 
 
-def test_one_session_is_as_none() -> None:
-    first, _, held, _ = made()
-    found = identify(six_axis(), first, method="KM")
-    assert found.robot.effects == ()
-    assert sessions_in((first, held)) == ("May",)
-
-
 def test_what_cannot_be_had_is_said() -> None:
     first, second, _, _ = made()
     with pytest.raises(InputError, match=r"session 'June' has 4 poses; .* measure 2 more in it"):

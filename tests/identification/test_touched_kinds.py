@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import arms
 import numpy as np
 import pytest
 
@@ -11,7 +12,6 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.misfit import misfit_of
 from casadical.identification.undetermined import undetermined
-from tests.identification import arms
 
 FREE = ["kinematic"]
 NORMALS = np.array([[0.0, 0.1, 1.0], [1.0, 0.1, 0.2], [0.1, -1.0, 0.1]])
@@ -86,22 +86,6 @@ def test_balls_of_known_radius_tell_the_size() -> None:
     assert np.abs(length_errors(found)).max() < 4
 
 
-def test_gauges_find_their_axes_and_zeros() -> None:
-    robot, built = off_by()
-    q = arms.readings(built, 240, 8)
-    which, noise = np.arange(240) % 3, arms.NOISE * np.random.default_rng(9).normal(size=240)
-    reading = (arms.points(built, q) * NORMALS[which]).sum(axis=1) + 0.3 * which - 0.7 + noise
-    label = np.array([f"gauge {k}" for k in which], dtype=object)
-    found = identify(robot, Measurements(q, "dial", label=label, extra={"reading": reading}), FREE)
-    assert np.abs(length_errors(found)).max() < 4
-    points = np.array([*found.unknown_points.values()])
-    length = np.linalg.norm(points, axis=1)
-    # Angles between the axes do not depend on how the whole robot stands.
-    np.testing.assert_allclose(
-        (points / length[:, None]) @ (points / length[:, None]).T, NORMALS @ NORMALS.T, atol=2e-3
-    )
-
-
 def test_gauges_along_known_axes_find_the_base_too() -> None:
     robot, built = off_by()
     q = arms.readings(built, 240, 8)
@@ -139,22 +123,3 @@ def test_places_of_wires_in_one_table_are_found_by_their_names() -> None:
     apart = [np.linalg.norm(where[i] - where[j]) for i, j in ((0, 1), (1, 2), (0, 2))]
     assert apart == pytest.approx([np.linalg.norm(far[i] - far[j]) for i, j in ((0, 1), (1, 2), (0, 2))], abs=2e-3)
     assert np.abs(length_errors(found)).max() < 4
-
-
-def test_a_tool_that_the_file_has_on_the_last_axis_is_placed_before_parameters_are_chosen() -> None:
-    """There alpha5 looks like d5 and theta6 like nothing: lengths of three wires are not to be fitted without them."""
-    robot, built = off_by(0.3)
-    bare = replace(robot, tool=replace(robot.tool, T=np.eye(4)))
-    wires = np.array([[1.5, 0.4, 0.2], [-0.9, 1.4, 0.7], [0.2, -1.6, 1.1]])
-    rng = np.random.default_rng(8)
-    which = np.arange(70) % 3
-    q = rng.uniform(-1.8, 1.8, (70, 6))
-    far = np.linalg.norm(predicted(built, Measurements(q, "contact", label=which))[0] - wires[which], axis=1)
-    m = Measurements(q, "distance", distance=far + rng.normal(0, 2e-5, 70), label=which.astype(str))
-    found, placed = identify(bare, m, method="KM"), identify(robot, m, method="KM")
-    assert set(found.names) == set(placed.names)
-    later = rng.uniform(-1.8, 1.8, (200, 6))
-    pairs = np.arange(0, 200, 2)
-    there = (predicted(r, Measurements(later, "contact", label=later[:, 0]))[0] for r in (built, found.robot))
-    made = [np.linalg.norm(np.diff(p, axis=0)[pairs], axis=1) for p in there]
-    assert np.mean(np.abs(made[1] - made[0])) < 6e-5

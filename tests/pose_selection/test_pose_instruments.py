@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from arms import elbow, planar, readings
 from command_line import main
-from pose_arms import elbow, planar, readings
 
 from casadical import InputError, identify, write_robot
 from casadical.identification.accuracy import predicted

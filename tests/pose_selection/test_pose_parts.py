@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pose_arms import planar
+from arms import planar
 
 from casadical.core.basics import InputError
 from casadical.effects.instrument import Session

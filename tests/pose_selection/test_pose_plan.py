@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from arms import elbow, positions, readings
 from command_line import main
-from pose_arms import elbow, positions, readings
 
 from casadical import read_measurements, write_robot
 from casadical.core.transforms import frame
@@ -61,20 +61,6 @@ def test_a_plan_is_written_and_can_be_measured(monkeypatch, tmp_path, capsys, ro
     assert travel(robot, q) < travel(robot, q[shuffled])
 
 
-@pytest.mark.slow
-def test_without_a_room_poses_below_the_base_are_said_and_with_one_not(monkeypatch, tmp_path, capsys, robot_file):
-    assert run(monkeypatch, robot_file, "-n", 12, "--out", tmp_path / "free.csv") == 0
-    low = (pd.read_csv(tmp_path / "free.csv")["nominal_z_mm"] < 0).sum()
-    assert low > 0
-    text = " ".join(capsys.readouterr().out.split())
-    assert f"{low} of 12 poses lie below the base frame's plane" in text
-    room = tmp_path / "room.toml"
-    room.write_text("casadical = 1\nfloor_mm = 0\n", encoding="utf-8")
-    assert run(monkeypatch, robot_file, "-n", 12, "--room", room, "--out", tmp_path / "room.csv") == 0
-    assert "below the base" not in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.mark.slow
 @pytest.mark.slow
 def test_payloads_of_the_measured_poses_are_planned_where_effects_are_to_be_told(monkeypatch, tmp_path) -> None:
     practice = ROOT / "data" / "campaigns" / "practice" / "kr210-P05.csv"

@@ -1,11 +1,10 @@
 """Selections: what they promise against identifications, their circumstances, and their order."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from pose_arms import elbow, planar, positions, readings
+from arms import elbow, planar, positions, readings
 
 import casadical
 from casadical import InputError, Joint, Robot, identify
@@ -23,9 +22,6 @@ from casadical.robot.robot import Covariance, Knowledge
 
 SIGMA = 3e-5
 QUICK = {"pool": 200, "restarts": 1}
-
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -50,19 +46,6 @@ def test_expected_standard_errors_are_those_that_an_identification_reports(robot
     np.testing.assert_allclose(chosen.expected_error(expected(robot, q, {}, "test")), mean, rtol=0.02)
 
 
-@pytest.mark.slow
-def test_expected_standard_errors_are_realised(robot, chosen) -> None:
-    n = 30
-    tip = [k for k, name in enumerate(chosen.names) if not name.startswith("base_")]
-    names = [chosen.names[k] for k in tip]
-    found = [identify(robot, positions(robot, chosen.q, 50 + s, SIGMA)).robot.parameters for s in range(n)]
-    values = np.array([[p[name].value for name in names] for p in found])
-    ratio = values.std(axis=0, ddof=1) / chosen.standard_errors[tip]
-    # Each ratio scatters by 1 / sqrt(2 n) = 13 %; their mean square by far less.
-    assert np.abs(ratio - 1).max() < 4 / np.sqrt(2 * n)
-    assert np.sqrt(np.mean(ratio**2)) == pytest.approx(1, abs=0.1)
-
-
 def test_noise_of_joints_is_that_of_moved_readings(robot) -> None:
     q = readings(robot, 2, 3)
     m = expected(robot, q, {}, "test")
@@ -78,31 +61,11 @@ def test_noise_of_joints_is_that_of_moved_readings(robot) -> None:
     np.testing.assert_allclose(A.transpose(0, 2, 1) @ A, J.transpose(0, 2, 1) @ W @ J, rtol=1e-9)
 
 
-def test_scaled_jacobian_against_finite_differences(robot) -> None:
-    names = ("a2", "theta3", "c2", "tool_x", "base_rz")
-    q = readings(robot, 4, 1)
-    J = scaled_jacobian(robot, names, expected(robot, q, {}, "test"))
-    for k, name in enumerate(names):
-        p = robot.parameters[name]
-        h = 1e-3 * p.scale
-        ends = [robot.with_values({name: p.value + s * h}) for s in (1, -1)]
-        high, low = (expected(end, q, {}, "test").position for end in ends)
-        np.testing.assert_allclose(J[:, :, k], 1e3 * (high - low) / 2e-3, rtol=1e-4, atol=1e-6)
-
-
 def test_chosen_poses_are_better_than_random_ones(robot) -> None:
     found = select_poses(robot, None, 20, **QUICK)
     rng = np.random.default_rng(5)
     random = [replace(found, m=expected(robot, draw(robot, 20, Workspace(), rng), {}, "random")) for _ in range(20)]
     assert found.accuracy < min(s.accuracy for s in random)
-
-
-def test_the_same_seed_chooses_the_same(robot, chosen) -> None:
-    again = select_poses(robot, None, 25, noise=Noise(SIGMA), **QUICK)
-    other = select_poses(robot, None, 25, noise=Noise(SIGMA), **QUICK, seed=1)
-    np.testing.assert_array_equal(again.q, chosen.q)
-    assert not np.array_equal(other.q, chosen.q)
-    assert other.accuracy == pytest.approx(chosen.accuracy, rel=0.05)
 
 
 def test_given_candidates_are_chosen_from(robot) -> None:
@@ -142,13 +105,6 @@ def test_effects_get_the_circumstances_that_tell_them(robot) -> None:
     assert set(found.m.conditions["payload_kg"]) == {0.0, 10.0}
     assert "backlash@2.half" in found.names
     assert {"approach2", "payload_kg"} <= set(found.table.columns)
-
-
-def test_interest_makes_its_parameters_sharper(robot) -> None:
-    arm = robot.with_effect(Backlash(2))
-    plain, keen = (select_poses(arm, None, 20, interest=i, **QUICK) for i in ((), ("backlash@2",)))
-    k = plain.names.index("backlash@2.half")
-    assert keen.standard_errors[k] < plain.standard_errors[k]
 
 
 @pytest.mark.slow
@@ -240,12 +196,6 @@ def test_a_forecast_begins_with_what_was_measured(robot) -> None:
     assert seen.error[0] == pytest.approx(now, rel=0.05)
 
 
-def test_choosing_at_once_is_at_least_as_good_as_one_by_one(robot) -> None:
-    seen = forecast(robot, 30, noise=Noise(SIGMA), pool=200)
-    whole = select_poses(robot, None, 30, noise=Noise(SIGMA), pool=200)
-    assert whole.accuracy < 1.01 * np.interp(30, seen.poses, seen.error)
-
-
 def test_stopping_rules() -> None:
     poses = np.arange(20, 100)
     seen = Forecast(poses, 1e-4 * np.sqrt(20 / poses))
@@ -331,18 +281,6 @@ def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_
     assert chosen.reading_error is not None
     assert np.sqrt(np.mean(squares)) == pytest.approx(chosen.reading_error, rel=0.06)
     assert chosen.reading_error > 1.3 * chosen.accuracy
-
-
-@pytest.mark.slow
-def test_rounding_chooses_no_other_poses() -> None:
-    """Parameters are moved by 1e-12 of themselves; sets too small to determine all of them once grew by rounding."""
-    robot = casadical.read_robot(ROOT / "problems" / "kr210" / "robot.toml")
-    lengths = {name: robot.parameters[name].value for name in ("a2", "a3", "d4")}
-    chosen = [
-        select_poses(robot.with_values({name: value * factor for name, value in lengths.items()}), None, 16, pool=200).q
-        for factor in (1.0, 1 + 1e-12, 1 - 2e-12)
-    ]
-    np.testing.assert_allclose(chosen[1:], chosen[:1] * 2, atol=1e-9)
 
 
 def test_a_full_stroke_counts_as_half_a_turn() -> None:

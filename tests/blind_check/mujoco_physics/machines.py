@@ -13,7 +13,7 @@ from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses
 
 ROBOTS = ("hh800", "kr210", "ur10e")
 FOLDER = Path(__file__).parents[3] / "data" / "campaigns" / "robots"
-HH800 = json.loads((FOLDER / "hh800.json").read_text())
+HH800, KR210 = (json.loads((FOLDER / f"{name}.json").read_text()) for name in ("hh800", "kr210"))
 
 
 def nominal(name: str) -> Plant:

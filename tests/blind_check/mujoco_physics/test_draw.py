@@ -8,9 +8,12 @@ import pandas as pd
 import pytest
 
 from casadical.blind_check import mujoco_physics as engine
+from casadical.blind_check.mujoco_physics import Hidden
+from casadical.blind_check.mujoco_physics.hidden import cause
+from casadical.blind_check.mujoco_physics.stops import Warmup, draw_stops
 from casadical.core.basics import InputError
 
-from .machines import ROBOTS, built, drawn
+from .machines import ROBOTS, built, nominal
 
 pytest.importorskip("mujoco", reason="MuJoCo is not installed: pip install 'casadical[withheld]'")
 XYZ = ["x_mm", "y_mm", "z_mm"]
@@ -22,14 +25,6 @@ def test_an_effect_is_drawn_by_its_name_and_seed(effect):
     drawn_twice = [engine.draw_effect(machine, effect, np.random.default_rng(seed)) for seed in (3, 3, 4)]
     assert drawn_twice[0] == drawn_twice[1] != drawn_twice[2]
     assert {h.effect for h in drawn_twice} == {effect}
-
-
-def test_directions_are_drawn_all_round():
-    machine = built("kr210")
-    sizes = [engine.draw_effect(machine, "gear_eccentricity", np.random.default_rng(k)).size for k in range(40)]
-    for name in ("towards", "oval_towards"):
-        quarters = {int(size[name] // (np.pi / 2)) for size in sizes}
-        assert quarters == {0, 1, 2, 3}
 
 
 def test_an_effect_survives_json():
@@ -54,13 +49,6 @@ def test_all_listed_effects_at_once_find_rest_and_hardly_depend_on_each_other(na
     assert np.linalg.norm(together - alone) < 0.15 * np.linalg.norm(alone)
 
 
-def test_poses_circumstances_and_noise_do_not_depend_on_what_is_hidden():
-    machine = built("ur10e")
-    hidden = (engine.Hidden("joint_zero_step", 1, {"size": 1e-4, "at_s": 1e9}),)
-    with_, without = (engine.campaign(machine, h, 20, 7) for h in (hidden, ()))
-    pd.testing.assert_frame_equal(with_, without)
-
-
 def test_given_poses_are_measured_as_in_the_campaign():
     machine = built("kr210")
     hidden = (engine.Hidden("backlash", 3, {"size": 8e-5, "friction": 0.1}),)
@@ -70,24 +58,13 @@ def test_given_poses_are_measured_as_in_the_campaign():
     np.testing.assert_allclose(again[XYZ], table[XYZ], atol=2e-4)
 
 
-def test_bare_readings_are_measured_with_the_payload_on():
-    machine = built("kr210")
-    q = np.rad2deg(drawn(machine, 3))
-    bare = pd.DataFrame(q, columns=[f"q{j}_deg" for j in range(1, 7)])
-    first, second, noisier = (
-        engine.measure(machine, (), bare, seed=s, noise_mm=e) for s, e in ((1, 0.02), (1, 0.02), (1, 1.0))
-    )
-    assert (first["payload_kg"] == machine.payload_kg).all()
-    assert first["time_s"].tolist() == [30.0, 60.0, 90.0]
-    pd.testing.assert_frame_equal(first, second)
-    assert np.abs(noisier[XYZ] - first[XYZ]).to_numpy().max() > 0.3
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
         (lambda m: engine.draw_effect(m, "gremlins", np.random.default_rng(0)), "gear_eccentricity"),
         (lambda m: engine.campaign(m, (engine.Hidden("gremlins", 1, {}),), 1, 0), "gear_eccentricity"),
+        (lambda m: cause(Hidden("joint_scale", 7, {"size": 1e-4})), "needs a joint from 1 to 6"),
+        (lambda m: cause(Hidden("joint_scale", 0, {"size": 1e-4})), "needs a joint from 1 to 6"),
         (lambda m: engine.campaign(m, (engine.Hidden("joint_scale", None, {"size": 1e-4}),), 1, 0), "from 1 to 6"),
         (lambda m: engine.campaign(m, (engine.Hidden("link_flexure", 2, {}),), 1, 0), "sits in no joint"),
         (lambda m: engine.campaign(m, (engine.Hidden("joint_scale", 1, {"sise": 1e-4}),), 1, 0), "size"),
@@ -99,3 +76,44 @@ def test_bare_readings_are_measured_with_the_payload_on():
 def test_what_is_wrong_is_said(wrong, words):
     with pytest.raises(InputError, match=words.replace("(", r"\(").replace(")", r"\)")):
         wrong(built("ur10e"))
+
+
+def test_approaches_follow_from_the_order():
+    q = np.array([[0.0] * 6, [0.5] * 6, [0.2] * 6, [0.2, 0.9, 0.1, 0.3, -1, 0.2]])
+    stops = draw_stops(q, np.random.SeedSequence(0).spawn(4), [0.0], Warmup(), "motion")
+    assert stops.approach[1:].tolist() == [[1.0] * 6, [-1.0] * 6, [1, 1, -1, 1, -1, 1]]
+    chance = draw_stops(np.zeros((20, 6)), np.random.SeedSequence(0).spawn(4), [0.0], Warmup()).approach
+    assert {*chance.ravel()} == {-1.0, 1.0}
+
+
+def test_drawn_sizes_lie_in_their_ranges():
+    machine = nominal("kr210")
+    rng = np.random.default_rng(0)
+    drawn = [engine.draw_effect(machine, "gear_eccentricity", rng).size for _ in range(300)]
+    ovals = [size["oval"] / size["size"] for size in drawn]
+    assert 0.2 <= min(ovals) < 0.225
+    assert 0.775 < max(ovals) <= 0.8
+    assert np.mean(np.log([size["size"] / 40e-6 for size in drawn])) == pytest.approx(0.2, abs=0.1)
+    loads = np.array([engine.draw_effect(machine, "payload_error", rng).size["size"] for _ in range(300)])
+    assert np.median(loads[loads > 0]) == pytest.approx(-np.median(loads[loads < 0]), rel=0.3)
+    drifts = [engine.draw_effect(machine, "frame_drift", rng).size for _ in range(20)]
+    shift, turn = (np.array([np.linalg.norm(size[k]) for size in drifts]) for k in ("shift_m", "turn_rad"))
+    np.testing.assert_allclose(shift / turn, shift[0] / turn[0])  # both as many times as great as they usually are
+
+
+def test_a_crack_and_a_beam_are_cut_where_they_say():
+    machine = nominal("kr210")
+    whole = engine.mechanism(machine)
+    link = np.array(machine.centres[2] - machine.centres[1])
+    cracked = cause(Hidden("cracked_link", None, {"link": 2, "size": 1e-4, "towards": 0.3})).built(whole, machine)
+    place = cracked.body("beyond_crack").place
+    assert place.shape == (4, 4)
+    assert np.linalg.norm(place[:3, 3]) == pytest.approx(0.3 * np.linalg.norm(link))
+    beam = cause(Hidden("link_flexure", None, {"link": 2, "size": 1e-4, "torsion": 0.5})).built(whole, machine)
+    middle, own = beam.body("link2a"), whole.body("link2")
+    assert (middle.mass, beam.body("link2").mass) == (own.mass, 0.0)
+    np.testing.assert_allclose(middle.place[:3, 3] + middle.com, own.com)  # its mass centre stays
+    for name, share in (("link2a", 0.25), ("link2b", 0.5)):  # the second is seen from the first
+        place = beam.body(name).place
+        assert place.shape == (4, 4)
+        assert np.linalg.norm(place[:3, 3]) == pytest.approx(share * np.linalg.norm(link))

@@ -1,12 +1,13 @@
 """Perturbed robots: errors of the stated size in all six directions of every link, the base and the reflector."""
 
 import numpy as np
-from plants import arm
 from scipy.spatial.transform import Rotation
 
 from casadical.blind_check.mujoco_physics import Plant, perturb
 
-from .machines import HH800
+from .machines import HH800, nominal
+
+ARM = nominal("kr210")
 
 
 def link_errors(nominal: Plant, plant: Plant) -> np.ndarray:
@@ -20,7 +21,7 @@ def link_errors(nominal: Plant, plant: Plant) -> np.ndarray:
 
 
 def test_every_direction_of_every_link_is_wrong_by_the_stated_size() -> None:
-    draws = np.array([link_errors(arm(), perturb(arm(), s, length_mm=0.4, angle_mrad=0.2)) for s in range(400)])
+    draws = np.array([link_errors(ARM, perturb(ARM, s, length_mm=0.4, angle_mrad=0.2)) for s in range(400)])
     spread = draws.std(0)
     np.testing.assert_allclose(spread[:, :3], 0.2, rtol=0.15)
     np.testing.assert_allclose(spread[:, 3:], 0.4, rtol=0.15)
@@ -28,13 +29,13 @@ def test_every_direction_of_every_link_is_wrong_by_the_stated_size() -> None:
 
 
 def test_base_reflector_and_stiffness() -> None:
-    many = [perturb(arm(), s) for s in range(300)]
+    many = [perturb(ARM, s) for s in range(300)]
     shift = [np.linalg.norm(p.base[:3, 3]) for p in many]
     turn = [np.rad2deg(Rotation.from_matrix(p.base[:3, :3]).magnitude()) for p in many]
     assert 0.025 < max(shift) <= 0.03
     assert 1.7 < max(turn) <= 2.0
-    assert abs(np.std([p.reflector for p in many] - arm().reflector) - 1e-3) < 1e-4
-    assert abs(np.std([np.log(p.stiffness / arm().stiffness) for p in many]) - 0.4) < 0.03
+    assert abs(np.std([p.reflector for p in many] - ARM.reflector) - 1e-3) < 1e-4
+    assert abs(np.std([np.log(p.stiffness / ARM.stiffness) for p in many]) - 0.4) < 0.03
 
 
 def test_bars_and_crank_are_wrong_too_but_not_the_rocker() -> None:
@@ -48,6 +49,6 @@ def test_bars_and_crank_are_wrong_too_but_not_the_rocker() -> None:
 
 
 def test_zero_errors_leave_the_robot() -> None:
-    same = perturb(arm(), 1, length_mm=0, angle_mrad=0, base=(0, 0), tool_mm=0, stiffness_spread=0)
+    same = perturb(ARM, 1, length_mm=0, angle_mrad=0, base=(0, 0), tool_mm=0, stiffness_spread=0)
     for name in ("home", "base", "reflector", "stiffness"):
-        np.testing.assert_allclose(getattr(same, name), getattr(arm(), name), atol=1e-15)
+        np.testing.assert_allclose(getattr(same, name), getattr(ARM, name), atol=1e-15)

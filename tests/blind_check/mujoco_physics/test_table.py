@@ -4,14 +4,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from planted import campaign, planted
-from plants import ARM, arm, stops_at
 
 from casadical.blind_check.mujoco_physics import Plant, Warmup, perturb
 from casadical.blind_check.mujoco_physics.cause import settle
 from casadical.blind_check.mujoco_physics.fourbar import crank_distance
 from casadical.core.basics import ConvergenceError, InputError
 
-from .machines import HH800
+from .machines import HH800, KR210, nominal, stops
+
+ARM = nominal("kr210")
 
 COLUMNS = [
     *("pose", "time_s", "temperature_degC", "payload_kg"),
@@ -23,10 +24,10 @@ XYZ, TRUE = ["x_mm", "y_mm", "z_mm"], ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
 def test_columns_and_rounding() -> None:
-    table = campaign(arm(), 40, 1)
+    table = campaign(ARM, 40, 1)
     assert list(table.columns) == COLUMNS
     assert table["pose"].tolist() == list(range(1, 41))
-    assert set(table["payload_kg"]) == {0.0, 100.0}
+    assert set(table["payload_kg"]) == {0.0, KR210["payload"]["mass_kg"]}
     assert table["payload_kg"].diff().ne(0).sum() == 4  # four blocks
     assert set(np.unique(table[[f"approach{j}" for j in range(1, 7)]])) == {-1, 1}
     assert table["time_s"].diff().dropna().between(19.9, 40.1).all()
@@ -35,15 +36,15 @@ def test_columns_and_rounding() -> None:
 
 
 def test_same_seed_same_table() -> None:
-    plant = perturb(arm(), 1)
+    plant = perturb(ARM, 1)
     parts = [planted("outliers", share=0.1, size=1e-3), planted("backlash", 2, size=60e-6)]
-    pd.testing.assert_frame_equal(campaign(plant, 30, 5, parts), campaign(perturb(arm(), 1), 30, 5, parts))
+    pd.testing.assert_frame_equal(campaign(plant, 30, 5, parts), campaign(perturb(ARM, 1), 30, 5, parts))
     assert not campaign(plant, 30, 5).equals(campaign(plant, 30, 6))
-    assert not campaign(perturb(arm(), 2), 30, 5).equals(campaign(plant, 30, 5))
+    assert not campaign(perturb(ARM, 2), 30, 5).equals(campaign(plant, 30, 5))
 
 
 def test_effects_leave_poses_and_noise_alone() -> None:
-    plant = perturb(arm(), 1)
+    plant = perturb(ARM, 1)
     clean, disturbed = (
         campaign(plant, 200, 5, hidden, truth=True) for hidden in ((), [planted("gear_eccentricity", 2)])
     )
@@ -56,7 +57,7 @@ def test_effects_leave_poses_and_noise_alone() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("noise_mm", "urad"), [(0.05, 0.0), (0.0, 20.0)])
 def test_noise_has_the_stated_size(noise_mm: float, urad: float) -> None:
-    table = campaign(arm(), 2000, 7, noise_mm=noise_mm, repeatability_urad=urad, truth=True)
+    table = campaign(ARM, 2000, 7, noise_mm=noise_mm, repeatability_urad=urad, truth=True)
     rms = np.sqrt(np.mean((table[XYZ].to_numpy() - table[TRUE].to_numpy()) ** 2))
     if noise_mm:
         assert rms == pytest.approx(noise_mm, rel=0.03)
@@ -80,7 +81,13 @@ def test_loop_and_ranges_are_kept() -> None:
 def test_own_readings_payloads_and_temperature() -> None:
     q = np.random.default_rng(0).uniform(-60, 60, (25, 6))
     table = campaign(
-        arm(), 25, 1, q_deg=q, payload_states=[40.0], warmup=Warmup(30.0, 0.0, sensor_K=0.0), approach="motion"
+        ARM,
+        25,
+        1,
+        q_deg=q,
+        payload_states=[40.0],
+        warmup=Warmup(30.0, 0.0, sensor_K=0.0),
+        approach="motion",
     )
     np.testing.assert_allclose(table[[f"q{j}_deg" for j in range(1, 7)]], q, atol=1e-6)
     assert (table["payload_kg"] == 40.0).all()
@@ -100,7 +107,7 @@ def test_own_readings_payloads_and_temperature() -> None:
 )
 def test_unusable_arguments(arguments: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        campaign(arm(), **({"n": 5, "seed": 1} | arguments))
+        campaign(ARM, **({"n": 5, "seed": 1} | arguments))
 
 
 def test_unusable_loop_limits() -> None:
@@ -110,14 +117,14 @@ def test_unusable_loop_limits() -> None:
 
 def test_unusable_robots() -> None:
     with pytest.raises(InputError, match="'com_m' is missing"):
-        Plant.from_dict({k: v for k, v in ARM.items() if k != "com_m"})
+        Plant.from_dict({k: v for k, v in KR210.items() if k != "com_m"})
     with pytest.raises(InputError, match=r"mass_kg has shape \(2,\)"):
-        Plant.from_dict(ARM | {"mass_kg": [1.0, 2.0]})
+        Plant.from_dict(KR210 | {"mass_kg": [1.0, 2.0]})
     with pytest.raises(InputError, match=r"mass_kg has shape \(6,\); it must be finite numbers of shape \(5,\)"):
-        Plant.from_dict(ARM | {"modified_dh": ARM["modified_dh"][:5]})
+        Plant.from_dict(KR210 | {"modified_dh": KR210["modified_dh"][:5]})
 
 
 def test_a_robot_too_soft_does_not_come_to_rest() -> None:
-    soft = Plant.from_dict(ARM | {"stiffness_Nm_per_rad": [10.0] * 6})
+    soft = Plant.from_dict(KR210 | {"stiffness_Nm_per_rad": [10.0] * 6})
     with pytest.raises(ConvergenceError, match="too soft"):
-        settle(soft, stops_at(np.full((3, 6), 0.5), 100.0))
+        settle(soft, stops(np.full((3, 6), 0.5), 100.0))

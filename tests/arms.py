@@ -1,4 +1,4 @@
-"""Robots, planted truths and synthetic measurements for the tests of this folder."""
+"""Robots, planted truths and synthetic measurements that several folders of tests share."""
 
 from dataclasses import replace
 
@@ -19,6 +19,21 @@ def six_axis(**changes):
     joints = tuple(Joint(alpha=alpha, a=a, d=d, lower=-2.6, upper=2.6) for alpha, a, d in rows)
     tool = Placement(frame(np.eye(3), np.array([0.05, 0.08, 0.12])), "position")
     return replace(Robot("elbow", joints, base=Placement(np.eye(4), "pose"), tool=tool), **changes)
+
+
+def with_bodies(robot, bodies, compliant, compliance):
+    """The robot with a body for each link; the joints of these numbers are compliant [rad/(N m)], all others rigid."""
+    joints = [
+        replace(joint, body=body, compliance=compliance if k in compliant else None)
+        for k, (joint, body) in enumerate(zip(robot.joints, bodies, strict=True), 1)
+    ]
+    return replace(robot, joints=tuple(joints))
+
+
+def elbow(**changes):
+    """The same arm with 20 kg a link and a payload, joints 2 and 3 compliant."""
+    body = Body(20.0, np.array([0.1, 0, 0]))
+    return with_bodies(six_axis(payload=Body(10.0, np.zeros(3)), **changes), [body] * 6, (2, 3), 1e-6)
 
 
 def planar():
