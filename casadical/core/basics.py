@@ -25,7 +25,7 @@ def silent(_text: str) -> None:
     """Ignore a line of progress."""
 
 
-# Number of faults of one file that an error message lists.
+# Largest number of faults of one file that an error message lists.
 MAX_FAULTS_SHOWN = 50
 
 
@@ -56,9 +56,13 @@ class InputError(CasadicalError, ValueError):
 class Fault:
     """A fault in a column of a table.
 
-    source : file; rows : its faulty rows, empty where the column is missing
-    column : name of the column; value : the first faulty value, or the worst
-    wrong : what is wrong with it; allowed : what would be right; remedy : what to do
+    source : name of the file
+    rows : its faulty rows; empty where the column is missing
+    column : name of the column
+    value : the first faulty value, or the worst, as text
+    wrong : what is wrong with it
+    allowed : what would be right; empty: nothing is said
+    remedy : what the user can do
     """
 
     source: str
@@ -70,7 +74,7 @@ class Fault:
     remedy: str
 
     def within(self, other: "Fault") -> bool:
-        """Return whether another fault is the same in more rows."""
+        """Return whether another fault is the same one in all rows of this one and in more."""
         same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
         return same and {*self.rows} < {*other.rows}
 
@@ -85,7 +89,8 @@ class Fault:
 class FaultsError(InputError):
     """Several faults of files, raised together.
 
-    faults : faults of tables; others : other faults, as text
+    faults : faults of tables
+    others : other faults, as text
     """
 
     def __init__(self, faults: Sequence[Fault], others: Sequence[str] = ()) -> None:
@@ -99,9 +104,10 @@ class FaultsError(InputError):
 
     @staticmethod
     def joined(errors: Iterable[InputError]) -> InputError:
-        """Return errors as one, without duplicates.
+        """Return one error with the faults of all, without duplicates.
 
-        Of faults that differ in their rows only, the one with the most rows is kept.
+        A fault is dropped if another one is the same in more rows. A single error is returned
+        unchanged.
         """
         all_errors = list(errors)
         faults = list(dict.fromkeys(f for e in all_errors if isinstance(e, FaultsError) for f in e.faults))
@@ -113,7 +119,10 @@ class FaultsError(InputError):
 
 
 def all_faults(steps: Iterable[Callable[[], object]]) -> None:
-    """Run several steps and raise their errors together. Raises InputError."""
+    """Call all functions and raise the InputErrors of those that fail as one error.
+
+    Raises InputError.
+    """
     errors: list[InputError] = []
     for step in steps:
         try:
@@ -126,7 +135,7 @@ def all_faults(steps: Iterable[Callable[[], object]]) -> None:
 
 @contextmanager
 def errors_of(place: str) -> Iterator[None]:
-    """Prefix the message of every InputError of the block with a place, "file: " or "key.".
+    """Prefix the message of an InputError of the block with a place, such as "FILE: " or "KEY.".
 
     Raises InputError.
     """
@@ -147,7 +156,7 @@ class ConvergenceError(CasadicalError, RuntimeError):
 
 
 def optional(module: str, otherwise: str) -> Any:
-    """Return a module that an extra installs.
+    """Return a module that belongs to an optional dependency, by its name.
 
     Raises InputError, with the message `otherwise`, where it is not installed.
     """

@@ -9,13 +9,15 @@ import platformdirs
 
 
 def private_folder(name: str = "") -> Path | None:
-    """Return casadical's cache folder, or one in it.
+    """Return casadical's cache folder, or a folder in it, which is made if it is missing.
 
     It is the folder `casadical` in that of the variable CASADICAL_CACHE, else in the user's cache
     folder; it is made with mode 0700. The folder of the variable itself is left as it is.
 
-    If others could write to it, their permission and the cached files are removed. None where it
-    cannot be made, is a link, or belongs to another user.
+    If others could write to it, their permission and the cached files are removed. None is returned
+    where it cannot be made, is a link, or belongs to another user.
+
+    name : folder in the cache folder; empty: the cache folder itself
     """
     try:
         given = os.environ.get("CASADICAL_CACHE")
@@ -32,9 +34,9 @@ def private_folder(name: str = "") -> Path | None:
 
 
 def _own(folder: Path) -> bool:
-    """Return whether a folder is the user's.
+    """Return whether a folder belongs to the user; then set its mode to 0700.
 
-    One that others could write to is emptied and closed to them.
+    If others could write to it, the cached libraries and JSON files in it are removed.
     """
     about = folder.lstat()
     if not stat.S_ISDIR(about.st_mode):

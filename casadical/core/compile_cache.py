@@ -45,10 +45,11 @@ static inline double if_else_zero(double a, double b) { return a != 0 ? b : 0; }
 
 
 def source(f: ca.Function) -> str | None:
-    """Return the C source of a CasADi function for many points; None for unsupported operations.
+    """Return the C source of a CasADi function for n points; None for unsupported operations.
 
-    Its signature is `void name(long long n, const double *const *in, double *const *out)`. The n
-    points, and the outputs of each, are contiguous.
+    Its signature is `void name(long long n, const double *const *in, double *const *out)`. The
+    points in the first input, and the results of all points in each output, are contiguous.
+
     f : dense SX function; its first input differs between points, the others are shared by all
     """
     lines = []
@@ -93,9 +94,10 @@ def _number(value: float) -> str:
     return value.hex() if math.isfinite(value) else "NAN" if math.isnan(value) else f"{'-' * (value < 0)}INFINITY"
 
 
-# Flags without fused multiply-add, so that the results are those of CasADi.
+# Compiler flags; fused multiply-add is switched off so that the results are those of CasADi.
 COMPILER_FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
-# Number of points of a trial; it is odd because the code computes points in pairs.
+# Number of points at which a newly built library is compared with the CasADi function. It is odd,
+# so that a last point without a partner is tested, too, as the code computes points in pairs.
 TRIAL_POINTS = 3
 # Python script that prints the outputs of a library's function at some points, run in a separate
 # process.
@@ -110,7 +112,13 @@ print(json.dumps([[x.hex() for x in out] for out in outs]))
 
 
 class MachineCode:
-    """A compiled function of many points: its first input differs between points, others do not."""
+    """A compiled CasADi function that is called with arrays of many points.
+
+    Its first input differs between the points, all others are shared.
+
+    function : CasADi function with the name, inputs and outputs of the compiled one
+    library : file of the shared library
+    """
 
     def __init__(self, function: ca.Function, library: Path) -> None:
         self._call = getattr(ctypes.CDLL(str(library)), function.name())
@@ -118,9 +126,10 @@ class MachineCode:
         self._outputs = [function.size_out(k) for k in range(function.n_out())]
 
     def __call__(self, points: Array, *shared: Array) -> list[Array]:
-        """Return the outputs of all points side by side, shape (rows, columns n) each.
+        """Return the outputs at n points side by side, shape (rows, columns n) each.
 
-        points : shape (a, n). Raises ValueError for other shapes.
+        points : first input of each point, shape (a, n); shared : the other inputs
+        Raises ValueError for other shapes.
         """
         n = points.shape[1]
         given = [np.asfortranarray(points, dtype=float), *(np.ascontiguousarray(s, dtype=float) for s in shared)]
@@ -132,7 +141,7 @@ class MachineCode:
 
 
 def _pointers(arrays: Sequence[Array]) -> Any:
-    """Return a C array of pointers to the data of numpy arrays."""
+    """Return a C array of pointers to the memory of numpy arrays."""
     return (ctypes.c_void_p * len(arrays))(*(a.ctypes.data for a in arrays))
 
 
@@ -143,11 +152,14 @@ def compiler() -> str | None:
 
 
 def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
-    """Return a dense SX function as machine code; None without C compiler or private cache folder.
+    """Return a compiled SX function, from the cache or newly built; None where it has none.
 
+    There is none without a C compiler or a private cache folder, for unsupported operations, and
+    where a built library fails its test. The library's name contains the hash of source, compiler
+    and flags, so that it is compiled once per machine and never stale, and that of its content.
+
+    function : dense function whose first input differs between points
     make : whether a library that is not cached is built
-    The library's name contains the hash of source and flags, so that it is compiled once per
-    machine and never stale, and the hash of its own content.
     """
     cc, folder, code = compiler(), private_folder(), source(function)
     if cc is None or folder is None or code is None:
@@ -159,7 +171,7 @@ def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
 
 
 def _cached_library(folder: Path, stem: str) -> Path | None:
-    """Return the cached library of a name, or None; one whose content has changed is removed."""
+    """Return the cached library STEM-HASH.so, or None; one whose content has changed is removed."""
     for library in sorted(folder.glob(f"{stem}-*.so")):
         if library.name == _library_name(stem, library):
             return library
@@ -168,12 +180,16 @@ def _cached_library(folder: Path, stem: str) -> Path | None:
 
 
 def _library_name(stem: str, library: Path) -> str:
-    """Return the file name of a library, which contains the hash of its content."""
+    """Return the name STEM-HASH.so of a library's file, with the hash of its content."""
     return f"{stem}-{hashlib.sha256(library.read_bytes()).hexdigest()[:32]}.so"
 
 
 def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Function) -> Path | None:
-    """Build a library and return its path; None where it fails to compile or computes wrongly."""
+    """Build a library in a folder and return its path; None where it fails to compile or its test.
+
+    stem : begin of its name; cc : path of the C compiler; text : C source
+    function : CasADi function with whose outputs those of the library must agree
+    """
     try:
         with tempfile.TemporaryDirectory(dir=folder, prefix=".casadical-") as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"
@@ -187,7 +203,10 @@ def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Fun
 
 
 def _computes_correctly(function: ca.Function, library: Path) -> bool:
-    """Return whether a library, run in a separate process, gives the outputs of the function."""
+    """Return whether a library, run in a separate process, has the outputs of a CasADi function.
+
+    They are compared at `TRIAL_POINTS` points with a relative tolerance of 1e-9.
+    """
     sizes = [function.numel_in(i) for i in range(function.n_in())]
     points = np.array([[0.1 + 0.07 * k + 0.01 * j for j in range(TRIAL_POINTS)] for k in range(sizes[0])])
     shared = [0.1 + 0.07 * np.arange(size) for size in sizes[1:]]

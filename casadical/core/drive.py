@@ -13,7 +13,9 @@ from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_toml
 from casadical.core.schema import VALUE_FORMS, FaultError, Quantity, TomlTable, check
 
+# Type of a number that is zero or more.
 NonNegative = Annotated[float, Field(ge=0)]
+# Type of a number above zero.
 AboveZero = Annotated[float, Field(gt=0)]
 # Pydantic annotation of a field that is one number for all joints.
 _ONE_NUMBER = Tag(VALUE_FORMS[2])
@@ -21,38 +23,41 @@ _ONE_NUMBER = Tag(VALUE_FORMS[2])
 _LIST_OF_NUMBERS = (Field(min_length=1), Tag(VALUE_FORMS[3]))
 # Pydantic discriminator between both forms of a field.
 _NUMBER_OR_LIST = Discriminator(lambda value: VALUE_FORMS[2 + isinstance(value, list)])
-# One number for all joints or a list with one for each: zero or more; above zero; of either sign.
+# Type of one number for all joints or a list with one for each, zero or more; None: unknown.
 Each = (
     Annotated[Annotated[NonNegative, _ONE_NUMBER] | Annotated[list[NonNegative], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST]
     | None
 )
+# Type of one number for all joints or a list with one for each, above zero; None: unknown.
 Positive = (
     Annotated[Annotated[AboveZero, _ONE_NUMBER] | Annotated[list[AboveZero], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST] | None
 )
+# Type of one number for all joints or a list with one for each, of either sign; None: unknown.
 EachSigned = (
     Annotated[Annotated[float, _ONE_NUMBER] | Annotated[list[float], *_LIST_OF_NUMBERS], _NUMBER_OR_LIST] | None
 )
-# Units of a stiffness or position gain in keys of a robot file, and its largest value [SI].
+# Stiffness or position gain: unit suffixes of its keys in a robot file with their factors to SI,
+# and its largest value [SI].
 _STIFFNESS = Quantity({"_Nm_per_rad": 1.0, "_N_per_m": 1.0}, 1e15)
-# Units of a damping or velocity gain, and its largest value [SI].
+# Damping or velocity gain: unit suffixes of its keys, and its largest value [SI].
 _DAMPING = Quantity({"_Nms_per_rad": 1.0, "_Ns_per_m": 1.0}, 1e15)
-# Units of an integral gain, and its largest value [SI].
+# Integral gain: unit suffixes of its keys, and its largest value [SI].
 _INTEGRAL = Quantity({"_Nm_per_rad_s": 1.0, "_N_per_m_s": 1.0}, 1e15)
-# Units of a torque or force, and its largest value [SI].
+# Torque or force: unit suffixes of its keys, and its largest value [SI].
 _TORQUE = Quantity({"_Nm": 1.0, "_N": 1.0}, 1e9)
-# Units of a motor current, and its largest value [A].
+# Motor current: unit suffixes of its keys, and its largest value [A].
 _CURRENT = Quantity({"_A": 1.0, "_mA": 1e-3}, 1e6)
-# Units of a joint speed, and its largest value [SI].
+# Joint speed: unit suffixes of its keys, and its largest value [SI].
 _SPEED = Quantity({"_rad_s": 1.0, "_deg_s": np.pi / 180, "_m_s": 1.0, "_mm_s": 1e-3}, 1e5)
-# Units of a torque or force constant of a motor, and its largest value [SI].
+# Torque or force constant of a motor: unit suffixes of its keys, and its largest value [SI].
 _CONSTANT = Quantity({"_Nm_per_A": 1.0, "_N_per_A": 1.0}, 1e6)
-# Units of a rotor inertia, and its largest value [SI].
+# Rotor inertia: unit suffixes of its keys, and its largest value [SI].
 _INERTIA = Quantity({"_kgm2": 1.0, "_kg": 1.0}, 1e6)
-# Units of a joint reading, and its largest value [SI].
+# Resolution of a joint reading: unit suffixes of its keys, and its largest value [SI].
 _ANGLE = Quantity({"_rad": 1.0, "_deg": np.pi / 180, "_m": 1.0, "_mm": 1e-3}, 10.0)
-# Units of a time, and its largest value [s].
+# Time: unit suffixes of its keys, and its largest value [s].
 _TIME = Quantity({"_s": 1.0, "_ms": 1e-3}, 10.0)
-# Units of a height, and its largest value [m].
+# Height: unit suffixes of its keys, and its largest value [m].
 _HEIGHT = Quantity({"_m": 1.0, "_mm": 1e-3}, 1e4)
 
 
@@ -119,17 +124,26 @@ class Drive(TomlTable):
     temperature: str = ""
 
     def of_joints(self, field: str, joints: int) -> Array | None:
-        """Return a field joint by joint, shape (joints,) [SI]; None where it is unknown."""
+        """Return a field with a number for each joint, shape (joints,) [SI]; None if it is unknown.
+
+        field : name of the field, such as "kp"; joints : number of joints
+        """
         value = getattr(self, field)
         return None if value is None else np.broadcast_to(np.asarray(value, dtype=float), (joints,))
 
     def torque_per_ampere(self, joints: int) -> Array | None:
-        """Return the joint torque per motor current, (joints,) [N m/A or N/A]; None if unknown."""
+        """Return joint torque over motor current, shape (joints,) [N m/A or N/A]; None if unknown.
+
+        It is the gear ratio times the motor's torque constant.
+        """
         ratio, constant = (self.of_joints(name, joints) for name in ("gear_ratio", "torque_constant"))
         return None if ratio is None or constant is None else ratio * constant
 
     def inertia_at_joint(self, joints: int) -> Array | None:
-        """Return the rotor inertia at the joint, (joints,) [kg m^2 or kg]; None if unknown."""
+        """Return the rotor inertia at the joint, shape (joints,) [kg m^2 or kg]; None if unknown.
+
+        It is the declared one, else the gear ratio squared times that of the rotor.
+        """
         fields = ("rotor_inertia_at_joint", "gear_ratio", "rotor_inertia")
         stated, ratio, rotor = (self.of_joints(name, joints) for name in fields)
         return stated if stated is not None or ratio is None or rotor is None else ratio**2 * rotor
@@ -142,14 +156,14 @@ class Drive(TomlTable):
                 raise FaultError(("drive", name), f"has {len(value)} numbers; {wanted}")
 
     def table(self) -> dict[str, object]:
-        """Return the known values as the table of a file, with units in the keys."""
+        """Return the known values by TOML key; a key ends in the first unit of its quantity."""
         return {key: value for (_, value), key in zip(self, self.keys(), strict=True) if value not in (None, "")}
 
 
 def read_drive(path: str | Path, joints: int) -> Drive:
-    """Return the table [drive] of a TOML file.
+    """Return the drives in the table [drive] of a TOML file, for a robot of so many joints.
 
-    Raises InputError: no such table, or what is wrong in it.
+    Raises InputError: there is no such table, or a fault in it.
     """
     path = Path(path)
     table = load_toml(path).get("drive")

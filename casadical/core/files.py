@@ -26,7 +26,7 @@ try:
 except ImportError:  # a system without flock: nothing is locked there
     fcntl = None  # type: ignore[assignment]
 
-# Real paths of the output folders that this thread or task has claimed, and whether it made them.
+# Output folders that this thread or task has locked, by real path, and whether it made each.
 _claimed: ContextVar[Mapping[Path, bool]] = ContextVar("claimed", default={})  # noqa: B039 never changed
 
 
@@ -36,7 +36,7 @@ def json_text(data: Any) -> str:
 
 
 def csv_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Return rows as the text of a CSV file, with commas and line feeds."""
+    """Return rows of cells as the text of a CSV file, with commas and line feeds."""
     out = io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue()
@@ -52,6 +52,7 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
 
     A symbolic link is followed; devices and pipes are written into.
 
+    contents : text or bytes of each file by its path
     Raises InputError: two outputs of one name, a folder in place of a file, no space, no
     permission.
     """
@@ -143,11 +144,11 @@ def claimed(folders: Iterable[str | Path]) -> Iterator[None]:
 
 @contextmanager
 def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
-    """Yield a function that adds lines to a file, each on disk before the next.
+    """Yield a function that appends a text to a file and returns when it is on disk.
 
-    start : byte behind which the file is cut off first
+    start : number of bytes to which the file is cut first
 
-    Raises InputError: another process adds to it, or it cannot be written.
+    Raises InputError: another process appends to it, or it cannot be written.
     """
     with ExitStack() as stack:
         try:
@@ -173,7 +174,12 @@ def appending(path: Path, start: int) -> Iterator[Callable[[str], None]]:
 
 
 def locked(handle: int) -> bool:
-    """Lock an open file or folder until it is closed; return False where another process has it."""
+    """Lock an open file or folder until it is closed; return whether this was possible.
+
+    Where the system has no locks, it is True.
+
+    handle : file descriptor
+    """
     if fcntl is not None:
         with suppress(OSError):  # a file system without locks
             try:
@@ -184,14 +190,17 @@ def locked(handle: int) -> bool:
 
 
 def real_path(path: Path) -> Path:
-    """Return the path with its links followed. Raises OSError, ValueError or RuntimeError."""
+    """Return the absolute path with symbolic links resolved; the file itself may be missing.
+
+    Raises OSError, ValueError or RuntimeError.
+    """
     with suppress(FileNotFoundError):
         path.stat()  # says what is wrong with a path, which `resolve` does not
     return path.resolve()
 
 
 def own_stream(path: Path) -> int | None:
-    """Return the descriptor that a name such as /dev/stdout stands for, else None."""
+    """Return the file descriptor that a path such as /dev/stdout or /dev/fd/3 denotes, or None."""
     match = re.fullmatch(r"/dev/(std(?:in|out|err))|/(?:dev|proc/self)/fd/(\d+)", os.path.abspath(path))
     if not match:
         return None
@@ -199,7 +208,7 @@ def own_stream(path: Path) -> int | None:
 
 
 def _into(path: Path, blob: bytes) -> None:
-    """Write into a device or a pipe; one that nobody reads from is an error, no waiting."""
+    """Write bytes into a device or a pipe; a pipe that nobody reads from is an error."""
     number = own_stream(path)  # opened again, a file would be written from its beginning
     sys.stdout.flush()
     flags = os.O_WRONLY | getattr(os, "O_NONBLOCK", 0)
@@ -210,7 +219,10 @@ def _into(path: Path, blob: bytes) -> None:
 
 
 def _failure(path: Path, error: Exception, written: Sequence[str] = ()) -> InputError:
-    """Return the InputError of a failed write, with the names of files written so far."""
+    """Return the InputError of a failed write, with the names of files written so far.
+
+    An InputError is returned unchanged.
+    """
     if isinstance(error, InputError):
         return error
     so_far = f"written so far: {', '.join(written)}" if written else "nothing was written"

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 def attach(package: str, file: str) -> "tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]":
     """Return `__getattr__`, `__dir__` and `__all__` of a package that loads its names when used.
 
-    package, file : its `__name__` and `__file__`
+    package, file : `__name__` and `__file__` of the package
     The stub beside it, `__init__.pyi`, which type checkers and editors read too, has a line
     `from MODULE import NAME as NAME` for each public name and is the only list of them. A name must
     not be that of a module in the package: once that is imported, Python finds the module first.

@@ -6,8 +6,9 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Cost at points, shape (k,), and a function that gives normal matrices, shape (j, p, p), and right
-# sides, shape (j, p), of the problems that a mask, shape (k,), chooses.
+# Costs of k problems at their points, shape (k,), and a function that takes a mask of problems,
+# shape (k,), and returns the normal matrices, shape (j, p, p), and right sides, shape (j, p), of
+# the j chosen ones.
 Evaluated = tuple[Array, Callable[[Array], tuple[Array, Array]]]
 
 
@@ -20,17 +21,19 @@ def levenberg_marquardt(
     floor: float = 0.0,
     least_gain: float = -1.0,
 ) -> tuple[Array, Array]:
-    """Return the best point of each problem, shape (k, m), and its cost, shape (k,).
+    """Return the point of least cost of each of k problems, shape (k, m), and that cost, (k,).
 
-    The damping of a problem is a share of the diagonal of its normal matrix: it falls to a fifth
-    after a step that lowers the cost and rises tenfold after one that does not.
+    The diagonal of a problem's normal matrix is increased by the factor of the damping, which falls
+    to a fifth after a step that lowers the cost and rises tenfold after one that does not.
 
-    evaluate : of points, shape (k, m), one for each problem
-    steps : evaluations at most
-    move : takes points and steps, shape (k, p), to new points
-    floor : is added to the diagonal before it is damped, where no data may determine a direction
-    least_gain : a problem has converged where a step lowers the cost by less than this share of
-        cost + 1, or is damped by 1e6; the method ends when all have
+    evaluate : function of points, shape (k, m), one for each problem; see `Evaluated`
+    start : first points, shape (k, m)
+    steps : largest number of evaluations
+    move : function of points, (k, m), and steps, (k, p), that returns new points, (k, m)
+    floor : number that is added to the diagonal before it is damped, for directions that no data
+        determine
+    least_gain : a problem has converged when a step lowers the cost by less than this times
+        (cost + 1), or its damping exceeds 1e6; the method ends when all have. Below zero: never
     """
     best, cost = start, np.full(len(start), np.inf)
     damping, converged = np.full(len(start), 1e-3), np.zeros(len(start), dtype=bool)

@@ -12,24 +12,30 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.compile_cache import MachineCode, compiled
 
-# Number of evaluated points, since the start of the process, from which a compiled library is
-# looked for. Evaluating them takes as long, so that waiting costs at most twice the optimum (the
-# ski rental problem).
+# Number of points that one mapped function has evaluated before a library compiled earlier is
+# looked up in the cache. Evaluating them takes about as long as the lookup, so that waiting costs
+# at most twice the optimum (the ski rental problem).
 LIBRARY_LOOKUP_POINTS = 10_000
-# Number of evaluated points from which a library is built; evaluating them takes as long.
+# Number of points that one mapped function has evaluated before a library is compiled for it.
+# Evaluating them takes about as long as the compilation.
 COMPILATION_POINTS = 500_000
-# Number of points that are evaluated at a time; mapping over more takes longer.
+# Largest number of points that are evaluated at a time; mapping over more of them takes longer.
 MAX_CHUNK_POINTS = 1024
-# Number of output numbers that are computed at a time: Jacobians then fit the processor's cache.
+# Largest number of output numbers that are computed at a time (but see MIN_CHUNK_POINTS): Jacobians
+# then fit the processor's cache.
 MAX_CHUNK_NUMBERS = 400_000
-# Number of points that are evaluated at a time even if they have more output numbers.
+# Smallest number of points that are evaluated at a time, even if they have more than
+# MAX_CHUNK_NUMBERS output numbers.
 MIN_CHUNK_POINTS = 64
-# Number of chunk sizes for which mapped functions are cached.
+# Largest number of numbers of points for which one function's mapped versions are cached.
 MAX_CACHED_MAPS = 64
 
 
 class Buffered:
-    """A CasADi function of dense inputs and outputs, called many times with reused memory."""
+    """A CasADi function of dense inputs and outputs that is called many times with arrays.
+
+    Its memory is reused in the next call.
+    """
 
     def __init__(self, f: ca.Function) -> None:
         self.name = f.name()
@@ -38,10 +44,11 @@ class Buffered:
         self._function, self._idle = f, list[Any]()
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Return the outputs, each of its own shape.
+        """Return the outputs for one argument per input, each of its own shape.
 
-        An argument with fewer columns than the input is repeated side by side, as by CasADi. Raises
-        ValueError for shapes that do not fit.
+        An argument with fewer columns than the input is repeated side by side, as by CasADi.
+
+        Raises ValueError for shapes that do not fit.
         """
         try:  # a buffer serves one call at a time: another thread takes another one
             buffer, trigger = self._idle.pop()
@@ -68,26 +75,25 @@ class Buffered:
 
 
 def call(f: ca.Function, *arguments: Array) -> list[Array]:
-    """Return the outputs of a function that is called once (see `Buffered`)."""
+    """Return the outputs of a CasADi function that is called once, as arrays; see `Buffered`."""
     return Buffered(f)(*arguments)
 
 
 def _view(values: Array) -> Any:
-    """Return a view of the memory of a column-major array."""
+    """Return a flat view of the memory of a column-major array."""
     return memoryview(values.reshape(-1, order="F"))  # type: ignore[arg-type]
 
 
 class MappedFunction:
-    """A function of one point, evaluated at many in chunks.
+    """A function of one point that is evaluated at many points in chunks.
 
-    The graph does not grow with the number of points.
+    The graph does not grow with the number of points. Expressions of the shared inputs only, a
+    third of a robot's model, are computed once, and common subexpressions are eliminated. The other
+    operations are unchanged, and so is every bit of the results.
 
-    Expressions of the shared inputs only, a third of a robot's model, are computed once, and common
-    subexpressions are eliminated. The other operations are unchanged, and so is every bit of the
-    results.
-
-    point : symbols that differ between the points, shape (a,)
-    shared : symbols that do not, shape (b,)
+    name : name of the CasADi function
+    point : symbols whose values differ between the points, shape (a,)
+    shared : symbols whose values are the same for all points, shape (b,)
     outputs : expressions of both
     evaluated : number of points evaluated so far
     """
@@ -105,11 +111,14 @@ class MappedFunction:
 
     @property
     def is_compiled(self) -> bool:
-        """Return whether machine code is used."""
+        """Return whether a compiled library evaluates the function, not CasADi."""
         return self._machine_code is not None
 
     def __call__(self, points: Array, shared: Array) -> list[Array]:
-        """Return the outputs of all points side by side; points : (a, n); shared : (b,)."""
+        """Return the outputs at n points side by side, shape (rows, columns n) each.
+
+        points : shape (a, n); shared : shape (b,)
+        """
         n = points.shape[1]
         self._compile(n)
         (once,) = self._shared(shared)
@@ -127,7 +136,7 @@ class MappedFunction:
         return outputs
 
     def _over(self, n: int) -> Buffered:
-        """Return the function mapped over n points, cached."""
+        """Return the CasADi function mapped over n points, from the cache if it is there."""
         if n not in self._mapped:
             if len(self._mapped) >= MAX_CACHED_MAPS:
                 self._mapped.clear()
@@ -135,7 +144,10 @@ class MappedFunction:
         return self._mapped[n]
 
     def _compile(self, n: int) -> None:
-        """Switch to machine code if the points evaluated so far and these n pay for it."""
+        """Count n points more and switch to a compiled library if their number pays for it.
+
+        It is looked up from LIBRARY_LOOKUP_POINTS on and built from COMPILATION_POINTS on.
+        """
         self.evaluated += n
         for make, threshold in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
             if self._machine_code is None and self.evaluated >= threshold:
@@ -143,5 +155,8 @@ class MappedFunction:
                 self._tried += 1
 
     def compile(self, *, make: bool = True) -> None:
-        """Switch to machine code if there is a library; make : whether one is built if not."""
+        """Switch to a compiled library, if one is in the cache or can be built.
+
+        make : whether it is built if the cache has none
+        """
         self._machine_code = compiled(self._each, make=make)

@@ -8,10 +8,10 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 
-# Unit of reports and its number per SI unit, by SI unit.
+# Unit of reports, and the factor to it from the SI unit, by SI unit.
 _REPORT_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
 
-# Words that select several groups of parameters.
+# Words that select several groups of parameters, with these groups.
 _GROUP_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
 
 
@@ -19,11 +19,11 @@ _GROUP_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement":
 class Parameter:
     """One number of the model.
 
-    name : as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
+    name : name as in the paper's tables: alpha2, a2, beta2, d3, theta3, L4, tool_x, base_rx, c3
     group : base, geometry, loop, tool, compliance, or the name of an effect
-    unit : SI unit
+    unit : SI unit of the other numbers: m, rad, rad/(N m), ...
     value : nominal value [unit]
-    scale : value of one unit of the solver's variable, such as 1 mm or 1 mrad [unit]
+    scale : size of one unit of the solver's variable, such as 1e-3 for 1 mm or 1 mrad [unit]
     lower, upper : bounds [unit]
     prior : prior standard deviation of the deviation from nominal [unit]
     held : reason why it is fixed and never identified; empty if it can be identified
@@ -47,7 +47,7 @@ class Parameter:
         return _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
-        """Return a value [SI] in the unit of reports (mm, deg, urad/(N m))."""
+        """Return a value or difference of the parameter [SI] in `readable_unit`."""
         return value * _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[1]
 
 
@@ -74,9 +74,9 @@ class Parameters(Sequence[Parameter]):
         return self._items[key if isinstance(key, int) else self.index_of(key)]
 
     def index_of(self, name: str) -> int:
-        """Return the index of a parameter.
+        """Return the index of a parameter in model order.
 
-        Raises InputError, with all names, for an unknown one.
+        Raises InputError that lists all names for an unknown one.
         """
         if name not in self._index:
             raise InputError(f"no parameter {name!r}; there are {', '.join(self.names)}")

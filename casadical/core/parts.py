@@ -21,7 +21,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
 
-# Consecutive joint axes are nearly parallel below this angle [rad]; the parameter beta replaces d.
+# Smallest angle between consecutive joint axes that are not nearly parallel [rad]; below it the
+# parameter beta replaces d.
 NEAR_PARALLEL_RAD = np.deg2rad(5.0)
 
 
@@ -29,10 +30,10 @@ NEAR_PARALLEL_RAD = np.deg2rad(5.0)
 class Body:
     """A rigid body in the frame of its link.
 
-    mass : of the link or load [kg]
-    com : shape (3,) [m]: mass centre in the link's frame
-    inertia : shape (3, 3) [kg m^2]: about the mass centre, along the axes of the link's frame;
-        None: unknown
+    mass : mass of the link or load [kg]
+    com : mass centre in the link's frame, shape (3,) [m]
+    inertia : inertia matrix about the mass centre, along the axes of the link's frame, shape (3, 3)
+        [kg m^2]; None: unknown
 
     Examples
     --------
@@ -45,21 +46,31 @@ class Body:
     inertia: Array | None = None
 
     def moved(self, T: Array) -> Body:
-        """Return the body in the frame in which its own frame has the pose T, shape (4, 4) [m]."""
+        """Return the same body in another frame, in which its present frame has the pose T.
+
+        T : shape (4, 4) [m]
+        """
         R = T[:3, :3]
         inertia = None if self.inertia is None else R @ self.inertia @ R.T
         return Body(self.mass, R @ self.com + T[:3, 3], inertia)
 
     @property
     def likely_inertia(self) -> Array:
-        """Return the inertia, or that of a typical slender link if unknown, (3, 3) [kg m^2]."""
+        """Return the inertia about the mass centre, shape (3, 3) [kg m^2], estimated if unknown.
+
+        The estimate is isotropic, with a radius of gyration of 0.1 m plus 0.3 times the distance of
+        the mass centre from the frame's origin.
+        """
         if self.inertia is not None:
             return self.inertia
         return np.asarray(self.mass * (0.1 + 0.3 * np.linalg.norm(self.com)) ** 2 * np.eye(3))
 
     @staticmethod
     def joined(parts: Sequence[Body]) -> Body:
-        """Return bodies of one frame as one (parallel axis theorem); inertia None if any is."""
+        """Return one body with the masses of several in the same frame (parallel axis theorem).
+
+        Its inertia is unknown (None) if that of any of them is.
+        """
         masses = np.array([part.mass for part in parts])
         com = masses @ np.array([part.com for part in parts]) / masses.sum()
         moments = np.zeros((3, 3))
@@ -84,7 +95,8 @@ def possible_inertia(moments: Array) -> bool:
 class Coupling:
     """The reading of a joint without encoder: at + sum of factor * reading of other joints.
 
-    follows : number of another joint, 1-based, and its factor, for each; empty for a locked joint
+    follows : (number of a joint, from 1, factor of its reading) for each joint that it follows;
+        empty for a locked joint
     at : constant term [rad or m]
     """
 
@@ -96,16 +108,16 @@ class Coupling:
 class Joint:
     """One row of the modified DH table and the joint that it carries; SI units.
 
-    alpha : twist of the axis before, about x [rad]
-    a : length of the link before, along x [m]
-    theta : angle about z at reading zero [rad]
-    d : offset along z [m]
-    beta : turn about y where the axes are nearly parallel [rad]; None: d is the parameter there
-    b : offset along y where the axes are nearly parallel [m]; None as of beta
+    alpha : angle from the axis before to this one, about the x axis of the link before [rad]
+    a : length of the link before, along its x axis [m]
+    theta : angle about the joint's z axis at reading zero [rad]
+    d : offset along the joint's z axis [m]
+    beta : rotation about y where the axes are nearly parallel [rad]; None: d is the parameter there
+    b : offset along y where the axes are nearly parallel [m]; None: as of beta
     kind : revolute, or prismatic (then the reading is added to d)
-    lower, upper : least and greatest reading [rad or m]
-    compliance : of the drive train [rad/(N m) or m/N]; None: rigid
-    body : mass of the link that the joint moves
+    lower, upper : lower and upper limit of the reading [rad or m]
+    compliance : compliance of the drive train [rad/(N m) or m/N]; None: rigid
+    body : mass properties of the link that the joint moves, in its frame; None: massless
     coupling : how its reading follows from others, for a mimic, passive or locked joint; None
         otherwise
     name : name that tables of measurements may give its readings
@@ -133,7 +145,10 @@ class Joint:
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:
-    """Check the values of a joint; i : its number, from 1. Raises InputError."""
+    """Check the values of a joint. Raises InputError.
+
+    robot : name of the robot, for the message; i : number of the joint, from 1
+    """
     if joint.kind not in ("revolute", "prismatic"):
         raise InputError(f"robot {robot!r}, joint {i}: kind {joint.kind!r}; allowed: revolute, prismatic")
     for name in ("alpha", "a", "theta", "d", "beta", "b", "lower", "upper", "compliance"):
@@ -154,13 +169,12 @@ def refuse_joint(robot: str, i: int, joint: Joint) -> None:
 class FourBar:
     """A closed four-bar loop, by which one joint drives the next.
 
-    The reading of joint `driven` is the crank's angle in the plane of joint `carrier` (1-based).
+    The reading of joint `driven` is the crank's angle in the plane of joint `carrier`. The ground
+    bar is the link between the two joints (its length is the driven row's a). The driven link's
+    angle against the carrier is: direction of the rocker - angle of the carrier + offset.
 
-    The ground bar is the link between the two joints (its length is the driven row's a). The driven
-    link's angle against the carrier is: direction of the rocker - angle of the carrier + offset.
-    Lengths in metres.
-
-    crank, coupler, rocker : length [m]
+    driven, carrier : numbers of the two neighbouring joints, from 1
+    crank, coupler, rocker : length of the bar [m]
     offset : angle between rocker and driven link [rad]
 
     Examples
@@ -179,7 +193,11 @@ class FourBar:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A frame by its nominal pose T, shape (4, 4) [m], and the part of it to identify.
+    """The nominal pose of the robot's base or tool frame, and the part of it to identify.
+
+    T : pose, shape (4, 4) [m]: of the base in the measuring frame, or of the tool in the last
+        link's frame
+    unknown : what is identified: nothing, the position, or position and orientation
 
     Examples
     --------
@@ -196,7 +214,8 @@ class Placement:
 class Target:
     """An additional measured point on the flange.
 
-    name : of the point; point : its position in the last link's frame, shape (3,) [m]
+    name : name of the point, as in the column `tool`
+    point : its position in the last link's frame, shape (3,) [m]
     """
 
     name: str
@@ -209,7 +228,7 @@ class Target:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """Return the names of the parameters of its three coordinates."""
+        """Return the names of the parameters of its coordinates x, y, z."""
         return tuple(f"{self.column}_{c}" for c in "xyz")
 
 
@@ -217,8 +236,8 @@ class Target:
 class Width:
     """Bounds and priors of the deviations of one group of parameters.
 
-    length_bound, angle_bound : half width of the bounds [m, rad]
-    length_prior, angle_prior : prior standard deviation [m, rad]
+    length_bound, angle_bound : largest absolute deviation of a length [m] and of an angle [rad]
+    length_prior, angle_prior : prior standard deviation of a length [m] and of an angle [rad]
     """
 
     length_bound: float
@@ -227,7 +246,7 @@ class Width:
     angle_prior: float
 
 
-# Default bounds and priors by group of parameters.
+# Default bounds and priors of deviations from nominal, by group of parameters.
 WIDTHS: Mapping[str, Width] = {
     "base": Width(1.0, np.deg2rad(20), 0.1, 0.05),
     "geometry": Width(0.03, np.deg2rad(6), 0.003, 0.01),
@@ -242,7 +261,8 @@ WIDTHS: Mapping[str, Width] = {
 class BodyWidth:
     """Prior standard deviations of declared link masses.
 
-    share : of a mass, as a share of it; centre : of each coordinate of a mass centre [m]
+    share : relative standard deviation of a mass
+    centre : standard deviation of each coordinate of a mass centre [m]
     """
 
     share: float = 0.2
@@ -253,7 +273,8 @@ class BodyWidth:
 class Sessions:
     """Which parameters are identified anew in each session of a campaign (own) or once (shared).
 
-    base, tool : frames of robot base and tool; zeros : joint zero offsets
+    base, tool : parameters of the base's and the tool's frame
+    zeros : joint zero offsets
     """
 
     base: Literal["own", "shared"] = "own"
@@ -262,13 +283,16 @@ class Sessions:
 
 
 def parallel(joints: tuple[Joint, ...], i: int) -> bool:
-    """Return whether the axes of joints i and i + 1 (0-based) are nearly parallel or opposite."""
+    """Return whether the axes of the joints of index i and i + 1, from 0, are nearly parallel.
+
+    Opposite directions count as parallel; it is False for the last joint.
+    """
     return i + 1 < len(joints) and abs(np.sin(joints[i + 1].alpha)) < np.sin(NEAR_PARALLEL_RAD)
 
 
 # Standard acceleration of gravity [m/s^2] (ISO 80000-3).
 STANDARD_GRAVITY = 9.80665
-# Columns of the direction of gravity, in the robot's base frame, where it was logged at every pose.
+# Columns of the direction of gravity in the robot's base frame, where it was logged at every pose.
 GRAVITY_COLUMNS = ("gravity_x", "gravity_y", "gravity_z")
 
 
@@ -276,9 +300,12 @@ GRAVITY_COLUMNS = ("gravity_x", "gravity_y", "gravity_z")
 class Arm:
     """Structure of a serial robot, with closed four-bar loops if it has any (fields as in `Robot`).
 
-    gravity : acceleration [m/s^2]; if its frame is "logged", its norm applies to logged directions,
-        and poses without one have this vector, in the base frame
-    payload : poses may have another mass (column payload_kg); targets : named in the column `tool`
+    gravity : acceleration of gravity, shape (3,) [m/s^2], in the frame `gravity_frame`
+    gravity_frame : measuring frame, base frame, or "logged": then the norm of `gravity` applies to
+        the logged directions, and poses without one have this vector in the base frame
+    payload : declared payload in the last link's frame; poses may have another mass (column
+        payload_kg)
+    targets : additional measured points, named in the column `tool`
     Raises InputError for a structure that cannot be built.
     """
 
@@ -349,7 +376,10 @@ class Arm:
         return lower, upper
 
     def coupled(self, q: Array) -> Array:
-        """Return readings, (poses, n) [rad or m], with coupled and locked joints computed."""
+        """Return readings with those of coupled and locked joints computed, (poses, n) [rad or m].
+
+        q : readings, shape (poses, n) [rad or m]; those of coupled joints are ignored
+        """
         made = np.array(q, dtype=float)
         for i, joint in enumerate(self.joints):
             if joint.coupling is not None:
@@ -357,12 +387,12 @@ class Arm:
         return made
 
     def near(self, joint: int) -> tuple[int, ...]:
-        """Return the numbers of up to two joints before and two behind this one (1-based)."""
+        """Return the numbers, from 1, of up to two joints before a joint and two after it."""
         return tuple(i for i in (joint - 2, joint - 1, joint + 1, joint + 2) if i in self.numbers)
 
     @cached_property
     def reach(self) -> float:
-        """Return the sum of all link lengths and the tool [m], an upper bound of the reach."""
+        """Return the sum of link lengths, strokes and the tool [m], an upper bound of the reach."""
         links = sum(
             abs(j.a) + abs(j.d) + max(map(abs, (j.lower, j.upper))) * (j.kind == "prismatic") for j in self.joints
         )
@@ -381,6 +411,7 @@ def _refuse_couplings(arm: Arm) -> None:
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
     """Check that a four-bar drives a revolute joint from its parallel neighbour.
 
+    number : number of the four-bar, from 1, for the message
     Raises InputError.
     """
     where = f"four_bar[{number}]: carrier = {loop.carrier}, driven = {loop.driven}"
@@ -404,16 +435,16 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
 LINK_MASS_PER_CUBED_REACH = 10.0
 # Estimated mass of each link divided by that of the one before.
 LINK_MASS_RATIO = 0.5
-# Prior standard deviation of each estimated mass, as a share of it.
+# Prior standard deviation of each estimated mass, divided by the mass.
 ESTIMATED_MASS_PRIOR_SHARE = 2.0
-# Prior standard deviation of each coordinate of an estimated mass centre, as a share of the reach.
+# Prior standard deviation of each coordinate of an estimated mass centre, divided by the reach.
 ESTIMATED_CENTRE_PRIOR_OF_REACH = 0.1
 
 A = TypeVar("A", bound=Arm)
 
 
 def lacks_masses(arm: Arm) -> bool:
-    """Return whether no link has a mass."""
+    """Return whether no link has a declared mass above zero."""
     return not any(j.body and j.body.mass > 0 for j in arm.joints)
 
 
@@ -430,9 +461,9 @@ def with_estimated_masses(robot: A) -> A:
 
 
 def _middle(robot: Arm, i: int) -> Array:
-    """Return the midpoint of a link in its frame, shape (3,) [m].
+    """Return the midpoint of the link of index i, from 0, in its frame, shape (3,) [m].
 
-    It is half way to the next link's origin, or to the tool point.
+    It is half way to the next link's origin or, for the last link, to the tool point.
     """
     if i + 1 == robot.n:
         return np.asarray(robot.tool.T[:3, 3] / 2)

@@ -33,29 +33,35 @@ MAX_TEXT_BYTES = 10_000_000
 MAX_JSON_BYTES = 100_000_000
 # Largest size of an archive after unpacking [bytes].
 MAX_UNPACKED_BYTES = 100_000_000
-# Largest number of cells of a workbook.
+# Largest number of cells of a spreadsheet workbook that is read.
 MAX_WORKBOOK_CELLS = 300_000
-# Largest number of numbers in a table that is in memory as a whole.
+# Largest number of values, rows times columns, of a plain CSV or Parquet table or a joint log;
+# larger ones are refused.
 MAX_TABLE_NUMBERS = 30_000_000
-# Largest number of parameters, harmonics, joints, or rows of a grid in a file.
+# Largest number of items of one kind in a file: parameters, harmonics, joints, rows of a grid.
 MAX_ITEMS = 1000
-# Largest absolute value in a file whose squares and products doubles can hold.
+# Largest absolute value of a number in a file; squares and products of it are still finite doubles.
 LARGEST_NUMBER = 1e100
-# Smallest absolute value in a file other than zero; smaller ones are taken for mistakes.
+# Smallest absolute value of a number in a file other than zero; smaller ones are refused.
 SMALLEST_NUMBER = 1e-100
-# Largest length of a name or title.
+# Largest length of a text in a file, such as a name or title [characters].
 MAX_TEXT_CHARACTERS = 10_000
-# Largest depth of nested tables and lists.
+# Largest depth of nested tables and lists in a file.
 MAX_NESTING = 50
 # Largest number of digits of an integer in JSON.
 MAX_INTEGER_DIGITS = 100
 
+# Pattern of the encoding that the declaration of an XML file states.
 _XML_ENCODING = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
+# Names of the encodings in which XML files are read.
 _XML_ENCODINGS_READ = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
 
 
 def missing(path: str | Path, what: str = "file") -> InputError:
-    """Return the error for a missing file or folder, which suggests similar names."""
+    """Return the InputError for a missing file or folder, which suggests similar names.
+
+    what : "file", "folder" or both, for the message
+    """
     path = Path(path)
     try:
         there = sorted(p.name for p in path.parent.iterdir() if not p.name.startswith("."))[:MAX_ITEMS]
@@ -72,8 +78,9 @@ def missing(path: str | Path, what: str = "file") -> InputError:
 def read_bytes(path: str | Path, most: int = MAX_TABLE_BYTES) -> bytes:
     """Return the content of a file.
 
-    Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or not to
-    be read.
+    most : largest number of bytes
+    Raises InputError: no such file, a folder, a device, a FIFO, more than `most` bytes, or no
+    permission.
     """
     path = Path(path)
     with _opening(path):
@@ -91,7 +98,7 @@ def read_bytes(path: str | Path, most: int = MAX_TABLE_BYTES) -> bytes:
 
 
 def regular(path: str | Path) -> Path:
-    """Return the path of a regular file, for a library that opens it by name.
+    """Return the path unchanged if it is that of a regular file, for a library that opens it.
 
     Raises InputError: no such file, a folder, a device, a FIFO.
     """
@@ -103,7 +110,7 @@ def regular(path: str | Path) -> Path:
 
 @contextmanager
 def _opening(path: Path) -> Iterator[None]:
-    """Convert system errors of opening a file. Raises InputError."""
+    """Convert the system errors of the block, which opens a file. Raises InputError."""
     try:
         yield
     except FileNotFoundError:
@@ -115,9 +122,9 @@ def _opening(path: Path) -> Iterator[None]:
 
 
 def unpacked(data: bytes, source: str) -> bytes:
-    """Return the content of gzip data, and other data unchanged.
+    """Return the content of gzip data, and other data unchanged; source : name for messages.
 
-    Raises InputError: damaged, or too many bytes after unpacking.
+    Raises InputError: damaged, or more than `MAX_TABLE_BYTES` after unpacking.
     """
     if not data.startswith(b"\x1f\x8b"):
         return data
@@ -129,7 +136,11 @@ def unpacked(data: bytes, source: str) -> bytes:
 
 
 def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
-    """Refuse devices, folders, pipes and sockets. Raises InputError."""
+    """Check that a path is not a device, a folder, a pipe or a socket.
+
+    about : status of the file; streamed : whether the path denotes a stream of this process
+    Raises InputError.
+    """
     if stat.S_ISCHR(about.st_mode) or stat.S_ISBLK(about.st_mode):
         raise InputError(f"{shown(path)}: is a device; name a file")
     if stat.S_ISDIR(about.st_mode):
@@ -141,6 +152,7 @@ def _refuse_special(path: Path, about: os.stat_result, streamed: bool) -> None:
 def read_text(path: str | Path, most: int = MAX_TEXT_BYTES) -> str:
     """Return the text of a UTF-8 file.
 
+    most : largest number of bytes
     Raises InputError as `read_bytes` does, and for bytes that are not UTF-8.
     """
     try:
@@ -165,14 +177,16 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 
 def load_json(path: str | Path) -> Any:
-    """Return the object in a JSON file. Raises InputError."""
+    """Return the object in a JSON file as a dictionary. Raises InputError."""
     return json_of(read_bytes(path, MAX_JSON_BYTES), shown(path))
 
 
 def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
-    """Return the object, or an object of another kind, in a JSON text.
+    """Return the value of a JSON text as plain data.
 
-    source : name of the text in messages. Raises InputError: no JSON, or out of bounds.
+    source : name of the text in messages
+    kind : type that the value must have, by default an object (dict); object: any
+    Raises InputError: no JSON, another type, numbers that are not finite, or too deeply nested.
     """
     try:
         data = json.loads(text, parse_int=_integer, parse_float=_finite, parse_constant=_finite)
@@ -192,21 +206,21 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
 
 
 def _integer(text: str) -> int:
-    """Return an integer of a JSON text. Raises ValueError for one of too many digits."""
+    """Return the integer of a JSON number. Raises ValueError for one of too many digits."""
     if len(text) > MAX_INTEGER_DIGITS:
         raise ValueError(f"an integer of {len(text)} digits; allowed: up to {MAX_INTEGER_DIGITS}")
     return int(text)
 
 
 def _finite(text: str) -> float:
-    """Return a finite number of a JSON text. Raises ValueError for others."""
+    """Return the value of a JSON number. Raises ValueError for one that is not finite."""
     if not math.isfinite(value := float(text)):
         raise ValueError(f"{text[:30]} is no finite number")
     return value
 
 
 def read_xml(path: str | Path) -> bytes:
-    """Return an XML file re-encoded as UTF-8.
+    """Return the content of an XML file as UTF-8 bytes without its XML declaration.
 
     Raises InputError, also where the file defines a document type (entities).
     """
@@ -228,9 +242,10 @@ def read_xml(path: str | Path) -> bytes:
 
 @contextmanager
 def foreign(what: str, remedy: str = "") -> Iterator[None]:
-    """Convert whatever a library raises for a damaged file.
+    """Convert whatever a library raises for a damaged file in the block.
 
-    what : begin of the message; remedy : its end. Raises InputError.
+    what : begin of the message; remedy : end of the message
+    Raises InputError.
     """
     try:
         yield
@@ -243,7 +258,10 @@ def foreign(what: str, remedy: str = "") -> Iterator[None]:
 
 
 def _of_python(error: BaseException | None) -> bool:
-    """Return whether an error, or its cause, is about code (types, indices), not about the file."""
+    """Return whether an error, or its cause, is about code (types, indices), not about the file.
+
+    Its message would not help the user.
+    """
     if error is None:
         return False
     explained = type(error) is ValueError or isinstance(error, OSError | EOFError)
@@ -252,7 +270,10 @@ def _of_python(error: BaseException | None) -> bool:
 
 
 def archive_of(data: bytes, source: str) -> io.BytesIO:
-    """Return a zip archive that is not too large after unpacking. Raises InputError."""
+    """Return the bytes of a zip archive as a stream; source : name for messages.
+
+    Raises InputError: damaged, or more than `MAX_UNPACKED_BYTES` after unpacking.
+    """
     with foreign(f"{source}: not a readable workbook"), zipfile.ZipFile(io.BytesIO(data)) as archive:
         size = sum(entry.file_size for entry in archive.infolist())
     if size > MAX_UNPACKED_BYTES:
@@ -261,14 +282,14 @@ def archive_of(data: bytes, source: str) -> io.BytesIO:
 
 
 def number_fault(value: float) -> str:
-    """Return what is wrong with a number; empty for a usable one."""
+    """Return as text what is wrong with a number of a file; empty for a usable one."""
     if not -LARGEST_NUMBER <= value <= LARGEST_NUMBER:  # also an integer that is no double, and what is not a number
         return f"allowed: finite numbers up to {LARGEST_NUMBER:g}"
     return f"allowed: zero, or at least {SMALLEST_NUMBER:g}" if 0 < abs(value) < SMALLEST_NUMBER else ""
 
 
 def text_fault(text: str) -> str:
-    """Return what is wrong with a name or title; empty for a usable one."""
+    """Return as text what is wrong with a name or title of a file; empty for a usable one."""
     if len(text) > MAX_TEXT_CHARACTERS:
         return f"has {len(text)} characters; allowed: up to {MAX_TEXT_CHARACTERS}"
     bad = next((c for c in text if unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t"), None)
@@ -276,7 +297,10 @@ def text_fault(text: str) -> str:
 
 
 def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str, str]]:
-    """Yield places and faults of unusable numbers and texts in nested tables and lists."""
+    """Yield (place, fault) of each unusable number or text in nested tables and lists, as text.
+
+    place : place of the value itself; depth : number of tables and lists around it
+    """
     if depth > MAX_NESTING:
         yield place[:60], "is nested too deeply"
     elif isinstance(value, dict):
@@ -299,7 +323,7 @@ def unusable(value: Any, place: str = "", depth: int = 0) -> Iterator[tuple[str,
 
 
 def _short(value: float) -> str:
-    """Return a number as a message shows it."""
+    """Return a number as text for a message."""
     if isinstance(value, int) and abs(value) > LARGEST_NUMBER:
         return f"an integer of {value.bit_length()} bits"
     return f"{value:g}" if isinstance(value, float) and math.isfinite(value) else str(value)

@@ -17,7 +17,7 @@ from casadical.core.reading import unusable
 
 
 class FaultError(ValueError):
-    """A fault of the value at a place (key, or path of keys and indices) in a table."""
+    """A fault of the value at a place in a table: a key, or a path of keys and indices from 0."""
 
     def __init__(self, place: str | tuple[int | str, ...], text: str) -> None:
         super().__init__(text)
@@ -28,46 +28,58 @@ class FaultError(ValueError):
 class Quantity:
     """A physical quantity.
 
-    factors : factor to SI by unit suffix of the key; most : largest absolute value [SI]
+    factors : factor to the SI unit, by the unit suffix of the key, such as "_mm"
+    most : largest absolute value that is accepted [SI]
     """
 
     factors: Mapping[str, float]
     most: float
 
 
-# A length: units of its keys, and its largest value [m].
+# Length: unit suffixes of its keys, and its largest value [m].
 LENGTH = Quantity({"_mm": 1e-3, "_m": 1.0}, 1e4)
-# An angle: units of its keys, and its largest value [rad].
+# Angle: unit suffixes of its keys, and its largest value [rad].
 ANGLE = Quantity({"_deg": np.pi / 180, "_rad": 1.0, "_mrad": 1e-3}, 1e3)
-# The reading of a joint, revolute or prismatic: units of its keys, and its largest value [SI].
-READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)  # of a joint, revolute or prismatic
+# Reading of a revolute or prismatic joint: unit suffixes of its keys, and its largest value [rad or
+# m].
+READING = Quantity({**ANGLE.factors, **LENGTH.factors}, 1e4)
 
 
 def _whole(value: Any) -> Any:
-    """Return a value, as text if it is a boolean or a float, which a version must not be."""
+    """Return a value unchanged, but a boolean or a float as text, so that it is refused.
+
+    A version must be an integer.
+    """
     return str(value) if isinstance(value, bool | float) else value  # true and 1.0 are equal to 1, which is allowed
 
 
-# Pydantic tags for values of two possible forms; messages omit them.
+# Pydantic tags for values of two possible forms; error messages omit them.
 VALUE_FORMS = ("a text", "a table", "a number", "a list")
 # Validator of versions, which are whole numbers.
 WHOLE_NUMBER = BeforeValidator(_whole)
+# Type of a length with its unit in the key.
 Length = Annotated[float, LENGTH]
+# Type of an angle with its unit in the key.
 Angle = Annotated[float, ANGLE]
+# Type of a list of three numbers.
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
+# Type of a list of two numbers.
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 Schema = TypeVar("Schema", bound=BaseModel)
 
 
 class TomlTable(BaseModel):
-    """A TOML table; a `Quantity` has its unit in the key of the file and is SI in the field."""
+    """Base of schemas of TOML tables; a `Quantity` has its unit in the key, and SI in the field."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
     @model_validator(mode="before")
     @classmethod
     def _units(cls, data: Any) -> Any:
-        """Convert keys with units to fields in SI. Raises FaultError."""
+        """Return the table with fields in SI in place of keys with units.
+
+        Raises FaultError: a key without its unit, a field given twice, or too large a value.
+        """
         if not isinstance(data, dict):
             return data
         fields: dict[str, Any] = {}
@@ -83,9 +95,11 @@ class TomlTable(BaseModel):
 
     @classmethod
     def field_of(cls, key: str) -> tuple[str, float | None]:
-        """Return the field of a key of the file, and its factor to SI.
+        """Return the name of the field of a key, such as a for a_mm, and the key's factor to SI.
 
-        The factor is None for fields without a unit. Raises FaultError for a key without its unit.
+        The factor is None for fields without a unit; an unknown key is returned unchanged.
+
+        Raises FaultError for a key without its unit.
         """
         for name, field in cls.model_fields.items():
             quantity = _quantity(field.metadata)
@@ -100,37 +114,35 @@ class TomlTable(BaseModel):
 
     @classmethod
     def keys(cls) -> list[str]:
-        """Return every key as it is written in a file, with its first unit."""
+        """Return the key of every field as it is written in a file, with the first of its units."""
         quantities = {name: _quantity(field.metadata) for name, field in cls.model_fields.items()}
         return [name + next(iter(q.factors)) if q else name for name, q in quantities.items()]
 
 
 def _quantity(metadata: list[Any]) -> Quantity | None:
-    """Return the quantity in a field's metadata, or None."""
+    """Return the `Quantity` in the metadata of a pydantic field; None without one."""
     return next((m for m in metadata if isinstance(m, Quantity)), None)
 
 
 def _to_si(value: Any, factor: float) -> Any:
-    """Return a number, or the numbers of nested lists, times a factor."""
+    """Return a number, or the numbers of nested lists, times a factor; other values unchanged."""
     if isinstance(value, list):
         return [_to_si(v, factor) for v in value]
     return value * factor if isinstance(value, int | float) and not isinstance(value, bool) else value
 
 
 def _size(value: Any) -> float:
-    """Return the largest absolute value of a number or list.
-
-    It is 0 for other types, which are refused elsewhere.
-    """
+    """Return the largest absolute value in a number or nested lists; 0 for other types."""
     if isinstance(value, list):
         return max(map(_size, value), default=0.0)
     return abs(value) if isinstance(value, int | float) and not isinstance(value, bool) else 0.0
 
 
 def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
-    """Return data validated against a schema.
+    """Return data validated against a schema, as an instance of it.
 
-    source : name of the data in messages. Raises InputError that lists every fault by key.
+    source : name of the data in messages, such as a path
+    Raises InputError that lists the faults by key.
     """
     if wrong := list(unusable(data)):
         raise _faults([f"{place}: {fault}" for place, fault in wrong[:MAX_FAULTS_SHOWN]], len(wrong), source)
@@ -142,13 +154,19 @@ def check(schema: type[Schema], data: Mapping[str, Any], source: str) -> Schema:
 
 
 def _faults(listed: Sequence[str], count: int, source: str) -> InputError:
-    """Return the error that lists faults; count : of all, those not listed included."""
+    """Return the InputError that lists faults of a source.
+
+    count : number of all faults, including those that are not listed
+    """
     more = [f"and {count - len(listed)} more"] if count > len(listed) else []
     return InputError("\n  ".join([f"{source}: {count} fault(s)", *listed, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
-    """Return a fault as text: key with its unit, value, what is allowed."""
+    """Return a fault as text: the key as written in the file, its value, and what is allowed.
+
+    data : the validated data; error : entry of pydantic's list of errors
+    """
     cause = error.get("ctx", {}).get("error")
     loc = tuple(part for part in error["loc"] if part not in VALUE_FORMS)
     place = (*loc, *(cause.place if isinstance(cause, FaultError) else ()))
@@ -168,12 +186,14 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     return f"{key}{given}: {_text(error)}"
 
 
+# Pydantic's name of the limit of a list's length, by the word that a message has for it.
 _LIMITS = {"most": "max_length", "least": "min_length"}
+# Messages of casadical, by the type of pydantic's error.
 _MESSAGES = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
 
 
 def _text(error: Any) -> str:
-    """Return pydantic's message in the wording of casadical."""
+    """Return the message of one of pydantic's errors in the wording of casadical."""
     if error["type"] in _MESSAGES:
         return _MESSAGES[error["type"]]
     if error["type"] in ("too_long", "too_short"):
@@ -183,14 +203,19 @@ def _text(error: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a value as TOML writes it: true, 2020-01-01."""
+    """Return a value as TOML writes it (true, 2020-01-01), cut to at most 60 characters."""
     text = str(value) if isinstance(value, date | time) else repr(value)
     text = {"True": "true", "False": "false", "None": "null"}.get(text, text)
     return text if len(text) < 60 else f"{text[:57]}..."
 
 
 def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, ...]) -> tuple[str, Any]:
-    """Return key, with its unit, and value in the file for a place in the schema."""
+    """Return the key and the value in the file for a place in the schema.
+
+    The key has its unit and the keys of the tables around it, such as joint[2].a_mm.
+
+    location : path of fields and indices from 0
+    """
     words: list[str] = []
     for depth, part in enumerate(location):
         if isinstance(part, int):
@@ -208,7 +233,7 @@ def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, .
 
 
 def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """Return the schema of the table at a location."""
+    """Return the schema of the table at a location, a path of fields and indices."""
     for part in location:
         if isinstance(part, str) and part in schema.model_fields:
             schema = next(_models(schema.model_fields[part].annotation), schema)
@@ -216,7 +241,7 @@ def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[Bas
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    """Yield the schemas in a type annotation, the outermost first."""
+    """Yield the pydantic schemas in a type annotation, the outermost first."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in getattr(annotation, "__args__", ()):

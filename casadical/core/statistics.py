@@ -11,10 +11,10 @@ from casadical.core.basics import Array
 Item = TypeVar("Item")
 
 
-# Values within this share of the greatest are tied, and the first of them is taken, so that every
-# processor gives the same answer; for logarithms it is the absolute difference. Rounding changes a
-# gain by up to 2.2e-7 of itself if the smallest eigenvalue of the information is 1e-9 of a unit
-# diagonal (docs/reference.md).
+# Largest difference from the greatest value at which a value is tied with it, relative or, for
+# logarithms, absolute. The first of tied values is taken, so that every processor gives the same
+# answer. Rounding changes a gain by up to 2.2e-7 of itself if the smallest eigenvalue of the
+# information is 1e-9 of a unit diagonal (docs/reference.md).
 TIE_TOLERANCE = 1e-6
 
 
@@ -39,7 +39,12 @@ def best_of(items: Iterable[Item], value: Callable[[Item], float], *, logs: bool
 
 
 def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
-    """Return the indices of the values, from the greatest; tied neighbours keep their order."""
+    """Return the indices of the values from the greatest to the least.
+
+    Neighbours in this order that are tied keep the order in which they were given.
+
+    logs : whether the values are log probabilities (see `TIE_TOLERANCE`)
+    """
     given = np.asarray(values, dtype=float)
     order = np.argsort(-given, kind="stable")
     falling = given[order]
@@ -51,18 +56,22 @@ def ranked(values: Sequence[float] | Array, *, logs: bool = False) -> list[int]:
 
 
 def thirds(values: Array) -> tuple[Array, Array]:
-    """Return the third, 0 to 2, in which each value lies, and the four quantiles at their edges.
+    """Return the third of each value, 0 to 2, shape (n,), and the four quantiles that bound them.
 
-    A value at an edge, within rounding, belongs to the third below.
+    The thirds have equal numbers of values. A value at a bound, within rounding, belongs to the
+    third below.
+
+    values : shape (n,)
     """
     edges = np.quantile(values, [0, 1 / 3, 2 / 3, 1])
     return np.searchsorted(edges[1:-1] + TIE_TOLERANCE * np.ptp(edges), values), edges
 
 
 def known_digits(value: float, size: float, digits: int) -> float:
-    """Return a value rounded to `digits` digits after the leading digit of `size`.
+    """Return a value rounded to the decimal place `digits` after the leading digit of `size`.
 
-    The digits that rounding errors decide are dropped.
+    Digits that rounding errors decide are dropped. The value is unchanged if `size` is zero or not
+    finite.
     """
     if not (size and math.isfinite(size)):
         return float(value)
@@ -70,9 +79,11 @@ def known_digits(value: float, size: float, digits: int) -> float:
 
 
 def robust_std(r: Array) -> float:
-    """Return a robust standard deviation of residuals, 1.4826 times their median absolute value.
+    """Return the robust standard deviation of residuals about zero, in their unit; 0 for none.
 
-    Zeros are ignored, since they have weight zero.
+    It is 1.4826 times the median absolute value. Zeros are ignored, since they have weight zero.
+
+    r : any shape
     """
     counted = np.abs(r[r != 0])
     return float(1.4826 * np.median(counted)) if counted.size else 0.0

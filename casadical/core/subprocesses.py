@@ -10,16 +10,18 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-# Time limit of a compilation.
+# Time limit of a compilation [s].
 COMPILE_SECONDS = 300.0
-# Time limit of the trial of a compiled library or of Python code in a separate process.
+# Time limit of a compiled library or of Python code that runs in a separate process [s].
 TRIAL_SECONDS = 60.0
 
 
 def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
-    """Run a program without input and return it completed; None if it fails to start or times out.
+    """Run a program and return its exit code and output; None if it fails to start or times out.
 
-    When the time is over, it is killed with all processes that it started.
+    It has no input. When the time is over, it is killed with all processes that it started.
+
+    command : program and arguments; seconds : time limit [s]
     """
     try:
         process = subprocess.Popen(
@@ -42,9 +44,11 @@ def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProc
 
 
 def tried(code: str, *arguments: str) -> str | None:
-    """Return what Python code prints in a separate process; None where it fails.
+    """Return the text that Python code prints in a separate process; None where it fails.
 
     The code can import the standard library only.
+
+    arguments : `sys.argv[1:]` of the code
     """
     done = finished([sys.executable, "-I", "-S", "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None

@@ -16,19 +16,18 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Name in lower case of each CasADi operation code.
+# Name in lower case of each operation, by CasADi's integer code.
 _OPERATION_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
-# Instructions that are no operations on values.
+# Names of instructions that are no operations on values.
 _SPECIAL = frozenset(("input", "const", "output", "call"))
 
 
 class Instruction(NamedTuple):
     """One operation of a CasADi function, by CasADi's name in lower case.
 
-    Names are "add", "if_else_zero", "input", "const", "output", "call" and so on.
-
-    operands, results : indices in the work vector; the operands of an input, and the results of an
-        output, are instead the index of the argument and the position of its nonzero
+    operation : name, such as "add", "if_else_zero", "input", "const", "output" or "call"
+    operands, results : indices in the work vector; the operands of an "input", and the results of
+        an "output", are instead the index of the argument and that of its structural nonzero
     constant : value of a "const", else 0
     """
 
@@ -42,8 +41,10 @@ class Instruction(NamedTuple):
 class SxInstructions:
     """A CasADi function of SX type as a list of instructions.
 
-    name : of the function; instructions : in the order of evaluation
-    places : length of the work vector; nonzeros : number of structural nonzeros of every output
+    name : name of the function
+    instructions : instructions in the order of evaluation
+    places : length of the work vector
+    nonzeros : number of structural nonzeros of every output
     """
 
     name: str
@@ -53,7 +54,7 @@ class SxInstructions:
 
     @classmethod
     def read(cls, f: ca.Function) -> SxInstructions:
-        """Return the instructions of a function."""
+        """Return the instructions of a CasADi function of SX type."""
         steps = []
         for k in range(f.n_instructions()):
             name = _OPERATION_NAMES[f.instruction_id(k)]
@@ -70,15 +71,16 @@ class SxInstructions:
         zero: Any = 0.0,
         call: Callable[[list[Any]], Sequence[Any]] | None = None,
     ) -> list[list[Any]]:
-        """Return the structural nonzeros of every output, for values of any type.
+        """Return the structural nonzeros of every output, evaluated with values of any type.
 
-        They are in CasADi's order.
+        They are in CasADi's order (column by column).
 
         inputs : for each input of the function the values of its nonzeros
-        operation : name of an operation -> function of the values of its operands; constant :
-            number -> value
+        operation : function from the name of an operation to a function of its operands' values
+        constant : function from a number to a value
         zero : value of an output that no instruction writes
-        call : values of the operands of a called function -> its results
+        call : function from the operands' values of a called function to its results; None: calls
+            are operations of that name
         """
         work: list[Any] = [zero] * self.places
         outputs = [[zero] * count for count in self.nonzeros]
@@ -97,7 +99,7 @@ class SxInstructions:
         return outputs
 
     def on_arrays(self, *inputs: Sequence[Any]) -> list[list[Array | float]]:
-        """Return the structural nonzeros of every output, each operation done once on whole arrays.
+        """Return the structural nonzeros of every output, evaluated with numpy on whole arrays.
 
         For short functions at many points this is many times faster than CasADi, which goes point
         by point.
@@ -109,16 +111,20 @@ class SxInstructions:
             return self.evaluate(inputs, self._numpy, float)
 
     def _numpy(self, name: str) -> Callable[..., Any]:
-        """Return the numpy function of an operation. Raises NotImplementedError: there is none."""
+        """Return the numpy function of an operation, by its name.
+
+        Raises NotImplementedError: there is none.
+        """
         if name not in OPERATIONS:
             raise NotImplementedError(f"{self.name}: CasADi operation {name} has no numpy counterpart here")
         return OPERATIONS[name].numpy
 
 
 class Operation(NamedTuple):
-    """An operation as a numpy function and as C of `compile_cache`.
+    """An operation as a numpy function and as a C expression for `compile_cache`.
 
-    In C, {0} and {1} are its operands.
+    numpy : function of arrays
+    c : template of the C expression of two points at a time; {0} and {1} are its operands
     """
 
     numpy: Callable[..., Any]
@@ -126,17 +132,18 @@ class Operation(NamedTuple):
 
 
 def _unary(numpy: Callable[[Any], Any], c: str) -> Operation:
-    """Return a function of one number, which the C applies to both numbers of a vector."""
+    """Return the operation of a function of one number; c : name of the C function."""
     return Operation(numpy, f"ONE({c}, {{0}})")
 
 
 def _binary(numpy: Callable[[Any, Any], Any], c: str) -> Operation:
-    """Return a function of two numbers, which the C applies to both pairs of two vectors."""
+    """Return the operation of a function of two numbers; c : name of the C function."""
     return Operation(numpy, f"TWO({c}, {{0}}, {{1}})")
 
 
-# Functions of one number, and of two, that have the same name in CasADi, numpy and C.
+# Functions of one number that have the same name in CasADi, numpy and C.
 _UNARY_FUNCTIONS = ("exp", "log", "log1p", "expm1", "sqrt", "sin", "cos", "tan", "sinh", "cosh", "tanh")
+# Functions of two numbers that have the same name in CasADi, numpy and C.
 _BINARY_FUNCTIONS = ("fmin", "fmax", "hypot", "fmod", "copysign")
 # CasADi operations with their counterparts in numpy and C, by name in lower case.
 OPERATIONS = {

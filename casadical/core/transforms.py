@@ -37,19 +37,22 @@ def translate(x: Symbolic, y: Symbolic, z: Symbolic) -> Symbolic:
 
 
 def small_frame(x: Symbolic, y: Symbolic, z: Symbolic, rx: Symbolic, ry: Symbolic, rz: Symbolic) -> Symbolic:
-    """Return a translation [m] times rotations about x, y, z [rad] in this order (intrinsic)."""
+    """Return the transform, (4, 4), translate(x, y, z) rot_x(rx) rot_y(ry) rot_z(rz).
+
+    These are a translation [m] and intrinsic rotations about x, y, z [rad], applied in this order.
+    """
     return translate(x, y, z) @ rot_x(rx) @ rot_y(ry) @ rot_z(rz)
 
 
 def product(factors: Sequence[Symbolic]) -> Symbolic:
-    """Return the product of transforms, the first one outermost."""
+    """Return the matrix product of transforms in the given order, shape (4, 4)."""
     return reduce(operator.matmul, factors)
 
 
 def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
-    """Return a point, shape (3,) [m], moved by transforms, the last one first.
+    """Return a point, shape (3,) [m], transformed by the product of transforms, (4, 4) each.
 
-    It takes a tenth of the operations of their product.
+    The last transform is applied first. This takes a tenth of the operations of their product.
     """
     carried = ca.vertcat(point, 1)
     for T in reversed(factors):
@@ -58,7 +61,7 @@ def carry(factors: Sequence[Symbolic], point: Symbolic) -> Symbolic:
 
 
 def apply(T: Symbolic, point: Symbolic) -> Symbolic:
-    """Return a point, shape (3,) [m], moved by the transform T."""
+    """Return a point, shape (3,) [m], transformed by T, shape (4, 4)."""
     return T[:3, :3] @ point + T[:3, 3]
 
 
@@ -69,19 +72,20 @@ def inverse(T: Symbolic) -> Symbolic:
 
 
 def from_rpy(rpy: Array) -> Array:
-    """Return rotations, shape (..., 3, 3), by fixed-axis roll, pitch, yaw [rad] as in URDF."""
+    """Return the rotation matrices, shape (..., 3, 3), of roll, pitch, yaw, shape (..., 3) [rad].
+
+    The axes x, y, z are fixed and turned about in this order, as in URDF.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("xyz", rpy).as_matrix())
 
 
 def to_rpy(R: Array) -> Array:
-    """Return roll, pitch and yaw [rad] of a rotation, shape (3, 3).
+    """Return roll, pitch and yaw, shape (3,) [rad], of a rotation, shape (3, 3); see `from_rpy`.
 
-    At pitch +-90 deg the yaw is zero.
-
-    scipy's angles lose up to 1e-7 rad, and it warns, within 1e-7 rad of these pitches; these do
-    not.
+    At pitch +-90 deg the yaw is zero. Within 1e-7 rad of these pitches scipy's angles lose up to
+    1e-7 rad, and it warns; these angles do not.
     """
     horizontal = np.hypot(R[0, 0], R[1, 0])
     yaw = np.arctan2(R[1, 0], R[0, 0]) if horizontal > 1e-15 else 0.0
@@ -92,14 +96,20 @@ def to_rpy(R: Array) -> Array:
 
 
 def from_xyz(xyz: Array) -> Array:
-    """Return rotations, (..., 3, 3), about the moving x, y, z axes [rad], as `small_frame`."""
+    """Return the rotation matrices, shape (..., 3, 3), of intrinsic angles, shape (..., 3) [rad].
+
+    The axes x, y, z move and are turned about in this order, as in `small_frame`.
+    """
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_euler("XYZ", xyz).as_matrix())
 
 
 def to_xyz(R: Array) -> Array:
-    """Return angles [rad] about the moving x, y, z axes of a rotation (3, 3), as `small_frame`."""
+    """Return the intrinsic angles about x, y, z, shape (3,) [rad], of a rotation, shape (3, 3).
+
+    They are those of `small_frame`.
+    """
     return -to_rpy(R.T)
 
 
@@ -126,7 +136,10 @@ def frame(R: Array, p: Array) -> Array:
 
 
 def nearest_rotation(M: Array) -> Array:
-    """Return the rotation closest to a 3 x 3 matrix in the Frobenius norm (Kabsch)."""
+    """Return the rotation, shape (3, 3), closest to a matrix M, (3, 3), in the Frobenius norm.
+
+    Source: Kabsch (1976).
+    """
     U, _, Vt = np.linalg.svd(M)
     if np.linalg.det(U @ Vt) < 0:
         U[:, 2] *= -1

@@ -22,11 +22,11 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.noise import SerialNoise
 
-# The index of every element along an array axis.
+# Slice of all elements along an array axis.
 WHOLE_AXIS = slice(None)
 
-# For each part: indices of its columns, and orthonormal directions among them that change the rows,
-# shape (columns, k).
+# For each part of an effect the indices of its columns, consecutive, and the orthonormal directions
+# among them that change the rows, shape (columns, k).
 Directions = Sequence[tuple[Array, Array]]
 
 
@@ -34,12 +34,13 @@ Directions = Sequence[tuple[Array, Array]]
 class MemoryLimits:
     """Limits on memory; results do not depend on them.
 
-    column_bytes : bytes of the columns that are accumulated at a time
+    column_bytes : largest size of the columns that are accumulated at a time [bytes]
     min_blocks : number of blocks that are accumulated at a time even if they take more bytes
-    cache_bytes : bytes up to which whitened columns are cached; more are computed again when needed
-    part_bytes : bytes of the whitened columns that are computed at a time
-    max_observation_rows : up to this number of rows, residuals of excluded blocks are computed in
-        the space of observations instead of parameters
+    cache_bytes : largest size of the whitened columns of a fit that are cached [bytes]; larger ones
+        are computed again when they are needed
+    part_bytes : size of the whitened columns of a fit that are computed at a time [bytes]
+    max_observation_rows : largest number of rows at which residuals of excluded blocks are computed
+        in the space of observations instead of parameters
     """
 
     column_bytes: int = 128_000_000
@@ -61,22 +62,22 @@ class Columns(Protocol):
         """Return the directions of the parts whose columns are combined."""
 
     def at(self, blocks: Array) -> Columns:
-        """Return the same columns at some of the blocks."""
+        """Return the same columns at some of the blocks, given by their indices."""
 
     def only(self, columns: Array) -> Columns:
-        """Return some of the columns, indices rising; all columns of a cause or none."""
+        """Return the columns of these indices, rising; all columns of a cause or none."""
 
     def after(self, column: int) -> Columns:
         """Return the columns from this index on, at which the columns of a cause begin."""
 
     def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
-        """Return some of the columns at some blocks, shape (blocks, m, columns).
+        """Return the columns of some indices at some blocks, shape (blocks, m, len(columns)).
 
-        every : if given, the combinations of these columns that are returned instead
+        every : combinations of these columns that are returned instead; None: the columns
         """
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns at some blocks as factors of the intermediate variables."""
+        """Return derivatives of the intermediate variables by all parameters at some blocks."""
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
         """Return the rows' derivatives by the intermediate variables, (blocks, m, variables)."""
@@ -86,8 +87,8 @@ class Columns(Protocol):
 class ArrayColumns:
     """Columns given as an array; the rows themselves are the intermediate variables.
 
-    values : shape (n, m, columns)
-    directions : of the parts whose columns are combined
+    values : columns of n blocks of m rows, shape (n, m, columns)
+    directions : directions of the parts whose columns are combined
     """
 
     values: Array
@@ -131,9 +132,9 @@ class ArrayColumns:
 class SerialColumns:
     """Columns whitened for autocorrelated noise.
 
-    columns : before the whitening
-    order : index of each block in time order, shape (n,)
-    noise : AR(1) noise of the blocks in that order
+    columns : columns before the whitening
+    order : indices of their blocks in time order, which is that of this object's blocks, shape (n,)
+    noise : AR(1) noise of the blocks in time order
     """
 
     columns: Columns
@@ -181,7 +182,10 @@ class SerialColumns:
         return Factors((*own.blocks, *shifted), own.width)
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the derivatives by the variables of a block and of the block before it."""
+        """Return the rows' derivatives by the variables of their block and of the block before it.
+
+        The shape is (blocks, m, variables), for white noise without the latter.
+        """
         here, last, own, before = self._blocks(blocks)
         levers = own * self.columns.levers(self.order[here])
         if not self.noise.is_autocorrelated:
@@ -189,7 +193,11 @@ class SerialColumns:
         return np.concatenate([levers, -before * self.columns.levers(self.order[last])], axis=2)
 
     def _blocks(self, blocks: Array | slice) -> tuple[Array, Array, Array, Array]:
-        """Return some blocks, the blocks before them, and the weights of both."""
+        """Return indices of some blocks and of those before them, and the weights of both.
+
+        The weights are those with which columns of the two are added up by the whitening; that of
+        the block before is to be subtracted.
+        """
         here = np.arange(len(self.order))[blocks]
         own = self.noise.weight.reshape(len(self.order), -1, 1)[here]
         return here, np.maximum(here - 1, 0), own, self.noise.ar_coefficient[here, None, None] * own
@@ -197,10 +205,13 @@ class SerialColumns:
 
 @dataclass(frozen=True, eq=False)
 class Factors:
-    """Columns as sums over intermediate variables of lever times factor at each block.
+    """Columns by the chain rule: derivatives of intermediate variables by the parameters.
 
-    blocks : for each variable its index, the columns that act through it, at most once each, and
-        their factors, shape (columns, n)
+    The column of a parameter at a block is the sum over the variables of the rows' derivative by
+    the variable (its lever) times the variable's derivative by the parameter (the factor).
+
+    blocks : for each variable its index, the indices of the columns that act through it, at most
+        once each, and their factors, shape (columns, n)
     width : number of columns
     """
 
@@ -208,11 +219,17 @@ class Factors:
     width: int
 
     def columns_at(self, levers: Array) -> Array:
-        """Return the columns, shape (n, m, columns); levers : shape (n, m, variables)."""
+        """Return the columns, shape (n, m, columns).
+
+        levers : derivatives of the rows by the intermediate variables, shape (n, m, variables)
+        """
         return np.ascontiguousarray(self.by_column(levers)[:-1].transpose(2, 1, 0))
 
     def by_column(self, levers: Array) -> Array:
-        """Return the columns and a last one of zeros, shape (columns + 1, m, n)."""
+        """Return the columns and a last one of zeros, shape (columns + 1, m, n).
+
+        levers : derivatives of the rows by the intermediate variables, shape (n, m, variables)
+        """
         n, m, _ = levers.shape
         out, by_variable = np.zeros((self.width + 1, m, n)), np.ascontiguousarray(levers.transpose(2, 1, 0))
         for variable, columns, values in self.blocks:
@@ -220,14 +237,14 @@ class Factors:
         return out
 
     def at(self, blocks: Array | slice) -> Factors:
-        """Return the factors at some of the blocks."""
+        """Return the factors of the same columns at some of the blocks."""
         some = blocks if isinstance(blocks, slice) else as_slice(blocks)
         if isinstance(some, slice):
             return replace(self, blocks=tuple((s, c, values[:, some]) for s, c, values in self.blocks))
         return replace(self, blocks=tuple((s, c, np.take(v, some, axis=1, mode="clip")) for s, c, v in self.blocks))
 
     def only(self, columns: Array) -> Factors:
-        """Return the factors of some of the columns."""
+        """Return the factors of the columns of these indices alone, renumbered from 0."""
         place = np.full(self.width, -1)
         place[columns] = np.arange(len(columns))
         selected = []
@@ -260,13 +277,13 @@ class Factors:
         return total
 
     def before(self, others: Factors) -> Factors:
-        """Return the columns of both, those of `others` behind."""
+        """Return the columns of both, with those of `others` after these."""
         shifted = tuple((s, self.width + c, values) for s, c, values in others.blocks)
         return Factors((*self.blocks, *shifted), self.width + others.width)
 
 
 def as_slice(columns: Array) -> Array | slice:
-    """Return consecutive column indices as a slice, which is faster, and others unchanged."""
+    """Return consecutive indices as a slice, which is faster, and other indices unchanged."""
     if not len(columns):
         return slice(0)
     return slice(columns[0], columns[-1] + 1) if (np.diff(columns) == 1).all() else columns
@@ -285,17 +302,19 @@ def directions_of(normal: Array, negligible_norm: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Combined:
-    """Columns of which those of whole parts are replaced by orthonormal combinations.
+    """Orthonormal combinations that replace the columns of complete parts among some columns.
 
-    blocks : in order, first column, one past the last column, and directions, shape (columns, k);
-        None for columns that are not combined
+    Columns of incomplete parts are their own combinations.
+
+    blocks : for consecutive columns the place of the first, one past the place of the last, and
+        their directions, shape (columns, k), or None for columns that are not combined
     """
 
     blocks: tuple[tuple[int, int, Array | None], ...]
 
     @cached_property
     def edges(self) -> list[int]:
-        """Return where the blocks begin and end among the combinations."""
+        """Return the index of each block's first combination, and at the end their number."""
         widths = [b - a if V is None else V.shape[1] for a, b, V in self.blocks]
         return [0, *np.cumsum(widths, dtype=np.int64).tolist()]
 
@@ -310,20 +329,23 @@ class Combined:
         return all(V is None for _, _, V in self.blocks)
 
     def combine(self, M: Array) -> Array:
-        """Return products with columns as products with combinations, along the last axis."""
+        """Return products with combinations, given products M with columns, along the last axis."""
         if self.plain:
             return M
         return np.concatenate([M[..., a:b] if V is None else M[..., a:b] @ V for a, b, V in self.blocks], axis=-1)
 
     def factors(self, k: int, columns: Array, values: Array) -> tuple[Array, Array]:
-        """Return indices and factors, shape (k, n), of combinations of a block's columns."""
+        """Return indices and factors of the combinations of some columns of the block of index k.
+
+        columns : places of the columns; values : their factors, shape (len(columns), n)
+        """
         a, _, V = self.blocks[k]
         if V is None:
             return self.edges[k] + columns - a, values
         return np.arange(*self.edges[k : k + 2]), V[columns - a].T @ values
 
     def per_combination(self, sizes: Array) -> Array:
-        """Return numbers per combination from numbers per column, equal within a part."""
+        """Return one number per combination, from one per column that is equal within a part."""
         if self.plain:
             return sizes
         runs = zip(self.blocks, np.diff(self.edges), strict=True)
@@ -335,7 +357,10 @@ class Combined:
         return float(sum((b - a - k) * numbers[a] for (a, b, V), k in runs if V is not None))
 
     def places(self, columns: Array) -> Array:
-        """Return the indices of the combinations of some columns; all columns of a part or none."""
+        """Return the indices of the combinations of the columns at these places.
+
+        columns : places, all columns of a part or none
+        """
         own = [np.arange(*run) for run in zip(self.edges[:-1], self.edges[1:], strict=True)]
         places = [
             at[np.isin(np.arange(a, b), columns)] if V is None else at[: len(at) * bool(np.isin(a, columns))]
@@ -344,15 +369,16 @@ class Combined:
         return np.concatenate([np.zeros(0, dtype=np.int64), *places])
 
     def values(self, x: Array) -> Array:
-        """Return parameters of combinations as parameters of columns, along the first axis."""
+        """Return parameters of columns, given those of combinations x, along the first axis."""
         runs = zip(self.blocks, self.edges[:-1], self.edges[1:], strict=True)
         return np.concatenate([x[:0], *(x[i:j] if V is None else V @ x[i:j] for (_, _, V), i, j in runs)])
 
 
 def combined(columns: Array, directions: Directions) -> Combined:
-    """Return some columns, indices rising, with those of complete parts replaced by combinations.
+    """Return how some columns are combined: those of complete parts by their directions.
 
-    directions : of all parts, each of consecutive columns
+    columns : indices of the columns, rising
+    directions : directions of all parts, each of consecutive columns
     """
     blocks: list[tuple[int, int, Array | None]] = []
     end = 0

@@ -15,13 +15,18 @@ from casadical.core.linear_gaussian.normal_equations import NormalSums, normal_s
 class Fit:
     """Joint estimate of the base and some columns of a model at one noise level.
 
+    model : linear-Gaussian model of n blocks of m rows
     columns : indices of the columns in the fit, rising
-    combined : the columns, those of complete parts replaced by combinations (see `columns`)
+    sigma : standard deviation of the white noise, in the unit of the residual
+    ratios : standard deviation of each noise component divided by sigma, by name
+    combined : the columns, those of complete parts replaced by combinations (see `Combined`); as an
+        argument, whether they are replaced
     y : whitened residual, shape (n m,)
-    prior, mean : prior standard deviation and mean of every parameter or combination, shape (p,)
+    prior, mean : prior standard deviation and mean of every parameter or combination, those of the
+        base first, shape (p,)
     W : whitening matrix of each block, shape (n, m, m)
     sums : normal sums of the whitened columns and y
-    rows_per_block : m
+    rows_per_block : number m of rows of each block
     """
 
     def __init__(
@@ -45,7 +50,7 @@ class Fit:
             self.sums = self.sums.plus(normal_sums(self.y[self._rows_of(some)], A))
 
     def _rows(self, blocks: Array) -> Array:
-        """Return the indices of the rows of some blocks."""
+        """Return the indices of the rows of some blocks, shape (len(blocks) m,)."""
         return np.asarray((self.rows_per_block * blocks[:, None] + np.arange(self.rows_per_block)).ravel())
 
     def _rows_of(self, blocks: slice) -> slice:
@@ -53,22 +58,22 @@ class Fit:
         return slice(self.rows_per_block * blocks.start, self.rows_per_block * blocks.stop)
 
     def _by_block(self, rows: Array) -> Array:
-        """Return rows by block, shape (blocks, m, 1)."""
+        """Return rows, shape (blocks m,), by block, shape (blocks, m, 1)."""
         return rows.reshape(-1, self.rows_per_block, 1)
 
     def _parts(self) -> list[slice]:
-        """Return slices of blocks whose columns stay within the memory limit."""
+        """Return slices of blocks whose whitened columns stay within the memory limit."""
         step = max(64, self._memory.part_bytes // (24 * len(self.prior)))
         return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
     def _whitened(self, blocks: Array | slice) -> Array:
-        """Return the whitened columns of some blocks, shape (blocks m, p)."""
+        """Compute and return the whitened columns of some blocks, shape (blocks m, p)."""
         causes = self._E.take(self._columns, blocks, self.combined)
         A = np.concatenate([self._base[blocks], causes], axis=2)
         return np.asarray((self.W[blocks] @ A).reshape(-1, A.shape[2]))
 
     def _columns_of(self, blocks: Array | slice) -> Array:
-        """Return the whitened columns of some blocks, cached or computed."""
+        """Return the whitened columns of some blocks, shape (blocks m, p), cached or computed."""
         if self._cached_columns is None:
             return self._whitened(blocks)
         return np.asarray(
@@ -76,7 +81,10 @@ class Fit:
         )
 
     def _sums_of(self, blocks: Array) -> NormalSums:
-        """Return the normal sums of some blocks, from all minus the others if these are fewer."""
+        """Return the normal sums of some blocks.
+
+        They are those of all blocks less those of the others if the others are fewer.
+        """
         out = np.setdiff1d(np.arange(len(self.W)), blocks)
         fewer = out if len(out) < len(blocks) else blocks
         parts = np.array_split(fewer, 1 + len(fewer) // len(self.prior))
@@ -85,7 +93,7 @@ class Fit:
         return self.sums.less(total) if fewer is out else total
 
     def _solution(self, sums: NormalSums) -> Array:
-        """Return the posterior mean from normal sums, shape (p,)."""
+        """Return the posterior mean of the parameters from normal sums, shape (p,)."""
         normal = sums.H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
         right = (sums.g + self.mean / self.prior**2) / scale
@@ -93,7 +101,7 @@ class Fit:
 
     @cached_property
     def root(self) -> Array:
-        """Return a root R of the covariance R'R of the estimate, shape (p, p)."""
+        """Return a root R of the posterior covariance R'R of the parameters, shape (p, p)."""
         return root_of_inverse(self.sums.H + np.diag(self.prior**-2))
 
     @cached_property
@@ -103,19 +111,19 @@ class Fit:
 
     @cached_property
     def x(self) -> Array:
-        """Return the estimate from all blocks, shape (p,)."""
+        """Return the estimate (posterior mean) from all blocks, shape (p,)."""
         return self._solution(self.sums)
 
     @cached_property
     def covariance(self) -> Array:
-        """Return the covariance of the estimate, shape (p, p)."""
+        """Return the posterior covariance of the parameters, shape (p, p)."""
         return np.asarray(self.root.T @ self.root)
 
     @property
     def causes(self) -> tuple[Array, Array]:
-        """Return estimates and standard errors of the causes' parameters, in typical sizes.
+        """Return estimates and standard errors of the parameters of `columns`, in typical sizes.
 
-        Both have the shape (columns,).
+        Both have the shape (len(columns),).
         """
         first = len(self.prior) - self.combined.width
         directions = self.combined.values(np.eye(self.combined.width))
@@ -133,21 +141,25 @@ class Fit:
         return np.asarray(self.y - np.concatenate([self._columns_of(some) @ x for some in self._parts()]))
 
     def residual(self, x: Array) -> Array:
-        """Return the residual of every block at parameters x of shape (p,), shape (n, m)."""
+        """Return the residual, not whitened, of every block at parameters x, (p,), shape (n, m)."""
         return np.asarray(np.linalg.solve(self.W, self._by_block(self._whitened_residual_at(x)))[:, :, 0])
 
     def mahalanobis_squared(self, x: Array, spread: Array) -> Array:
         """Return the squared Mahalanobis distance of each block's residual, shape (n,).
 
-        x : parameters, shape (p,); spread : covariance of the whitened residuals, shape (n, m, m)
+        x : parameters, shape (p,)
+        spread : covariance of each block's whitened residual, shape (n, m, m)
         """
         whitened = self._by_block(self._whitened_residual_at(x))
         return np.asarray((whitened * np.linalg.solve(spread, whitened)).sum(axis=(1, 2)))
 
     def leverage(self, blocks: Array) -> Array:
-        """Return the leverage of each block, its diagonal block of the hat matrix, (n, m, m).
+        """Return the covariance of each block's whitened prediction, shape (n, m, m).
 
-        It is the covariance of the prediction by a fit to `blocks`, in units of the noise.
+        It is by a fit to `blocks` alone; by a fit to all blocks it is the leverage, the diagonal
+        blocks of the hat matrix.
+
+        blocks : indices of the blocks in the fit
         """
         if len(blocks) == len(self.W):
             if self._hat_root is not None:
@@ -161,7 +173,11 @@ class Fit:
 
     @cached_property
     def _residual_maker(self) -> Array | None:
-        """Return the residual maker I - B B', shape (n m, n m); None for too many rows."""
+        """Return the residual maker I - B B', shape (n m, n m), for the hat matrix B B'.
+
+        None is returned for more rows than `MemoryLimits.max_observation_rows`, or without cached
+        columns.
+        """
         rows, p = len(self.y), len(self.prior)
         if rows > self._memory.max_observation_rows or self._cached_columns is None:
             return None
@@ -183,7 +199,10 @@ class Fit:
         return self._whitened_residual_at(self.x)
 
     def residual_without(self, blocks: Array) -> Array:
-        """Return the residual of some blocks for a fit to all others, shape (len(blocks), m)."""
+        """Return the residual of some blocks for a fit to all others, shape (len(blocks), m).
+
+        It is not whitened.
+        """
         rows = self._rows(blocks)
         maker = self._residual_maker
         if maker is not None:  # the deletion formula in the space of observations
@@ -197,7 +216,7 @@ class Fit:
         return np.asarray(np.linalg.solve(self.W[blocks], self._by_block(residual))[:, :, 0])
 
     def leave_one_out_residuals(self) -> Array:
-        """Return the residual of each block for a fit to all other blocks, shape (n, m)."""
+        """Return the residual, not whitened, of each block by a fit to all others, shape (n, m)."""
         if self._residual_maker is not None:
             return np.concatenate([self.residual_without(np.array([k])) for k in range(len(self.W))])
         leverage = self.leverage(np.arange(len(self.W)))
@@ -211,10 +230,13 @@ def _blocks(B: Array) -> Array:
 
 
 def covariance_given_base(Q: Array, K: Array) -> Array:
-    """Return the prior covariance of whitened rows orthogonal to the base: identity plus causes.
+    """Return the prior covariance of whitened rows, projected orthogonal to the base.
+
+    It is the identity (noise) plus the projected covariance by the causes, shape (rows + P, rows +
+    P).
 
     Q : orthonormal basis of the base with its prior rows, shape (rows + P, P)
-    K : prior covariance of the rows by the causes, shape (rows, rows)
+    K : prior covariance of the whitened rows by the causes, shape (rows, rows)
     """
     covariance = np.zeros((len(Q), len(Q)))
     covariance[: len(K), : len(K)] = K

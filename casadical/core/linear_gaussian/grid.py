@@ -7,8 +7,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# A sigma of the grid is skipped for a group of columns if its log likelihood is below the group's
-# maximum by more than this [nats].
+# Largest difference of log likelihoods [nats] by which a sigma of the grid may be below the maximum
+# of a group of columns; other sigmas are skipped for that group.
 SIGMA_LOG_LIKELIHOOD_WINDOW = 40.0
 
 
@@ -17,8 +17,10 @@ class Grid:
     """Grid over which the likelihood of a model is computed and integrated.
 
     sigmas : standard deviations of the white noise, rising, in the unit of the residual
-    ratios : standard deviation of each noise component over sigma, by name, shape (points,) each
-    kappas : sizes of a cause in units of its typical size, rising
+    ratios : standard deviation of each noise component divided by sigma, by the component's name,
+        shape (points,) each; a point of the grid is one combination of them
+    kappas : prior standard deviations of a cause's parameters in units of their typical sizes,
+        rising
     """
 
     sigmas: Array
@@ -38,13 +40,16 @@ class Grid:
 def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projected: Array) -> Array:
     """Return the log likelihood with each group of columns, shape (groups, sigmas, kappas).
 
-    sigmas : of the white noise, in the unit of the residual
-    kappas : sizes of the cause in units of its typical size, rising
+    The parameters of a group are integrated out. The result is minus infinity at sigmas where it is
+    negligible (see `SIGMA_LOG_LIKELIHOOD_WINDOW`).
+
+    sigmas : standard deviations of the white noise, in the unit of the residual
+    kappas : prior standard deviations of the parameters in typical sizes, rising
     log_base : log likelihood without any of the groups, shape (sigmas,)
-    value : eigenvalues of each group's Gram matrix, whitened and orthogonal to the base, shape
-        (groups, width)
-    projected : products of the residual with its eigenvectors, shape (groups, width)
-    Sigmas at which it is negligible get minus infinity (see `SIGMA_LOG_LIKELIHOOD_WINDOW`).
+    value : eigenvalues of the Gram matrix of each group's columns, whitened for sigma = 1 and
+        orthogonal to the base, shape (groups, width)
+    projected : products of the residual with the columns along the eigenvectors, shape (groups,
+        width)
     """
     value, square = np.maximum(value, 0), projected**2
     # This is an upper bound: the gain at the greatest kappa without the penalty of its determinant.
@@ -61,7 +66,10 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
 
 
 def _explained(unit: Array, value: Array, square: Array) -> Array:
-    """Return the sum of square / (unit + value) over directions, shape (groups, units)."""
+    """Return the sum of square / (unit + value) over the eigenvectors, shape (groups, units).
+
+    unit : shape (units,); value, square : shape (groups, width)
+    """
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
         total += s / (unit + v)
@@ -69,10 +77,13 @@ def _explained(unit: Array, value: Array, square: Array) -> Array:
 
 
 def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Array:
-    """Return the gain in log likelihood of each group of columns, shape (groups, units).
+    """Return the gain in log likelihood by each group of columns, shape (groups, units).
 
-    unit : (sigma / kappa)^2
-    value : eigenvalues of the group's Gram matrix; square : squared products with the residual
+    unit : (sigma / kappa)^2, shape (units,) or (groups, units)
+    sigma : standard deviation of the white noise for each unit, in the unit of the residual
+    value : eigenvalues of each group's whitened Gram matrix, shape (groups, width)
+    square : squared products of the residual with the columns along the eigenvectors, the same
+        shape
     """
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     product, log = np.ones_like(total), np.zeros_like(total)

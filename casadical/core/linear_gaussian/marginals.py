@@ -23,10 +23,10 @@ from casadical.core.linear_gaussian.sums import MAX_NARROW_GROUP_COLUMNS, Cached
 if TYPE_CHECKING:
     from casadical.core.linear_gaussian.model import LinearModel
 
-# A wide group of columns is judged at the grid points where its log likelihood is within this of
-# its maximum [nats].
+# Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
+# wide group of columns; the search over points ends at the first that exceeds it.
 POINT_LOG_EVIDENCE_WINDOW = 25.0
-# Sums are updated rather than computed again where at most this share of the blocks has changed.
+# Largest share of changed blocks at which sums are updated rather than computed again.
 MAX_CHANGED_BLOCK_SHARE = 0.2
 
 # The empty set of column indices.
@@ -35,15 +35,20 @@ NO_COLUMNS = np.zeros(0, dtype=np.int64)
 
 @dataclass(frozen=True, eq=False)
 class Chosen:
-    """A model with some groups in it: what is needed to judge additional groups of columns.
+    """A model with some groups of columns in it: what is needed to judge additional groups.
 
     It extends a model with fewer groups (`before`) and stores only what that one does not.
+
     log_base : log likelihood without an additional group, shape (points, sigmas)
     columns : indices of the columns of the groups in it
-    new : those of them that `before` has not, shape (new,); combined : these, with combinations
-    at : update of `before` by the new columns, by grid point
-    V : coordinates of columns in the axes of the new ones, by grid point, (columns, new)
-    b : products of columns with the residual of this model, by grid point, (columns, 1)
+    new : indices of those columns that `before` does not have, shape (new,)
+    combined : the new columns, those of complete parts replaced by combinations
+    before : model without the new columns; None for the base alone
+    at : update of `before` by the new columns, by index of the grid point
+    V : coordinates of every column in the orthonormal axes of the new ones, by index of the grid
+        point, shape (columns, new)
+    b : products of every column with the whitened residual of this model, by index of the grid
+        point, shape (columns, 1)
     """
 
     log_base: Array
@@ -56,17 +61,25 @@ class Chosen:
     b: dict[int, CachedRows]
 
     def axes(self, k: int, columns: Array) -> Array:
-        """Return coordinates of columns in the axes of the whole model, (*columns.shape, base)."""
+        """Return coordinates of columns in the orthonormal axes of all parameters of the model.
+
+        They have the shape (*columns.shape, parameters).
+
+        k : index of the grid point; columns : indices, any shape
+        """
         own = self.V[k][columns]
         return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
 
     def emptied(self, width: int) -> Chosen:
-        """Return the same model for other columns, with empty caches."""
+        """Return the same model for `width` other columns, with empty caches."""
         V, b = ({k: CachedRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
         return replace(self, V=V, b=b)
 
     def widened(self, width: int, memo: dict[int, Chosen]) -> Chosen:
-        """Return the same model for at least as many columns; memo : results by id of the old."""
+        """Return the same model for `width` columns, at least as many, with the same caches.
+
+        memo : models that were widened before, by the `id` of the old ones
+        """
         if id(self) not in memo:
             V, b = ({k: rows.widened(width) for k, rows in part.items()} for part in (self.V, self.b))
             before = self.before and self.before.widened(width, memo)
@@ -75,7 +88,10 @@ class Chosen:
 
 
 class Marginals:
-    """Log likelihoods of groups of columns of one model; models with groups in them are cached."""
+    """Marginal log likelihoods of groups of a model's columns, over its grid.
+
+    Sums over the blocks, and models with groups in them, are cached.
+    """
 
     def __init__(self, model: LinearModel) -> None:
         self.model = model
@@ -83,7 +99,10 @@ class Marginals:
         self._chosen: dict[bytes, Chosen] = {}
 
     def extended(self, model: LinearModel) -> Marginals:
-        """Return the marginals of a model with additional columns, with the caches of this one."""
+        """Return the marginals of a model, with the caches of this one for its first columns.
+
+        model : the model of this object with additional columns at the end
+        """
         more = Marginals(model)
         more.sums.extend(self.sums)
         if model.width > self.model.width:
@@ -92,10 +111,11 @@ class Marginals:
         return more
 
     def with_other_columns(self, columns: Columns, prior_sigma: float) -> Marginals:
-        """Return the marginals of the same model with other columns, reusing the base.
+        """Return the marginals of the same base and residual with other columns.
 
-        prior_sigma : prior standard deviation of their parameters once in the model, in typical
-            sizes
+        columns : columns that replace those of this model
+        prior_sigma : prior standard deviation of their parameters once they are in the model, in
+            typical sizes
         """
         more = copy(self)
         more.model = replace(self.model, E=columns, cause_prior=np.full(columns.shape[2], prior_sigma))
@@ -104,24 +124,29 @@ class Marginals:
         return more
 
     def moved(self, model: LinearModel, lost: LinearModel, gained: LinearModel) -> Marginals:
-        """Return the marginals of a model without the lost and with the gained blocks.
+        """Return the marginals of a model with other blocks, whose sums are updated from these.
 
-        Its sums are those of this model, updated.
-
-        The sums of this model are updated.
+        model : the model of this object without the blocks of `lost` and with those of `gained`
+        lost, gained : models of these blocks alone
         """
         more = Marginals(model)
         more.sums.move(self.sums, Marginals(lost).sums, Marginals(gained).sums)
         return more
 
     def log_base(self, also: Array = NO_COLUMNS) -> Array:
-        """Return the log likelihood of the model with columns `also`, shape (points, sigmas)."""
+        """Return the log likelihood of the base and some columns, shape (points, sigmas).
+
+        also : indices of the columns
+        """
         return self._model_with(also).log_base
 
     def log_grids(self, groups: Sequence[Array], also: Array = NO_COLUMNS) -> Array:
-        """Return the log likelihood of each group as a cause, (groups, points, sigmas, kappas).
+        """Return the log likelihood with each group as a cause, (groups, points, sigmas, kappas).
 
-        also : columns of causes that are in the model already; they are treated like the base
+        It is minus infinity at points and sigmas that are skipped as negligible.
+
+        groups : indices of the columns of each group, rising
+        also : indices of columns that are in the model already and are treated like the base
         """
         model, chosen = self.model, self._model_with(also)
         grid = model.grid
@@ -147,11 +172,14 @@ class Marginals:
         return out
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
-        """Accumulate, in one pass, the products needed to judge groups given each chosen one."""
+        """Accumulate, in one pass, the products needed to judge groups given each chosen one.
+
+        chosen, groups : indices of the columns of each group
+        """
         self.sums.add_cross_products(chosen, self.model.near, np.unique(np.concatenate(groups)))
 
     def _model_with(self, columns: Array) -> Chosen:
-        """Return the model with these columns in it, from the cache if it is there."""
+        """Return the model with columns of these indices in it, from the cache if it is there."""
         key = columns.tobytes()
         if key not in self._chosen:
             made = self._join(columns) if len(columns) else self._base()
@@ -162,7 +190,7 @@ class Marginals:
         return self._chosen[key]
 
     def _base(self) -> Chosen:
-        """Return the model without causes."""
+        """Return the model with the base parameters alone."""
         model, P, sums = self.model, self.model.J.shape[2], self.sums
         weights, at = model.reference / model.prior, {}
         for k in model.near:
@@ -173,7 +201,7 @@ class Marginals:
         return self._chosen_model(at, NO_COLUMNS, None, NO_COLUMNS, Combined(()))
 
     def _join(self, columns: Array) -> Chosen:
-        """Return a model with these columns, built from the cached one with most of them."""
+        """Return a model with these columns in it, built from the cached one with most of them."""
         model = self.model
         smaller = [key for key, b in self._chosen.items() if np.isin(b.columns, columns).all()]
         key = max(smaller, key=lambda key: len(self._chosen[key].columns), default=None)
@@ -199,7 +227,10 @@ class Marginals:
     def _chosen_model(
         self, at: dict[int, Joined], columns: Array, before: Chosen | None, new: Array, combined: Combined
     ) -> Chosen:
-        """Return a model from the updates by its new parameters at each point."""
+        """Return a model from the updates by its new parameters, by index of the grid point.
+
+        The other arguments are fields of `Chosen`.
+        """
         model = self.model
         log_base = np.full((model.grid.points, len(model.grid.sigmas)), -np.inf)
         log_noise = np.broadcast_to(model.log_noise, log_base.shape)
@@ -209,7 +240,7 @@ class Marginals:
         return Chosen(log_base, columns, new, combined, before, at, V, b)
 
     def _prepare(self, chosen: Chosen, groups: Sequence[Array]) -> None:
-        """Compute what is needed to judge these groups and store it in `chosen`."""
+        """Compute V and b of the columns of these groups and store them in `chosen`."""
         near, P, before = self.model.near, self.model.J.shape[2], chosen.before
         # Columns in the model are prepared too: a group may share some with them.
         asked = np.unique(np.concatenate(groups))
@@ -232,7 +263,13 @@ class Marginals:
             chosen.b[k].add(more, (residual_products - V @ chosen.at[k].z)[:, None])
 
     def _judge_wide_group(self, group: Array, chosen: Chosen, out: Array) -> None:
-        """Fill `out` for a group of many columns, from the likeliest point to both sides."""
+        """Write the log likelihood with a group of many columns into `out`.
+
+        Grid points are visited from the likeliest to both sides, as long as they are not
+        negligible.
+
+        group : indices of its columns; out : shape (points, sigmas, kappas)
+        """
         near, grid = self.model.near, self.model.grid
         best = int(np.argmax(chosen.log_base[list(near)].max(axis=1)))
         top = -np.inf
@@ -253,7 +290,14 @@ class Marginals:
                 i += step
 
     def _spectrum(self, group: Array, chosen: Chosen, k: int) -> tuple[Array, Array]:
-        """Return eigenvalues of a group's projected Gram matrix and products with the residual."""
+        """Return the eigenvalues of a group's Gram matrix and products with the residual, (width,).
+
+        The columns are whitened and orthogonal to the chosen model; the products are those of the
+        residual with the columns along the eigenvectors. With fewer rows than columns the width is
+        the number of rows.
+
+        k : index of the grid point
+        """
         every = self.model.combined(group)
         if self.sums.rows < every.width:  # with fewer rows than columns, the smaller matrix of the rows is decomposed
             projection = self.model.with_base(chosen.columns).projection(self.model.grid.at(k))
@@ -270,7 +314,9 @@ def loss_of_finer_noise(model: LinearModel, log_base: Array) -> Array:
 
     A cause with more parameters than rows can explain the whole residual, so that only the base's
     priors, which scale with the noise, would determine sigma. The degrees of freedom that the base
-    takes do not count for a smaller sigma (REML: Harville 1977).
+    takes do not count for a smaller sigma (REML: Harville 1977). The penalty is zero for sigmas of
+    at least that of the largest `log_base`.
+
     log_base : log likelihood without the cause, shape (sigmas, ...), which is also the shape
         returned
     """

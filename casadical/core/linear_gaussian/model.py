@@ -27,18 +27,21 @@ class LinearModel:
     r = J delta + E theta + noise, delta ~ N(delta0, (sigma / reference * prior)^2),
     theta ~ N(0, kappa^2).
 
-    r : residual, shape (n, m); J : base, shape (n, m, P); delta0, prior : of delta, shapes (P,)
-    E : columns in units of the typical sizes of theta; an array, shape (n, m, columns), becomes
-        `ArrayColumns`
-    noise : noise components; grid : noise levels and effect sizes at which the model is judged
-    reference : sigma at which the priors are as given; they scale with the noise
+    r : residual, shape (n, m) for n blocks of m rows
+    J : columns of the base, shape (n, m, P)
+    delta0, prior : prior mean and standard deviation of delta, shape (P,)
+    E : columns of the candidates, per typical size of their parameters theta; an array, shape (n,
+        m, columns), becomes `ArrayColumns`
+    noise : noise components
+    grid : noise levels, noise ratios and effect sizes at which likelihoods are computed
+    reference : sigma at which the priors of delta are as given; they scale with sigma
     cause_prior : prior standard deviation of each theta once it is in the model, in typical sizes,
-        shape (columns,); `DEFAULT_CAUSE_PRIOR_SIGMA` by default
-    measured : mask of the numbers that were measured, shape (n, m); all by default
+        shape (columns,); None: `DEFAULT_CAUSE_PRIOR_SIGMA` for all
+    measured : mask of the numbers that were measured, shape (n, m); None: all
     absorbed : degrees of freedom that the base takes from the estimate of the noise (REML: Harville
         1977)
     near : indices of the grid points at which likelihoods are computed
-    log_noise : log of other information on the noise, shape (points, sigmas)
+    log_noise : log likelihood of other information on the noise, shape (points, sigmas) or a number
     memory : limits on memory
     cache : results computed for the model: its marginal likelihoods, and others of its users
     """
@@ -79,11 +82,11 @@ class LinearModel:
 
     @property
     def count(self) -> int:
-        """Return how many numbers were measured."""
+        """Return the number of measured rows of all blocks."""
         return int(self.r.size if self.measured is None else np.count_nonzero(self.measured))
 
     def at(self, blocks: Array) -> Self:
-        """Return the model of some of the blocks."""
+        """Return the model of some of the blocks, given by their indices or a mask."""
         given = ((name, getattr(self, name)) for name in self.BY_BLOCK)
         some: dict[str, Any] = {
             k: v.at(blocks) if isinstance(v, NoiseModel) else v[blocks] for k, v in given if v is not None
@@ -91,17 +94,18 @@ class LinearModel:
         return replace(self, E=self.E.at(blocks), **some)
 
     def combined(self, columns: Array) -> Combined:
-        """Return some of the columns, indices rising, with those of complete parts combined."""
+        """Return the combinations of columns of these indices, rising; see `columns.combined`."""
         return combined(columns, self.E.directions)
 
     def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return some of the columns at some blocks, shape (blocks, m, len(columns))."""
+        """Return the columns of some indices at some blocks, shape (blocks, m, len(columns))."""
         return self.E.take(columns, blocks)
 
     def with_base(self, columns: Array) -> Self:
-        """Return the model with some columns, indices rising, moved into the base.
+        """Return the model with columns of these indices, rising, added to the base.
 
-        Directions that are dropped change its log likelihoods by a constant.
+        Their prior is `cause_prior_sigmas`. Directions that change no row are dropped, which
+        changes its log likelihoods by a constant.
         """
         if not len(columns):
             return self
@@ -111,9 +115,11 @@ class LinearModel:
         )
 
     def with_base_columns(self, columns: Array, prior: Array) -> Self:
-        """Return the model with additional columns in the base, shape (n, m, k).
+        """Return the model with k additional columns in the base.
 
-        prior : standard deviations of their parameters, whose prior means are zero, shape (k,)
+        columns : shape (n, m, k)
+        prior : prior standard deviations of their parameters, whose prior means are zero, shape
+            (k,)
         """
         J, delta0 = np.concatenate([self.J, columns], axis=2), np.pad(self.delta0, (0, len(prior)))
         return replace(self, J=J, delta0=delta0, prior=np.append(self.prior, prior))
@@ -127,15 +133,16 @@ class LinearModel:
         return cached
 
     def with_extended_cache(self, other: LinearModel) -> Self:
-        """Return this model with the cached results of one with fewer columns, extended."""
+        """Return this model, with the cached results of a model with fewer columns taken over."""
         if "marginals" in other.cache:
             self.cache["marginals"] = other.marginals.extended(self)
         return self
 
     def with_updated_cache(self, other: LinearModel, lost: LinearModel, gained: LinearModel) -> Self:
-        """Return this model with the cached results of one with other blocks, which are updated.
+        """Return this model, with the cached results of a model with other blocks, updated.
 
-        lost : the model of the blocks that `other` has and this one has not; gained : the reverse
+        lost : model of the blocks that `other` has and this one has not
+        gained : model of the blocks that this one has and `other` has not
         """
         if "marginals" in other.cache:
             self.cache["marginals"] = other.marginals.moved(self, lost, gained)
@@ -143,7 +150,7 @@ class LinearModel:
 
     @cached_property
     def absorbed_by_base(self) -> float:
-        """Return the effective number of base parameters, the trace of its hat matrix."""
+        """Return the effective number of base parameters, the trace of the base's hat matrix."""
         A = self.J.reshape(self.r.size, -1) * (self.prior / self.reference)
         # Not from A'A: the eigenvalues of narrow priors would be lost to round-off next to those of
         # wide ones.
@@ -153,14 +160,17 @@ class LinearModel:
     def log_over_sigmas(self, square: float, log_norm: float) -> Array:
         """Return the log likelihood for every sigma of the grid, shape (sigmas,).
 
-        square : squared norm of the whitened residual, before division by sigma
-        log_norm : term that does not depend on sigma
+        square : squared norm of the residual, whitened for sigma = 1
+        log_norm : term of the log likelihood that does not depend on sigma
         """
         sigmas = self.grid.sigmas
         return np.asarray(log_norm - (self.count - self.absorbed) * np.log(sigmas) - 0.5 * square / sigmas**2)
 
     def projection(self, ratios: Mapping[str, Ratio]) -> Projection:
-        """Return the projection that whitens rows and makes them orthogonal to the base."""
+        """Return the projection that whitens rows and makes them orthogonal to the base.
+
+        ratios : standard deviation of each noise component divided by sigma, by name
+        """
         whitening = self.noise.whitening(ratios)
         weights = self.reference / self.prior
         Q, log_det = axes_of_base((whitening @ self.J).reshape(self.r.size, -1), weights)
@@ -169,11 +179,13 @@ class LinearModel:
 
 
 def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
-    """Return an orthonormal basis of the whitened base with its prior rows, and log determinant.
+    """Return an orthonormal basis of the whitened base with its prior rows, and a log determinant.
+
+    The basis has the shape (rows + P, P); the determinant is that of the base's normal matrix,
+    priors included.
 
     A : whitened columns of the base, shape (rows, P)
     weights : inverse prior standard deviations, shape (P,)
-    The basis has the shape (rows + P, P); the determinant is that of the normal matrix.
     """
     A = np.concatenate([A, np.diag(weights)])
     # Scaled to unit columns, so that rank does not depend on the units of the parameters.
@@ -184,12 +196,11 @@ def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """Projection of rows at one noise: whitened, and orthogonal to the base.
+    """Projection of rows at one level of noise: whitened, and orthogonal to the base.
 
-    whitening : of the blocks at this noise
-    Q : orthonormal basis of the base, shape (rows, P); the rows of the priors follow those of the
-        blocks
-    y : projected residual, shape (rows,)
+    whitening : whitening of the blocks, for sigma = 1
+    Q : orthonormal basis of the base, shape (n m + P, P); the rows of the P priors are last
+    y : projected residual, shape (n m + P,)
     log_norm : term of the log likelihood that depends neither on sigma nor on additional columns
     """
 
@@ -199,7 +210,7 @@ class Projection:
     log_norm: float
 
     def columns(self, E: Array) -> Array:
-        """Return columns, shape (n, m, k), whitened and projected, shape (rows, k)."""
+        """Return columns, shape (n, m, k), whitened and projected, shape (n m + P, k)."""
         flat = (self.whitening @ E).reshape(-1, E.shape[2])
         out = -self.Q @ (self.Q[: len(flat)].T @ flat)
         out[: len(flat)] += flat

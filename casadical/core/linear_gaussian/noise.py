@@ -13,8 +13,8 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-# Standard deviation of a component's sources divided by sigma: one for all, or one each, shape
-# (sources,).
+# Standard deviation of a noise component's sources divided by sigma: one number for all of them, or
+# one each, shape (sources,).
 Ratio = float | Array
 
 
@@ -22,7 +22,7 @@ Ratio = float | Array
 class Whitening:
     """Whitening matrices of all blocks at one noise level.
 
-    W : matrix of each block with W C W' = I for its covariance C, shape (n, m, m)
+    W : lower triangular matrix of each block with W C W' = I for its covariance C, shape (n, m, m)
     log_det : log determinant of the covariance of all blocks together
     """
 
@@ -30,7 +30,7 @@ class Whitening:
     log_det: float
 
     def __matmul__(self, rows: Array) -> Array:
-        """Return the whitened rows; rows : shape (n, m, columns)."""
+        """Return the whitened rows W rows, shape (n, m, columns); rows : the same shape."""
         return np.asarray(self.W @ rows)
 
 
@@ -40,9 +40,10 @@ class Axes:
 
     points : indices of these grid points, rising
     rotation : eigenvectors as columns, shape (n, m, m)
-    precision : of each eigenvector in units of 1 / sigma^2, shape (points, n, m)
-    log_det : log determinant of the covariance in units of sigma^2, shape (points,)
-    plain : whether the noise of all rows is independent, so that rotating them is unnecessary
+    precision : inverse variance along each eigenvector in units of 1 / sigma^2, shape (points, n,
+        m)
+    log_det : log determinant of the covariance of all blocks in units of sigma^2, shape (points,)
+    plain : whether the noise of all rows is independent, so that rows need no rotation
     """
 
     points: tuple[int, ...]
@@ -52,7 +53,10 @@ class Axes:
     plain: bool = False
 
     def rotated(self, rows: Array, blocks: slice = slice(None)) -> Array:
-        """Return rows of some blocks rotated into the eigenbasis; rows : shape (n, m, columns)."""
+        """Return rows of some blocks in the eigenbasis, shape (k, m, columns).
+
+        rows : rows of these k blocks, shape (k, m, columns)
+        """
         if self.plain:
             return rows
         return np.asarray(self.rotation[blocks].transpose(0, 2, 1) @ rows)
@@ -63,7 +67,8 @@ class NoiseModel:
     """White noise and components of n blocks of m rows.
 
     shape : (n, m)
-    components : matrix A of each component by name, shape (n, m, sources)
+    components : derivative A of the rows by the sources of each component, by its name, shape (n,
+        m, sources)
     """
 
     shape: tuple[int, int]
@@ -75,10 +80,13 @@ class NoiseModel:
         return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
 
     def covariance(self, ratios: Mapping[str, Ratio], white: float = 1.0) -> Array:
-        """Return the covariance of each block, shape (n, m, m), in units of sigma^2.
+        """Return the noise covariance of each block, shape (n, m, m), in units of sigma^2.
 
         Given standard deviations in place of `ratios` and `white`, the result is in their unit
         squared.
+
+        ratios : standard deviation of each component's sources divided by sigma, by name
+        white : standard deviation of the white noise divided by sigma
         """
         n, m = self.shape
         total = np.tile(white**2 * np.eye(m), (n, 1, 1))
@@ -88,16 +96,19 @@ class NoiseModel:
         return total
 
     def whitening(self, ratios: Mapping[str, Ratio]) -> Whitening:
-        """Return the whitening after which every row has independent noise of variance sigma^2."""
+        """Return the whitening after which every row has independent noise of variance sigma^2.
+
+        ratios : as of `covariance`
+        """
         return whitening_of(self.covariance(ratios))
 
     def axes(self, ratios: Mapping[str, Array]) -> list[Axes]:
-        """Return the eigenbases for all points of a grid.
+        """Return the eigenbases of the noise covariance for all points of a grid.
 
-        ratios : by component, shape (points,) each
+        A single component has the same eigenvectors at every ratio, so that there is one entry for
+        all points; with several components every point has its own.
 
-        A single component has the same eigenvectors at every ratio, so that rows are rotated once;
-        with several components every point has its own.
+        ratios : ratios of each component at the points, by its name, shape (points,) each
         """
         count = len(next(iter(ratios.values()))) if ratios else 1
         if len(ratios) > 1:
@@ -109,13 +120,17 @@ class NoiseModel:
     def mean_variance(self, ratios: Mapping[str, float], rows: float) -> float:
         """Return the mean noise variance of the measured rows in units of sigma^2.
 
-        rows : number of measured rows
+        ratios : as of `covariance`; rows : number of measured rows
         """
         return 1 + sum(ratio**2 * float((self.components[k] ** 2).sum()) for k, ratio in ratios.items()) / rows
 
 
 def _axes(shared: Array, points: Sequence[int], ratios: Array) -> Axes:
-    """Return the eigenbasis of I + ratio^2 * shared for every ratio; shared : shape (n, m, m)."""
+    """Return the eigenbasis of the covariances I + ratio^2 * shared, common to all ratios.
+
+    shared : shape (n, m, m)
+    points : indices of the grid points, one for each of `ratios`, shape (points,)
+    """
     square, rotation = np.linalg.eigh(shared)
     variance = np.multiply.outer(ratios**2, np.maximum(square, 0.0))
     return Axes(tuple(points), rotation, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
@@ -131,9 +146,9 @@ def whitening_of(covariance: Array) -> Whitening:
 class SerialNoise:
     """Autocorrelated (AR(1)) noise: (row - ar_coefficient * previous row) * weight is white.
 
-    ar_coefficient : share of the previous block's noise, zero where a run of blocks begins
+    ar_coefficient : factor of the previous block's noise, zero where a run of blocks begins
     weight : inverse standard deviation of the innovations
-    Both have shape (n,), or (n, m) for each row.
+    Both have the shape (n,), or (n, m) with one number per row.
     """
 
     ar_coefficient: Array
@@ -145,7 +160,7 @@ class SerialNoise:
         return bool(self.ar_coefficient.any())
 
     def whiten(self, rows: Array) -> Array:
-        """Return the whitened rows of all blocks, shape (n, m, ...)."""
+        """Return the whitened rows of all blocks in order, shape (n, m, ...); rows : that shape."""
         ar_coefficient, weight = (
             a.reshape(*a.shape, *[1] * (rows.ndim - a.ndim)) for a in (self.ar_coefficient, self.weight)
         )
@@ -156,9 +171,11 @@ class SerialNoise:
         return out
 
     def whiten_transposed(self, white: Array) -> Array:
-        """Return W' white for the whitening W: sum(whiten(rows) * white) = sum(rows * result).
+        """Return W' white, shape (n, m), for the matrix W of the whitening `whiten`.
 
-        white : of all blocks, shape (n, m)
+        Thus sum(whiten(rows) * white) = sum(rows * result).
+
+        white : numbers of all blocks, shape (n, m)
         """
         weight, ar_coefficient = (a.reshape(len(white), -1) for a in (self.weight, self.ar_coefficient))
         out = weight * white
@@ -169,10 +186,10 @@ class SerialNoise:
 def serial_noise(ar_coefficient: Array | float, first: Array, weight: Array | float = 1.0) -> SerialNoise:
     """Return stationary AR(1) noise: its variance at the begin of a run is that of later blocks.
 
-    ar_coefficient : share of the previous block's noise, -1 to 1
-    first : whether a run begins at a block
-    weight : inverse standard deviation of each block's noise
-    The shapes are (n,), or (n, m) for each row, or broadcastable to either.
+    ar_coefficient : factor of the previous block's noise, above -1 and below 1
+    first : whether a run of blocks begins at each block
+    weight : inverse standard deviation of each block's noise (not of the innovations)
+    The shapes are (n,), or (n, m) with one number per row, or broadcastable to either.
     """
     share = np.where(first, 0.0, ar_coefficient)
     return SerialNoise(share, weight / np.sqrt(1 - share**2))

@@ -36,14 +36,15 @@ class NormalSums:
         return NormalSums(self.H - other.H, self.g - other.g, self.square - other.square, self.count - other.count)
 
     def moved(self, x: Array) -> NormalSums:
-        """Return the sums with y + A x as the residual."""
+        """Return the sums with y + A x in place of the residual y; x : shape (p,)."""
         return NormalSums(self.H, self.g + self.H @ x, self.square + 2 * x @ self.g + x @ self.H @ x, self.count)
 
 
 def normal_sums(y: Array, A: Array) -> NormalSums:
     """Return the normal sums of whitened rows.
 
-    y : residual, shape (n, m) or (rows,); A : shape (n, m, p) or (rows, p)
+    y : whitened residual, shape (n, m) or (rows,)
+    A : whitened columns, shape (n, m, p) or (rows, p)
     """
     rows, residual = A.reshape(-1, A.shape[-1]), y.ravel()
     return NormalSums(rows.T @ rows, rows.T @ residual, float(residual @ residual), len(residual))
@@ -53,9 +54,10 @@ def normal_sums(y: Array, A: Array) -> NormalSums:
 class Joined:
     """Parameters added to a model at one noise level, by a Schur complement.
 
-    L, scale : Cholesky factor of their scaled normal matrix given the parameters before, and its
-        scale, shape (new,)
-    z : solution in the orthonormal axes of `root`, shape (new,)
+    L : Cholesky factor of their normal matrix given the parameters before, scaled to unit diagonal,
+        shape (new, new)
+    scale : factor of each row and column that scales the normal matrix so, shape (new,)
+    z : their estimate in the orthonormal axes of `root`, shape (new,)
     square : squared norm of the whitened residual with them in the model
     log_norm : term of the log likelihood that does not depend on sigma
     """
@@ -73,12 +75,12 @@ class Joined:
 
 
 def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joined:
-    """Return a model's update by additional parameters.
+    """Return the update of a model by additional parameters.
 
     normal : their normal matrix given the parameters in the model, priors included, shape (new,
         new)
-    right : their products with the residual of the model before, shape (new,)
-    square, log_norm : of the model before (see `Joined`)
+    right : products of their columns with the whitened residual of the model before, shape (new,)
+    square, log_norm : those of the model before, see `Joined`
     """
     # Scaled to unit diagonal, so that rank does not depend on the units of the parameters.
     scale = 1 / np.sqrt(np.diag(normal))
@@ -87,11 +89,12 @@ def joined(normal: Array, right: Array, square: float, log_norm: float) -> Joine
 
 
 def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[Array, Array]:
-    """Return information matrix and score of some parameters with the others marginalised.
+    """Return information, (k, k), and score, (k,), of k parameters with the others marginalised.
 
     H, g : information and score of all parameters, shapes (p, p), (p,)
-    selected : indices of the parameters asked for
-    inverse : inverse of the others' H with their prior precision, their indices rising
+    selected : indices of the k parameters
+    inverse : inverse of the sum of the others' part of H and their prior precision, shape (p - k,
+        p - k), in the order of their indices
     """
     others = np.setdiff1d(np.arange(len(g)), selected)
     own = inverse @ H[np.ix_(others, selected)]
@@ -99,15 +102,15 @@ def marginalised(H: Array, g: Array, selected: Array, inverse: Array) -> tuple[A
 
 
 def inverse_of_triangle(L: Array) -> Array:
-    """Return the inverse of a lower triangle, shape (p, p)."""
+    """Return the inverse of a lower triangular matrix, shape (p, p)."""
     return np.asarray(dtrtri(L, lower=1)[0]) if len(L) else L
 
 
 def reduced(normal: Array, right: Array) -> tuple[Array, Array]:
-    """Return the Cholesky factor L of a normal matrix and the solution z of L z = right.
+    """Return the Cholesky factor L of a normal matrix, (p, p), and the solution z of L z = right.
 
-    normal : of unit diagonal, shape (p, p). Raises numpy.linalg.LinAlgError where it is not
-        positive definite, beyond round-off.
+    normal : normal matrix of unit diagonal, shape (p, p); right : shape (p,)
+    Raises numpy.linalg.LinAlgError where the matrix is not positive definite, beyond round-off.
     """
     L = _factor(normal)
     return L, solve_triangular(L, right, lower=True)
@@ -131,7 +134,10 @@ def inverse_of(normal: Array) -> Array:
 
 
 def _factor(normal: Array) -> Array:
-    """Return the Cholesky factor of a normal matrix of unit diagonal."""
+    """Return the Cholesky factor of a normal matrix of unit diagonal, regularised if necessary.
+
+    Raises numpy.linalg.LinAlgError where it is not positive definite, beyond round-off.
+    """
     try:
         return np.linalg.cholesky(normal)
     except np.linalg.LinAlgError:

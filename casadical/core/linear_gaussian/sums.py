@@ -21,18 +21,21 @@ from casadical.core.linear_gaussian.noise import Axes
 if TYPE_CHECKING:
     from casadical.core.linear_gaussian.model import LinearModel
 
-# Groups of up to this many columns (narrow ones) are accumulated together at all grid points, wider
-# ones one by one.
+# Largest number of columns of a narrow group. The Gram matrices of narrow groups are accumulated
+# together at all grid points, those of wider ones one by one.
 MAX_NARROW_GROUP_COLUMNS = 64
 
 
 class GridSums:
     """Whitened Gram matrices of base, residual and columns at every point of the noise grid.
 
-    E : the columns
-    base : Gram matrix of the base columns and the residual, shape (points, P + 1, P + 1); zero at
-        points that are not `near`
-    log_det : log determinant of the noise covariance in units of sigma^2, shape (points,)
+    Whitening is for sigma = 1.
+
+    E : columns of the candidates
+    base : Gram matrix of the P base columns and the residual, in this order, shape (points, P + 1,
+        P + 1); zero at points that are not in `LinearModel.near`
+    log_det : log determinant of the noise covariance of all blocks in units of sigma^2, shape
+        (points,)
     """
 
     def __init__(self, model: LinearModel) -> None:
@@ -66,7 +69,7 @@ class GridSums:
         return more
 
     def _rotated_base(self, axes: Axes, blocks: slice) -> Array:
-        """Return base columns and residual of some blocks, rotated, shape (blocks, m, P + 1)."""
+        """Return base columns and residual of some blocks in the eigenbasis, (blocks, m, P + 1)."""
         return axes.rotated(np.concatenate([rows[blocks] for rows in self._given], axis=2), blocks)
 
     @property
@@ -76,13 +79,16 @@ class GridSums:
 
     @property
     def columns(self) -> Array:
-        """Return products of all columns with base and residual, (columns, points, P + 1)."""
+        """Return whitened products of columns with base and residual, (columns, points, P + 1)."""
         if self._columns is None:
             self._columns = self._products_with_base(self.E)
         return self._columns
 
     def extend(self, other: GridSums) -> None:
-        """Take over the sums of a model with the same blocks and the first of these columns."""
+        """Take over the cached sums of a model with the same blocks and the first of these columns.
+
+        Sums of the additional columns are computed where all columns have theirs.
+        """
         width = other.E.shape[2]
         self._own, self._wide = dict(other._own), dict(other._wide)
         self._cross = {key: cross.widened(self.E.shape[2]) for key, cross in other._cross.items()}
@@ -91,7 +97,10 @@ class GridSums:
             self._columns = np.concatenate([other.columns, self._products_with_base(self.E.after(width))])
 
     def move(self, other: GridSums, lost: GridSums, gained: GridSums) -> None:
-        """Take over the sums of a model with other blocks, minus the lost, plus the gained ones."""
+        """Take over the cached sums of a model with other blocks.
+
+        The sums of the lost blocks are subtracted, those of the gained ones added.
+        """
         parts = [(sign, part) for sign, part in ((-1.0, lost), (1.0, gained)) if part.rows]
         self._columns = other.columns + sum(sign * part.columns for sign, part in parts)
         groups = [np.frombuffer(key, dtype=np.int64) for key in other._own]
@@ -114,7 +123,10 @@ class GridSums:
                 more.add(at, cross[at] + sum(sign * part._cross[_key(run, k)][at] for sign, part in parts))
 
     def add_gram_matrices(self, groups: Iterable[Array]) -> None:
-        """Accumulate and cache the Gram matrices of narrow groups, in one pass over the blocks."""
+        """Accumulate and cache the Gram matrices of narrow groups, in one pass over the blocks.
+
+        groups : indices of the columns of each group, rising; wider groups are ignored
+        """
         new = {g.tobytes(): g for g in groups if len(g) <= MAX_NARROW_GROUP_COLUMNS and g.tobytes() not in self._own}
         by_width: dict[int, list[Array]] = {}
         for g in new.values():
@@ -144,11 +156,17 @@ class GridSums:
                 self._own[g.tobytes()] = totals[w][:, i]
 
     def gram_matrices(self, groups: Sequence[Array]) -> Array:
-        """Return cached Gram matrices of groups of one width, (groups, points, width, width)."""
+        """Return cached Gram matrices of groups of one width, (groups, points, width, width).
+
+        groups : indices of the columns of each group
+        """
         return np.stack([self._own[g.tobytes()] for g in groups])
 
     def wide_gram_matrix(self, group: Array, k: int) -> Array:
-        """Return the Gram matrix of a wide group's combinations at one point, (width, width)."""
+        """Return the Gram matrix of a wide group's combinations at one point, (width, width).
+
+        group : indices of its columns, rising; k : index of the grid point
+        """
         key = group.tobytes(), k
         if key not in self._wide:
             E, every = self.E.only(group), combined(group, self.E.directions)
@@ -160,17 +178,23 @@ class GridSums:
         return self._wide[key]
 
     def widest_cached_group(self, columns: Array) -> Array:
-        """Return the widest group among some columns with a cached Gram matrix, or an empty one."""
+        """Return the columns of the widest wide group among some with a cached Gram matrix.
+
+        It is empty if there is none.
+
+        columns : indices of the columns
+        """
         groups = [np.frombuffer(key, dtype=np.int64) for key, _ in self._wide]
         return max((g for g in groups if np.isin(g, columns).all()), key=len, default=columns[:0])
 
     def cross_products(self, columns: Array, points: Sequence[int], wanted: Array) -> dict[int, Array]:
-        """Return products of wanted columns with combinations of others, (wanted, width), by point.
+        """Return whitened products of columns with combinations of others, by index of the point.
 
-        columns : the others, indices rising; their products are cached by runs of consecutive
-            indices
+        They have the shape (len(wanted), width) for the `width` combinations of the others.
+
+        columns : indices of the others, rising; products are cached by runs of consecutive indices
         points : indices of the grid points
-        wanted : indices rising, all columns of a cause or none
+        wanted : indices of the columns, rising; all columns of a cause or none
         """
         firsts, lasts = ([key[k] for key in self._cross] for k in (0, 1))
         apart = (np.diff(columns) != 1) | np.isin(columns[1:], firsts) | np.isin(columns[:-1], lasts)
@@ -179,11 +203,13 @@ class GridSums:
         return {k: np.concatenate([self._cross[_key(run, k)][wanted] for run in runs], axis=1) for k in points}
 
     def add_cross_products(self, runs: Sequence[Array], points: Sequence[int], wanted: Array) -> None:
-        """Cache the products of wanted columns with runs of columns.
+        """Accumulate and cache the products of wanted columns with runs of columns.
 
         Runs that lack the same columns are accumulated in one pass over the blocks.
 
-        runs : indices, rising in each run; no two runs overlap
+        runs : consecutive indices of the columns of each run, rising; no two runs overlap
+        points : indices of the grid points
+        wanted : indices of the columns, rising
         """
         lacking: dict[bytes, tuple[Array, list[Array]]] = {}
         for run in runs:
@@ -200,7 +226,7 @@ class GridSums:
             self._accumulate_cross_products(sorted(some, key=lambda run: int(run[0])), new, points)
 
     def _accumulate_cross_products(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
-        """Accumulate products of new columns with runs at some points, in one pass."""
+        """Accumulate and cache products of new columns with runs at some points, in one pass."""
         columns = np.concatenate(runs)
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
@@ -213,7 +239,7 @@ class GridSums:
                 self._cross[_key(run, k)].add(new, total[:, i, start:end])
 
     def _products_with_base(self, E: Columns) -> Array:
-        """Return products of columns with base and residual, shape (columns, points, P + 1)."""
+        """Compute whitened products of columns with base and residual, (columns, points, P + 1)."""
         numbers = self.base.shape[1]
         total = np.zeros((E.shape[2], self._points, numbers))
         for blocks in self._parts(E):
@@ -235,40 +261,57 @@ class GridSums:
     def _add_products(
         self, total: Array, F: Factors, G: Factors, levers: Array, blocks: slice, points: Sequence[int]
     ) -> None:
-        """Add products of columns F and G at some blocks to `total`, shape (F, points, G)."""
+        """Add whitened products of columns F and G at some blocks to `total`.
+
+        total : shape (columns of F, points, columns of G)
+        levers : derivatives of the rows by the intermediate variables, shape (blocks, m, variables)
+        points : indices of the grid points
+        """
         for axes, own, at in self._axes_at(points):
             _add_weighted(total, F, G, axes.rotated(levers, blocks), axes.precision[own, blocks], at)
 
     def _axes_at(self, points: Sequence[int]) -> Iterator[tuple[Axes, list[int], slice]]:
-        """Yield the eigenbases of some points, with indices among its own and the wanted points."""
+        """Yield each eigenbasis that some of the points have, with the places of these points.
+
+        The places are indices among the points of the eigenbasis, and a slice of `points`.
+        """
         for axes in self._axes:
             at = [i for i, k in enumerate(points) if k in axes.points]
             if at:
                 yield axes, [axes.points.index(points[i]) for i in at], slice(at[0], at[-1] + 1)
 
     def _parts(self, E: Columns) -> Iterator[slice]:
-        """Return slices of blocks whose columns stay within the memory limit."""
+        """Return slices of blocks for which the columns E stay within the memory limit."""
         return self._slices(max(E.shape[2], 1))
 
     def _slices(self, width: int) -> Iterator[slice]:
-        """Return slices of blocks; width : number of columns that are in memory at a time."""
+        """Return slices of blocks for which `width` columns stay within the memory limit."""
         blocks, m = self._shape
         step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
 
 
 def _key(run: Array, k: int) -> tuple[int, int, int]:
-    """Return the cache key of the products with a run of columns at a grid point."""
+    """Return the cache key of products with a run of columns: first and last index, and point."""
     return int(run[0]), int(run[-1]), k
 
 
 def _has_diagonal_levers(U: Array) -> bool:
-    """Return whether each intermediate variable changes its own row only; U : levers."""
+    """Return whether each intermediate variable changes its own row only.
+
+    U : derivatives of the rows by the variables, shape (blocks, m, variables)
+    """
     return U.shape[1] == U.shape[2] and not U[:, ~np.eye(U.shape[1], dtype=bool)].any()
 
 
 def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
-    """Yield rows, indices of columns that act there, and these with a last one of zeros."""
+    """Yield a slice of rows, the indices of the columns that change these rows, and the columns.
+
+    The columns have the shape (columns + 1, rows blocks); the last of them is zero.
+
+    F : factors of the columns; U : derivatives of the rows by the intermediate variables, shape
+        (blocks, m, variables)
+    """
     if not _has_diagonal_levers(U):
         yield WHOLE_AXIS, np.arange(F.width), F.by_column(U).reshape(F.width + 1, -1)
         return
@@ -279,9 +322,11 @@ def _by_rows(F: Factors, U: Array) -> Iterator[tuple[slice, Array, Array]]:
 def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array, at: slice) -> None:
     """Add weighted products of columns F and G to `total` at the points of one eigenbasis.
 
-    U : levers rotated into the eigenbasis, shape (n, m, variables)
+    total : shape (columns of F, points, columns of G)
+    U : derivatives of the rows by the intermediate variables, in the eigenbasis, shape (n, m,
+        variables)
     weight : precision of each eigenvector, shape (points, n, m)
-    at : slice of the points in `total`
+    at : slice of these points in `total`
     """
     W, V = weight.transpose(0, 2, 1), np.ascontiguousarray(U[:, :, [t for t, _, _ in G.blocks]].transpose(2, 1, 0))
     others = [(as_slice(own), factors) for _, own, factors in G.blocks]
@@ -307,7 +352,8 @@ def _add_weighted(total: Array, F: Factors, G: Factors, U: Array, weight: Array,
 class CachedRows:
     """Cache of rows of numbers for those columns for which they were computed.
 
-    place : index of each column's row, or -1, shape (columns,)
+    columns : number of all columns
+    place : index of each column's row in the cache, or -1, shape (columns,)
     count : number of cached rows
     numbers : length of a row
     """
@@ -322,7 +368,7 @@ class CachedRows:
         return np.flatnonzero(self.place >= 0)
 
     def __getitem__(self, columns: Array) -> Array:
-        """Return the rows of columns, shape (*columns.shape, numbers).
+        """Return the cached rows of columns of these indices, shape (*columns.shape, numbers).
 
         Raises KeyError for one that is not cached.
         """
@@ -332,7 +378,7 @@ class CachedRows:
         return np.asarray(self._rows[place])
 
     def add(self, columns: Array, rows: Array) -> None:
-        """Add the rows of columns that are not cached yet."""
+        """Add the rows, shape (k, numbers), of k columns of these indices; none is cached yet."""
         more = self.count + len(rows)
         if not self.count:
             self._rows = rows
@@ -347,7 +393,7 @@ class CachedRows:
         self.count = more
 
     def widened(self, columns: int) -> CachedRows:
-        """Return the cache for at least as many columns, with the same rows."""
+        """Return a cache for `columns` columns, at least as many, with the same rows."""
         more = CachedRows(columns, self.numbers)
         more.place[: len(self.place)] = self.place
         more._rows, more.count = self._rows[: self.count], self.count

@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 from casadical.core.telling.figure import Figure
 
+# Role of a paragraph of a report, which sets its style.
 Kind: TypeAlias = Literal["title", "text", "note", "warning", "error", "verdict"]
 
 
@@ -15,9 +16,10 @@ Kind: TypeAlias = Literal["title", "text", "note", "warning", "error", "verdict"
 class Words:
     """A paragraph.
 
-    text : the paragraph; kind : its role, which sets its style
-    code : a command or code to show beneath it
-    mark : a word before it; if given, only the mark has the style of the kind
+    text : the paragraph
+    kind : its role, which sets its style
+    code : command or code that is shown beneath it; empty: none
+    mark : word before it; if given, only the mark has the style of the kind
     """
 
     text: str
@@ -27,7 +29,11 @@ class Words:
 
 
 def next_step(purpose: str, command: str, *arguments: object) -> Words:
-    """Return the command that a result suggests; purpose : "to learn what changed", "when ..." """
+    """Return the paragraph with the command that a result suggests next.
+
+    purpose : words such as "to learn what changed", which follow "Next,"
+    command, arguments : name of the casadical command, and its arguments
+    """
     return Words(f"Next, {purpose}:", code=shlex.join(["casadical", command, *map(str, arguments)]))
 
 
@@ -35,6 +41,9 @@ def next_step(purpose: str, command: str, *arguments: object) -> Words:
 class Table:
     """A table of text cells.
 
+    title : title; empty: none
+    columns : headings of the columns; all empty: no headings
+    rows : cells of each row
     numbers : indices of the columns that are right-aligned
     strong, faint : indices of the rows in bold and in faint type
     folded : whether a page shows it only when the reader asks for it; a terminal shows it always
@@ -74,9 +83,10 @@ class Tile:
 class Page:
     """The report of one result.
 
-    kind : of the result, such as "Calibration"
-    tiles : key numbers; badges : warnings that must not be overlooked, such as "synthetic data"
-    files : the files from which the result was computed
+    kind : kind of the result, such as "Calibration"
+    tiles : key numbers at the top
+    badges : warnings that must not be overlooked, such as "synthetic data"
+    files : files from which the result was computed
     """
 
     kind: str
@@ -89,11 +99,14 @@ class Page:
 
 
 def figures_named(figures: Mapping[str, Figure], start: str) -> list[Figure]:
-    """Return the figures named `start`, or with a name that begins with it and a slash."""
+    """Return the figures whose name is `start` or begins with `start` and a slash.
+
+    figures : figures by name
+    """
     return [figure for name, figure in figures.items() if name == start or name.startswith(f"{start}/")]
 
 
 def mm(metres: float) -> str:
-    """Return a length [m] as text in mm, with three significant digits or more."""
+    """Return a length [m] as the text of a number of mm, with four to one decimal places."""
     value = 1e3 * metres
     return f"{value:.{4 if abs(value) < 0.1 else 3 if abs(value) < 10 else 2 if abs(value) < 100 else 1}f}"

@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 else:
     Picture = Any
 
-# Message of the error where plotly is not installed.
+# Message of the InputError where plotly is not installed.
 MISSING_PLOTLY = "a report needs plotly, which is not installed: pip install 'casadical[report]'"
-# Light and dark colour by role. Those of methods are of Okabe and Ito (2008), shifted for contrast
-# on both backgrounds.
+# Colours on a light and on a dark background, by role. The hues are of Okabe and Ito (2008),
+# shifted for contrast on both backgrounds.
 COLOURS: dict[str, tuple[str, str]] = {
     "paper": ("#ffffff", "#171c23"),
     "ink": ("#1c2530", "#e4e9ef"),
@@ -37,7 +37,7 @@ COLOURS: dict[str, tuple[str, str]] = {
     "sky": ("#3d95c9", "#8cc9ee"),
     "grey": ("#868f9a", "#78838f"),
 }
-# Dark colour by light colour.
+# Colour on a dark background, by that on a light background.
 DARK_BY_LIGHT = dict(COLOURS.values())
 # Colour of titles and labels.
 INK_COLOUR = COLOURS["ink"][0]
@@ -53,20 +53,20 @@ PAPER_COLOUR = COLOURS["paper"][0]
 GREY_COLOUR = COLOURS["grey"][0]
 # CSS font families of all text.
 FONT_FAMILIES = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-# Mode of plotly by kind of a series.
+# Mode of plotly's scatter trace, by kind of a series.
 MODE_BY_KIND = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
 # Settings of plotly that all axes share.
 AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
 # Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.
 CAMERA_EYE = (1.15, 1.3, 0.55)
-# Height reserved for the title of a figure whose panels have titles.
+# Height reserved for the title of a figure whose panels have titles [px].
 TITLE_HEIGHT_PX = 76
-# Height reserved for the legend of a figure whose panels have titles.
+# Height reserved for the legend of a figure whose panels have titles [px].
 LEGEND_HEIGHT_PX = 100
 
 
 def plain(text: object) -> str:
-    """Return a user's text escaped for a figure, which interprets some HTML."""
+    """Return a user's text escaped for plotly, which interprets some HTML; lines stay lines."""
     return html.escape(str(text), quote=False).replace("\n", "<br>")
 
 
@@ -108,7 +108,7 @@ def dark(picture: Picture) -> Picture:
 
 
 def _colour(role: str | Sequence[str]) -> str | list[str]:
-    """Return the light colour of a role, or of each of several roles."""
+    """Return the colour on a light background of a role, or a list of those of several roles."""
     return COLOURS[role][0] if isinstance(role, str) else [COLOURS[r][0] for r in role]
 
 
@@ -120,12 +120,12 @@ def _escaped(facts: Any) -> Any:
 
 
 def _values(values: Any) -> Any:
-    """Return values in a form that plotly takes."""
+    """Return values as plotly takes them: ranges and tuples as lists, others unchanged."""
     return list(values) if isinstance(values, range | tuple) else values
 
 
 def _add(picture: Picture, figure: Figure, s: Series) -> None:
-    """Add a series to the picture."""
+    """Add a series of a figure to the picture."""
     colour = _colour(s.colour)
     trace: dict[str, Any] = {"x": _values(s.x), "y": _values(s.y), "opacity": s.opacity}
     trace |= {"showlegend": bool(s.name) and s.listed, "visible": True if s.shown else "legendonly"}
@@ -177,7 +177,7 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
 
 
 def _axis(axis: Axis) -> dict[str, Any]:
-    """Return the plotly settings of an axis."""
+    """Return plotly's settings of an axis, by name."""
     settings: dict[str, Any] = {**AXIS_DEFAULTS, "showgrid": axis.grid}
     settings["title"] = {"text": plain(axis.title), "standoff": 10, "font": {"size": 13}}
     settings |= {"zeroline": True, "zerolinewidth": 1.5, "zerolinecolor": MUTED_COLOUR} if axis.zero else {}
@@ -198,7 +198,7 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def _rows(rows: Sequence[str]) -> dict[str, Any]:
-    """Return the settings of a y axis whose ticks are words, the first on top."""
+    """Return plotly's settings of a y axis whose ticks are words, the first on top."""
     ends = [len(rows) - 0.4, -0.6]
     words = [plain(row) for row in rows]
     return {**AXIS_DEFAULTS, "tickvals": list(range(len(rows))), "ticktext": words, "range": ends, "showgrid": False}
@@ -244,7 +244,8 @@ def _mark(picture: Picture, figure: Figure, mark: Rule | Span | Note) -> None:
         _note(picture, figure, mark)
 
 
-# Anchors, and direction of the gap, of a note by the side of its point on which it stands.
+# Plotly's anchors of a note, and the sign of its shift along x, by the side of its position on
+# which its text is.
 _SIDES: dict[str, tuple[dict[str, str], int]] = {
     "right": ({"xanchor": "left"}, 1),
     "left": ({"xanchor": "right"}, -1),
@@ -255,7 +256,7 @@ _SIDES: dict[str, tuple[dict[str, str], int]] = {
 
 
 def _note(picture: Picture, figure: Figure, note: Note) -> None:
-    """Add a note to the picture."""
+    """Add a text to the picture, in the panel and on the side that the note names."""
     anchors, way = _SIDES[note.side]
     number = "" if note.panel == 0 else str(note.panel + 1)
     refs = {"xref": f"x{number}", "yref": f"y{number}"}

@@ -8,25 +8,34 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Values = Any  # numbers, days or words, one for each entry
+# Type of coordinates: numbers, ISO dates or words, one for each entry of a series.
+Values = Any
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
     """One series of a figure.
 
-    kind : how it is drawn; a "map" has cells z, shape (y, x), in shades of the colour from 0 to
-        `size`
-    x, y, z : coordinates of each entry, z for a 3D figure
-    name : in the legend, if it is `listed`; series of one `group` are shown and hidden together
-    colour, symbol, size : of all entries or of each; size and width in px
-    dash, shape : line style, and how consecutive points are connected
+    kind : how it is drawn: markers, a line, both, horizontal bars, a filled area, or a map of cells
+        z, shape (y, x), in shades of the colour from 0 to `size`
+    x, y, z : coordinates of each entry, z for a 3D figure or a map
+    name : name in the legend; empty: it is not in the legend
+    colour : role of the palette, of all entries or of each
+    symbol : plotly's name of the marker, of all entries or of each
+    size : diameter of the markers [px], of all entries or of each; of a map, its largest value
+    width : width of the line [px], or of the bars in units of the axis
+    dash : line style; shape : connection of consecutive points, straight or in steps
+    opacity : opacity, 0 to 1
     fill : colour of an area that has an outline
-    less, more : length of each entry's error bar below and above it, in the unit of the axis
+    less, more : lengths of each entry's error bar below and above it, in the unit of the axis; less
+        None: as more
     text : label of each entry
-    tip : template of the tooltip, with %{x:.3f}, %{y}, %{customdata[0]} of `facts`; none if empty
-    shown : whether it is visible before the reader asks for it
-    panel : index of the panel that it is drawn in
+    tip : template of the tooltip, with %{x:.3f}, %{y}, %{customdata[0]} of `facts`; empty: none
+    facts : values of each entry for the tooltip
+    group : series of one group are shown and hidden together; empty: none
+    listed : whether the legend shows its name
+    shown : whether it is visible before the reader selects it in the legend
+    panel : index of the panel in which it is drawn
     """
 
     kind: Literal["points", "line", "linked", "bars", "area", "map"]
@@ -57,10 +66,16 @@ class Series:
 class Axis:
     """An axis of a figure.
 
-    ends : range that is shown; log : whether the scale is logarithmic
-    ticks : positions of ticks; labels : their texts; count : number of ticks instead
-    step : distance of ticks, the first at 1; whole : whether ticks are whole numbers
-    zero : whether a line marks zero; begins : whether the range begins at zero
+    title : title with the unit
+    ends : lower and upper end of the range that is shown; None: automatic
+    log : whether the scale is logarithmic
+    ticks : positions of the ticks; None: automatic
+    labels : texts of the ticks; None: their numbers
+    count : largest number of automatic ticks
+    step : distance between ticks, the first at 1
+    whole : whether ticks are whole numbers
+    zero : whether a line marks zero
+    begins : whether the range includes zero
     grid : whether grid lines are drawn
     """
 
@@ -79,7 +94,10 @@ class Axis:
 
 @dataclass(frozen=True)
 class Rule:
-    """A line across the figure at the value `at` of an axis; text : label at its end."""
+    """A line across the figure at the value `at` of an axis.
+
+    width : width of the line [px]; text : label at its end
+    """
 
     axis: Literal["x", "y"]
     at: float
@@ -91,7 +109,7 @@ class Rule:
 
 @dataclass(frozen=True)
 class Span:
-    """A shaded interval of the x axis, from `first` to `last`."""
+    """A shaded interval of the x axis, from `first` to `last`, in the unit of the axis."""
 
     first: Any
     last: Any
@@ -103,8 +121,10 @@ class Note:
     """A text in a figure.
 
     x, y : its position, in units of the axes, or of the frame (0 to 1) for axes named by `frame`
-    side : the side of the position on which the text stands; gap : distance between both [px]
-    size : of the letters [px]
+    side : side of the position on which the text is
+    gap : distance between position and text [px]
+    size : size of the letters [px]
+    panel : index of the panel in which it is drawn
     """
 
     text: str
@@ -120,7 +140,7 @@ class Note:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One of several plots in a figure, at a row and column counted from 1."""
+    """One of several plots in a figure, with its row and column, counted from 1, and its axes."""
 
     row: int
     column: int
@@ -134,11 +154,14 @@ class Figure:
     """A figure with its caption.
 
     name : identifier, such as "errors/report"
-    height : [px]; right : margin at the right [px]
+    x, y : axes; with panels their titles are those of the whole figure
+    height : height [px]
     rows : words on the y axis, from the top, in place of numbers
     marks : rules, spans and notes in the figure
-    panels : plots of a figure with several; shared : the axes, "x", "y" or "xy", that they share
-    over : title of one tooltip for all series at one y; a tooltip for each if empty
+    panels : plots of a figure with several of them
+    shared : axes that the panels share: "x", "y", "xy" or ""
+    right : margin at the right [px]
+    over : title of a common tooltip for all series at one y; empty: each series has its own
     """
 
     name: str
@@ -157,6 +180,9 @@ class Figure:
 
 
 def ticks_of_decades(low: float = 1e-9, high: float = 5e5, steps: Sequence[int] = (1, 2, 5)) -> list[float]:
-    """Return the ticks of a logarithmic axis: 0.1, 0.2, 0.5, 1 and so on."""
+    """Return the ticks of a logarithmic axis, such as 0.1, 0.2, 0.5, 1, in the decades of a range.
+
+    low, high : ends of the range, about; steps : ticks of each decade
+    """
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)))
     return [float(f"{step}e{power}") for power in decades for step in steps]

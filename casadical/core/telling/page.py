@@ -18,18 +18,19 @@ from casadical.core.telling.blocks import Page
 from casadical.core.telling.drawing import COLOURS, DARK_BY_LIGHT, MISSING_PLOTLY, draw
 from casadical.core.telling.template import pages as pages_of
 
+# Folder of the templates, style and script of HTML pages.
 TEMPLATES = Path(__file__).parent / "templates"
 
 
 def require() -> None:
-    """Check that reports can be written. Raises InputError where plotly is not installed."""
+    """Check that HTML reports can be made. Raises InputError where plotly is not installed."""
     optional("plotly.graph_objects", MISSING_PLOTLY)
 
 
 def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
-    """Return pages as the text of one HTML file.
+    """Return pages as the text of one self-contained HTML file.
 
-    command : the command line that made it
+    command : words of the command line that made it
 
     Raises InputError where plotly is not installed, or a file of a page is gone.
     """
@@ -52,7 +53,7 @@ def html_of(pages: Sequence[Page], command: Sequence[str] = ()) -> str:
 
 
 def safe_json(value: Any) -> str:
-    """Return JSON for a script element, in which no tag can open or close.
+    """Return plain data as JSON text for an HTML script element, without <, > and &.
 
     Numbers that are not finite become null.
     """
@@ -61,7 +62,7 @@ def safe_json(value: Any) -> str:
 
 
 def _finite(value: Any) -> Any:
-    """Return plain data with numbers that are not finite as None."""
+    """Return plain data with None in place of numbers that are not finite."""
     if isinstance(value, dict):
         return {k: _finite(v) for k, v in value.items()}
     if isinstance(value, list):
@@ -71,25 +72,25 @@ def _finite(value: Any) -> Any:
 
 @cache
 def _text(name: str) -> str:
-    """Return the text of a template file."""
+    """Return the text of a file in `TEMPLATES`."""
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
 @cache
 def _plotly() -> str:
     # No text of the library may close the script element that contains it.
-    """Return the source of plotly.js."""
+    """Return the source of plotly.js, in which no script element is closed."""
     source: str = optional("plotly.offline", MISSING_PLOTLY).get_plotlyjs()
     return source.replace("</script", "<\\/script")
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a report comes from.
+    """Files, versions, command and time from which a report was made.
 
     files : path and SHA-256 of every file that was read
-    versions : name and version of each library
-    command : as it was typed
+    versions : name and version of each library, of Python and of the platform
+    command : command line as it was typed
     date : date and time, UTC
     """
 
@@ -102,7 +103,8 @@ class Provenance:
 def provenance_of(files: Iterable[Path], command: Sequence[str] = (), now: datetime | None = None) -> Provenance:
     """Return the provenance of a report made from files, which are read and hashed here.
 
-    now : date and time, by default those of the clock
+    command : words of the command line
+    now : date and time, UTC; None: those of the clock
     Raises InputError where a file cannot be read.
     """
     return Provenance(

@@ -19,32 +19,33 @@ if TYPE_CHECKING:
 else:
     Sheet = Any
 
-# Message of the error where fpdf2 is not installed.
+# Message of the InputError where fpdf2 is not installed.
 MISSING_FPDF = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
-# Margin at the sides of an A4 page.
+# Margin at the left and right of an A4 page [mm].
 MARGIN_MM = 18.0
-# Width of the text of an A4 page.
+# Width of the text on an A4 page [mm].
 TEXT_WIDTH_MM = 174.0
-# Lowest position of text on an A4 page, from its top.
+# Largest distance of text from the top of an A4 page [mm].
 TEXT_BOTTOM_MM = 297.0 - 18.0
-# Style and size [pt] of the font by kind of words.
+# Style (bold, italic) and size [pt] of the font, by kind of words.
 _FONT_BY_KIND = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
-# Letters outside of the built-in Latin-1 fonts of PDF readers, and their substitutes.
+# Translation of letters that the built-in Latin-1 fonts of PDF readers lack to their substitutes.
 _LATIN1_SUBSTITUTES = str.maketrans(
     {"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="}
 )
 
 
 def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = None) -> bytes:
-    """Return the bytes of a PDF file.
+    """Return pages as the bytes of a PDF file, one A4 page each.
 
-    day : date of its creation; without it two files of one result are equal to the byte
+    language : code of its language, such as "en"
+    day : date of its creation; None: a fixed one, so that files of one result are equal to the byte
 
     Raises InputError where fpdf2 is not installed, or a page's words have no room on it.
     """
     # The type is made smaller until every page's content fits on it.
-    for size in (1.0, 0.94, 0.88, 0.82, 0.76, 0.7):
-        sheet, full = _drawn(pages, size)
+    for scale in (1.0, 0.94, 0.88, 0.82, 0.76, 0.7):
+        sheet, full = _drawn(pages, scale)
         if full is None:
             break
     else:
@@ -58,33 +59,39 @@ def pdf_of(pages: Sequence[Page], *, language: str = "en", day: date | None = No
 
 
 def _text(words: str) -> str:
-    """Return text in Latin-1, the encoding of the built-in fonts; other letters as their codes."""
+    """Return text in Latin-1, the encoding of the built-in fonts; other letters become escapes.
+
+    White space is reduced to single spaces.
+    """
     return (
         " ".join(words.translate(_LATIN1_SUBSTITUTES).split()).encode("latin-1", "backslashreplace").decode("latin-1")
     )
 
 
-def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
-    """Return the pages drawn in a size of type, and the number of the first that overflows."""
+def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
+    """Return the drawn pages, and the number of the first that overflows, from 1; None: none does.
+
+    scale : factor on the size of type, distances and figures
+    """
     sheet: Sheet = optional("fpdf", MISSING_FPDF).FPDF(format="A4")
     sheet.set_auto_page_break(False)
     sheet.set_margins(MARGIN_MM, MARGIN_MM, MARGIN_MM)
     full = None
     for number, page in enumerate(pages, 1):
         sheet.add_page()
-        _words(sheet, Words(page.title, "title"), size)
-        _words(sheet, Words(page.subtitle, "note"), size)
+        _words(sheet, Words(page.title, "title"), scale)
+        _words(sheet, Words(page.subtitle, "note"), scale)
         for section in page.sections:
-            sheet.ln(2 * size)
-            _line(sheet, section.title, "B", 10.5 * size)
+            sheet.ln(2 * scale)
+            _line(sheet, section.title, "B", 10.5 * scale)
             figures = [b for b in section.blocks if isinstance(b, Figure)]
             for block in section.blocks:
                 if isinstance(block, Words):
-                    _words(sheet, block, size)
+                    _words(sheet, block, scale)
                 elif isinstance(block, Table):
-                    _table(sheet, block, size)
+                    _table(sheet, block, scale)
             if figures:
-                _figures(sheet, figures, size)
+                _figures(sheet, figures, scale)
         if sheet.get_y() > TEXT_BOTTOM_MM and full is None:
             full = number
         sheet.set_y(-14.0)  # mm from the bottom of the page
@@ -93,36 +100,47 @@ def _drawn(pages: Sequence[Page], size: float) -> tuple[Sheet, int | None]:
 
 
 def _ink(sheet: Sheet, role: str = "ink") -> None:
-    """Set the colour of text to that of a role."""
+    """Set the colour of text to that of a role of the palette."""
     sheet.set_text_color(*_rgb(role))
 
 
 def _rgb(role: str) -> tuple[int, int, int]:
-    """Return the light colour of a role as red, green and blue."""
+    """Return the light colour of a role of the palette as red, green and blue, 0 to 255."""
     light = COLOURS[role][0]
     return int(light[1:3], 16), int(light[3:5], 16), int(light[5:7], 16)
 
 
 def _line(sheet: Sheet, text: str, style: str, size: float, role: str = "ink") -> None:
-    """Write a paragraph of text in a font, style and size."""
+    """Write a paragraph of text at the current position.
+
+    style : "B", "I" or "" for bold, italic or normal; size : of the font [pt]
+    role : role of its colour in the palette
+    """
     sheet.set_font("helvetica", style, size)
     _ink(sheet, role)
     sheet.multi_cell(TEXT_WIDTH_MM, 0.45 * size, _text(text), new_x="LMARGIN", new_y="NEXT", align="L")
 
 
-def _words(sheet: Sheet, block: Words, size: float) -> None:
-    """Write a block of words in the font of its kind."""
+def _words(sheet: Sheet, block: Words, scale: float) -> None:
+    """Write a block of words at the current position in the font of its kind.
+
+    scale : factor on the size of the font
+    """
     style, points = _FONT_BY_KIND.get(block.kind, ("", 8.5))
-    _line(sheet, f"{block.mark} {block.text}".strip(), style, points * size, "muted" if block.kind == "note" else "ink")
-    sheet.ln(0.6 * size)
+    role = "muted" if block.kind == "note" else "ink"
+    _line(sheet, f"{block.mark} {block.text}".strip(), style, points * scale, role)
+    sheet.ln(0.6 * scale)
 
 
-def _table(sheet: Sheet, table: Table, size: float) -> None:
-    """Draw a table whose columns are as wide as their longest cells need; cells wrap."""
-    sheet.ln(0.5 * size)
+def _table(sheet: Sheet, table: Table, scale: float) -> None:
+    """Draw a table at the current position; columns are as wide as their longest cells, or wrap.
+
+    scale : factor on the size of the font
+    """
+    sheet.ln(0.5 * scale)
     if table.title:
-        _line(sheet, table.title, "B", 8.5 * size)
-    sheet.set_font("helvetica", "B", 8 * size)
+        _line(sheet, table.title, "B", 8.5 * scale)
+    sheet.set_font("helvetica", "B", 8 * scale)
     rows = [table.columns, *table.rows] if any(table.columns) else [*table.rows]
     longest = [max(sheet.get_string_width(_text(str(row[k]))) for row in rows) + 3 for k in range(len(rows[0]))]
     over = sum(longest) - TEXT_WIDTH_MM
@@ -130,13 +148,14 @@ def _table(sheet: Sheet, table: Table, size: float) -> None:
         widest = int(np.argmax(longest))
         longest[widest] = max(longest[widest] - over, 25.0)
         longest = [TEXT_WIDTH_MM * w / sum(longest) for w in longest]
-    sheet.set_font("helvetica", "", 8 * size)
+    sheet.set_font("helvetica", "", 8 * scale)
     _ink(sheet)
     sheet.set_draw_color(*_rgb("line"))
     sheet.set_fill_color(*_rgb("paper"))
     align = tuple("RIGHT" if k in table.numbers else "LEFT" for k in range(len(longest)))
     with sheet.table(
-        col_widths=tuple(longest), width=sum(longest), align="LEFT", text_align=align, line_height=3.9 * size,
+        col_widths=tuple(longest), width=sum(longest), align="LEFT", text_align=align,
+        line_height=3.9 * scale,
         first_row_as_headings=any(table.columns), borders_layout="HORIZONTAL_LINES", padding=0.4, markdown=False,
     ) as grid:  # fmt: skip
         for row in rows:
@@ -145,19 +164,25 @@ def _table(sheet: Sheet, table: Table, size: float) -> None:
                 line.cell(_text(str(cell)))
 
 
-def _figures(sheet: Sheet, figures: Sequence[Figure], size: float) -> None:
-    """Draw figures side by side, and their captions beneath."""
+def _figures(sheet: Sheet, figures: Sequence[Figure], scale: float) -> None:
+    """Draw figures side by side at the current position, and their captions beneath.
+
+    scale : factor on the figures' height, which is 62 mm at 1, and on the type of the captions
+    """
     wide, top = (TEXT_WIDTH_MM - 6 * (len(figures) - 1)) / len(figures), sheet.get_y() + 2
-    high = 62.0 * size
+    high = 62.0 * scale
     for k, figure in enumerate(figures):
         _figure(sheet, figure, MARGIN_MM + k * (wide + 6), top, wide, high)
     sheet.set_xy(MARGIN_MM, top + high + 2)
     for caption in dict.fromkeys(f.caption for f in figures if f.caption):
-        _words(sheet, Words(caption, "note"), size)
+        _words(sheet, Words(caption, "note"), scale)
 
 
 def _figure(sheet: Sheet, figure: Figure, left: float, top: float, wide: float, high: float) -> None:
-    """Draw the points of a figure over two axes of equal scale."""
+    """Draw the points of a figure over two axes of equal scale.
+
+    left, top, wide, high : place and size of the figure on the page [mm]
+    """
     sheet.set_font("helvetica", "B", 8)
     _ink(sheet)
     sheet.set_xy(left, top)

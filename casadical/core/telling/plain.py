@@ -21,8 +21,8 @@ class Key:
     name : JSON key, without the unit that is appended to it; "" for the name of the field
     of : attribute, dotted path of attributes, or function of the result that gives the value; ""
         for the attribute of the same name
-    unit : unit into which an SI value is converted, a key of `PER_SI_UNIT`
-    digits : number of digits after the decimal point
+    unit : unit into which an SI value is converted, a key of `PER_SI_UNIT`; "": none
+    digits : number of digits after the decimal point; None: not rounded
     if_known : whether the key is omitted where the value is None
     """
 
@@ -34,13 +34,13 @@ class Key:
 
 
 def written(name: str = "", unit: str = "", digits: int | None = None) -> dict[str, Key]:
-    """Return the metadata of a dataclass field that is written to JSON (arguments as of `Key`)."""
+    """Return the metadata of a dataclass field that is written to JSON; arguments as of `Key`."""
     return {"key": Key(name, "", unit, digits)}
 
 
-# Metadata of a dataclass field that is written as it is.
+# Metadata of a dataclass field that is written to JSON unchanged.
 WRITTEN = written()
-# Metadata of a dataclass field, a length [m], that is written in mm.
+# Metadata of a dataclass field, a length [m], that is written to JSON in mm.
 IN_MM = written(unit="mm")
 
 
@@ -48,8 +48,10 @@ def plain(value: Any) -> Any:
     """Return a result as dicts, lists, texts and numbers; numbers that are not finite become None.
 
     A dataclass is written by its marked fields (`written`) and by the keys that its class lists as
-    `derived`; one without either is written whole. Arrays and tables become lists, of rows by
-    column; enums their values.
+    `derived`; one without either is written with all its fields. Arrays become nested lists, a
+    table a list of its rows as dicts by column, an enum member its value.
+
+    Raises TypeError for other types.
     """
     if isinstance(value, Enum):
         return plain(value.value)
@@ -90,12 +92,15 @@ def _by_keys(result: Any) -> dict[str, Any]:
 
 
 def _attribute(owner: Any, name: str) -> Any:
-    """Return an attribute, or None for the attribute of None."""
+    """Return an attribute by its name; None for the attribute of None."""
     return None if owner is None else getattr(owner, name)
 
 
 def _in_unit(value: Any, factor: float, digits: int | None) -> Any:
-    """Return every number in plain data times a factor, rounded."""
+    """Return plain data with every number multiplied by a factor and rounded.
+
+    digits : number of digits after the decimal point; None: not rounded
+    """
     if isinstance(value, dict):
         return {key: _in_unit(each, factor, digits) for key, each in value.items()}
     if isinstance(value, list):

@@ -24,14 +24,17 @@ from casadical.core.telling.template import filled, pages, template_blocks
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
-# Style of rich in which a terminal shows each kind of words.
+# Style of the library rich in which a terminal shows each kind of words.
 _STYLE_BY_KIND = {
     "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
 }  # fmt: skip
 
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
-    """Return blocks for a console of rich, with a blank line before and after every table."""
+    """Return the words and tables among blocks as one object that a console of rich prints.
+
+    A blank line is before and after every table; figures are omitted.
+    """
     from rich.console import Group
 
     shown = [block for block in blocks if not isinstance(block, Figure)]
@@ -43,7 +46,7 @@ def terminal(blocks: Sequence[Block]) -> RenderableType:
 
 
 def _rendered(block: Words | Table) -> RenderableType:
-    """Return a block in a form that rich prints."""
+    """Return a block as an object that a console of rich prints."""
     from rich.text import Text  # in which brackets are not markup
 
     if isinstance(block, Table):
@@ -60,7 +63,7 @@ def _rendered(block: Words | Table) -> RenderableType:
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A table fitted to the console: cells wrap, numbers only where there is no room for them."""
+    """A table fitted to a console: text wraps, numbers only where they do not fit in one line."""
 
     block: Table
 
@@ -75,7 +78,7 @@ class _Fitted:
         )
 
     def _rich(self, *, one_line: bool) -> RenderableType:
-        """Return the table for rich; one_line : whether numbers must not wrap."""
+        """Return the table as one of rich; one_line : whether numbers must not wrap."""
         from rich import table as rich
         from rich.text import Text
 
@@ -103,7 +106,7 @@ def _visible_characters(text: str) -> int:
 
 
 def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
-    """Return blocks as a terminal `width` characters wide shows them, without colours."""
+    """Return blocks as the text that a terminal of `width` characters shows, without colours."""
     from rich.console import Console
 
     console = Console(width=width, file=io.StringIO(), record=True)
@@ -111,14 +114,15 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
-# Length at which the one-line representation of a result is cut [characters].
+# Largest length of the one-line representation of a result [characters]; longer ones are cut.
 MAX_REPR_CHARACTERS = 160
 
 
 class Shown:
     """Base of results with a one-line `repr`: the class name and a summary.
 
-    line : template of the summary; without it, the verdict or the first words of `blocks`
+    line : jinja2 template of the summary, with the result as `it`; empty: the summary is the
+        verdict or the first paragraph of `blocks`
     """
 
     line: ClassVar[str] = ""
@@ -129,7 +133,7 @@ class Shown:
 
     @property
     def _line(self) -> str:
-        """Return the summary that follows the class name."""
+        """Return the summary that follows the class name in `repr`."""
         if self.line:
             return filled(self.line, self)
         words = [block for block in self.blocks() if isinstance(block, Words)]  # type: ignore[attr-defined]
@@ -144,7 +148,7 @@ class Shown:
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:
     """Return blocks, without figures, as HTML for a notebook.
 
-    bars : words and length [m] of each bar beneath them; title : of the page
+    bars : label and length [m] of each bar beneath them; title : title of the HTML
     """
     template = pages(Path(__file__).parent / "templates").get_template("notebook.html")
     return template.render(blocks=blocks, bars=bars, title=title)
@@ -155,9 +159,9 @@ class Result(Shown):
 
     Showing a result computes nothing.
 
-    report : file name of the template of its sentences, beside the code of the class
-    kept_as : name of the files it is saved in, without the ending
-    derived : keys of its plain data that are not marked fields
+    report : file name of the template of its sentences, in the folder of the class's module
+    kept_as : name of the files in which it is saved, without the suffix
+    derived : keys of its JSON that are not marked fields, see `plain`
     """
 
     report: ClassVar[str]
@@ -169,7 +173,7 @@ class Result(Shown):
         return self._report_blocks(brief=False)
 
     def _report_blocks(self, **more: Any) -> list[Block]:
-        """Return the blocks of the template `report`; more : values that it needs."""
+        """Return the blocks of the template `report`; more : values that it needs, by name."""
         return template_blocks(Path(inspect.getfile(type(self))).parent / self.report, self, **more)
 
     def to_json(self) -> dict[str, Any]:
@@ -179,16 +183,19 @@ class Result(Shown):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the command that the result suggests next, if any (see `next_step`)."""
+        """Return the suggested next commands, see `next_step`; empty: none."""
         return ()
 
     @property
     def commands(self) -> list[str]:
-        """Return the commands of `next`, as they are typed."""
+        """Return the commands of `next` as they are typed, for the JSON file."""
         return [step.code for step in self.next]
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
-        """Return the texts of the files that save the result in a folder: JSON and plain text."""
+        """Return the texts of the files that save the result in a folder, by their paths.
+
+        They are the JSON file and the report as plain text; nothing is written.
+        """
         from casadical.core.files import json_text  # late: the simulators' physics show results but write none
 
         place = Path(folder) / self.kept_as

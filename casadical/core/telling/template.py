@@ -19,10 +19,11 @@ from casadical.core.telling.figure import Figure
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
 
-# Private-use characters of Unicode delimit tags, and replace spaces and line ends of values until
-# the text is rendered.
+# Pattern of a tag, which private-use characters of Unicode delimit, and of the text after it.
 _TAG_PATTERN = re.compile("\ue000([^\ue001]*)\ue001([^\ue000]*)")
+# Translation of values before they are inserted: spaces and line ends to private-use characters.
 _PROTECT_WHITESPACE = str.maketrans({" ": "\ue002", "\n": "\ue003", "\ue000": "", "\ue001": ""})
+# Translation of rendered text: private-use characters back to spaces and line ends.
 _RESTORE_WHITESPACE = str.maketrans({"\ue002": " ", "\ue003": "\n"})
 
 
@@ -31,7 +32,10 @@ class _Tag(str):
 
 
 def tag(kind: str) -> str:
-    """Return the tag that begins a paragraph, for a kind that depends on the result."""
+    """Return the tag that begins a paragraph of this kind in a template's text.
+
+    Templates call it where the kind depends on the result.
+    """
     return _Tag(f"\ue000{kind}\ue001")
 
 
@@ -41,6 +45,7 @@ def _environment(folder: Path) -> Environment:
     from jinja2 import Environment, FunctionLoader, StrictUndefined  # late: what shows nothing needs no jinja2
 
     def load(name: str) -> str:
+        """Return the text of a template file, with tags in place of lines [kind]."""
         source = (folder / name).read_text(encoding="utf-8")
         return re.sub(r"(?m)^\[([A-Za-z]+!?)\]$", lambda found: tag(found[1]), source)
 
@@ -76,44 +81,45 @@ def pages(folder: Path) -> Environment:
 
 
 def filled(line: str, result: Any) -> str:
-    """Return a one-line template rendered with the result as `it`."""
+    """Return the text of the one-line template `line`, rendered with the result as `it`."""
     return _line(line).render(it=result).translate(_RESTORE_WHITESPACE)
 
 
 @cache
 def _line(source: str) -> Template:
-    """Return a compiled one-line template."""
+    """Return the compiled template of a one-line source."""
     return _environment(Path(__file__).parent).from_string(source)
 
 
 def sentence(path: Path, result: Any, block: str = "", **more: Any) -> str:
-    """Return the text of a template without paragraphs; the arguments are those of `paragraphs`."""
+    """Return the text of a template without tags of paragraphs; arguments as of `paragraphs`."""
     return _text(_rendered(path, block, it=result, **more))
 
 
 def paragraphs(path: Path, result: Any, block: str = "", **more: Any) -> Iterator[tuple[str, str]]:
-    """Yield kind and text of each paragraph.
+    """Yield (kind, text) of each paragraph of a rendered template.
 
-    result : `it` of the template; more : other values that it needs
-    block : of the template, in place of all of it
+    path : file of the template
+    result : value of `it` in the template; more : other values that it needs, by name
+    block : name of the block that is rendered, in place of the whole template
     """
     yield from ((kind, _text(text)) for kind, text in _TAG_PATTERN.findall(_rendered(path, block, it=result, **more)))
 
 
 def _rendered(path: Path, block: str, **values: Any) -> str:
-    """Return a template, or one block of it, rendered with values, tags included."""
+    """Return a template file, or one block of it, rendered with values, tags included."""
     template = _environment(path.parent).get_template(path.name)
     context = template.new_context(values)
     return "".join((template.blocks[block] if block else template.root_render_func)(context))
 
 
 def _text(rendered: str) -> str:
-    """Return rendered text with white space reduced and the values' own restored."""
+    """Return rendered text with white space reduced to single spaces, but for that of values."""
     return " ".join(rendered.split()).translate(_RESTORE_WHITESPACE)
 
 
 def template_blocks(path: Path, result: Any, block: str = "", **more: Any) -> list[Block]:
-    """Return the blocks of a template; the arguments are those of `paragraphs`."""
+    """Return the paragraphs and inserted blocks of a template; arguments as of `paragraphs`."""
     made: list[Block | Sequence[Block]] = []
 
     def put(blocks: Block | Sequence[Block]) -> str:
