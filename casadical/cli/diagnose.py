@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # Parameters that only one kind of table has.
 MODE_OPTIONS = {
-    "joint logs": ("reference", "drive"),
+    "joint logs": ("reference", "drive", "against"),
     "measured poses": (
         "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
         "measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details",
@@ -37,6 +37,14 @@ def diagnose(
     campaigns: o.Campaigns = None,
     reference: o.Reference = None,
     drive: o.DriveFile = None,
+    against: list[Path] | None = Option(
+        None,
+        "--against",
+        metavar="FILE",
+        help="With joint logs: drive parameters to replay beside the fit, and to judge one by one: "
+        "an MJCF with actuators, a robot file with [drive], or a CSV table (joint, kp, friction, "
+        "damping, armature, delay). Can be given several times.",
+    ),
     together: bool = Option(
         False,
         "--together",
@@ -119,7 +127,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)
     if logs:
-        _diagnose_logs(logs, out, report_file, json_file, quiet)
+        _diagnose_logs(logs, against or [], out, report_file, json_file, quiet)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -187,9 +195,13 @@ def _suggest_next(
 
 
 def _diagnose_logs(
-    campaign: LogCampaign, out: Path | None, report_file: Path | None,
-    json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
+    campaign: LogCampaign,
+    against: Sequence[Path],
+    out: Path | None,
+    report_file: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
     """Diagnose joint logs together, replay them from their commands, and write what was asked for."""
     console = wrapped(quiet)
     texts: dict[Path, str] = {}
@@ -200,7 +212,7 @@ def _diagnose_logs(
     if out:
         texts |= answer.files(out)
     with working(quiet, "replaying") as show:
-        replay = campaign.replayed(show)
+        replay = campaign.replayed(show, against)
     if replay:
         tell(console, *replay.blocks())
         console.print()

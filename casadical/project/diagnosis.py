@@ -265,12 +265,15 @@ class LogCampaign:
         logs = joined([self.log(path) for path in self.logs])
         return diagnose_log(self.robot, logs, self.healthy, show, own=self.own)
 
-    def replayed(self, show: Show = silent) -> Replay | None:
-        """Return the replay of the withheld logs from their commands; None without commands."""
+    def replayed(self, show: Show = silent, against: Sequence[Path] = ()) -> Replay | None:
+        """Return the replay of the withheld logs from their commands; None without commands.
+
+        against : files of drive parameters that are replayed, too. Raises InputError.
+        """
         logs, withheld = ([self.log(path) for path in paths] for paths in (self.logs, self.withheld))
         if any(log.command is None for log in (*logs, *withheld)):
             return None
-        return replayed(self.robot, logs, withheld, show)
+        return replayed(self.robot, logs, withheld, show, against)
 
     def page(self, answer: LogDiagnosis | None, replay: Replay | None) -> Page:
         """Return the page that `casadical diagnose ARM LOG... --report` writes."""

@@ -19,6 +19,7 @@ from casadical.core.telling.blocks import Block, Table
 from casadical.core.telling.figure import Axis, Figure, Panel, Series
 from casadical.core.telling.plain import WRITTEN, Key
 from casadical.core.telling.result import Result
+from casadical.diagnosis.motion.against import Arbitration, arbitrated, arbitration_tables
 from casadical.diagnosis.motion.effect_table import EffectTable, effect_table
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import arm_of, torque_of
@@ -43,6 +44,7 @@ class Replay(Result):
     response : identified from all logs that may be fitted; runs : the replayed ones
     responses : that predict each run; predicted : its positions, shape (rows, joints) [rad]
     held_out : whether no run was fitted by the response that predicts it
+    against : parameters of files beside those of the response
     """
 
     kept_as: ClassVar[str] = "replay"
@@ -61,6 +63,7 @@ class Replay(Result):
         Key("torque_Nm", "torque"),
         Key("effects", lambda replay: {k: [*map(float, rms)] for k, rms in replay.effects.without.items()}),
         Key("summary", "effects.sentence"),
+        Key("against", lambda replay: [a.plain(replay.runs[0].joints) for a in replay.against]),
         Key("drive", lambda replay: replay.response.drive().table()),
     )
 
@@ -69,6 +72,7 @@ class Replay(Result):
     responses: tuple[Response, ...]
     predicted: tuple[Array, ...]
     held_out: bool = field(metadata=WRITTEN)
+    against: tuple[Arbitration, ...] = ()
 
     @cached_property
     def before(self) -> Array:
@@ -157,6 +161,7 @@ class Replay(Result):
             seconds=sum(float(run.time[-1] - run.time[0]) for run in self.runs),
             tables=[*self._tables()],
             summary=self.effects.sentence,
+            against=[(a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
             worse=[name for name, b, a in zip(joints, self.before, self.after, strict=True) if a > b],
             figures=[*replay_figures(self)],
@@ -180,6 +185,8 @@ class Replay(Result):
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
         yield self.effects.table()
+        if self.against:
+            yield from arbitration_tables(joints, self.after, self.against)
         title = (
             "Response of each joint, torques by the masses of the robot file: gain kp [N m/rad], dry friction F [N m], "
             "F / kp [mrad], damping b [N m s/rad], rotor inertia [kg m^2], delay [ms], constant torque [N m]"
@@ -194,11 +201,18 @@ class Replay(Result):
         return {**super().files(folder), Path(folder) / "diagnosed.robot.toml": made}
 
 
-def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog] = (), show: Show = silent) -> Replay:
+def replayed(
+    robot: Robot,
+    logs: Sequence[JointLog],
+    withheld: Sequence[JointLog] = (),
+    show: Show = silent,
+    against: Sequence[Path] = (),
+) -> Replay:
     """Identify the response of each joint from some logs, and replay runs that were not fitted.
 
     withheld : logs that are not fitted; if there are none, the runs are withheld in turn, and a
         single run is replayed by its own fit
+    against : files of parameters that are replayed beside the response (see `arbitrated`)
     Raises InputError: logs without commands or without a run of two seconds.
     """
     show("response of each joint")
@@ -206,14 +220,16 @@ def replayed(robot: Robot, logs: Sequence[JointLog], withheld: Sequence[JointLog
     if withheld_runs or len(own) == 1:
         (response,), runs = fitted(robot, own), withheld_runs or own
         predicted = tuple(response.predicted(run) for run in runs)
-        return Replay(response, tuple(runs), (response,) * len(runs), predicted, bool(withheld_runs))
+        sets = tuple(arbitrated(robot, against, own, runs, response)) if against else ()
+        return Replay(response, tuple(runs), (response,) * len(runs), predicted, bool(withheld_runs), sets)
     folds = min(WITHHELD_FOLDS, len(own))
     parts = [own, *([run for i, run in enumerate(own) if i % folds != k] for k in range(folds))]
     response, *others = fitted(robot, *parts)
     show("replay")
     responses = tuple(others[i % folds] for i in range(len(own)))
     predicted = tuple(r.predicted(run) for r, run in zip(responses, own, strict=True))
-    return Replay(response, tuple(own), responses, predicted, True)
+    sets = tuple(arbitrated(robot, against, own, own, response)) if against else ()
+    return Replay(response, tuple(own), responses, predicted, True, sets)
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:

@@ -104,6 +104,9 @@ class Response:
         constant, shape (joints, 4); None without a logged torque
     floor : surface that the tool came to rest on, or None
     gravity : whether gravity loads the joints
+    log_values, log_sigmas : logarithms of the gain, of friction, damping and inertia divided by it,
+        and of the delay, with their standard deviations, shape (joints, 5)
+    log_widths : prior standard deviations of these, shape (joints, 5)
     """
 
     dynamics: Dynamics
@@ -118,6 +121,9 @@ class Response:
     torque_terms: Array | None = None
     floor: Floor | None = None
     gravity: bool = True
+    log_values: Array | None = None
+    log_sigmas: Array | None = None
+    log_widths: Array | None = None
 
     def predicted(self, log: JointLog) -> Array:
         """Return a log's positions predicted from its commands, shape (rows, joints) [rad].
@@ -331,19 +337,21 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
             raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
     problems = [_problem(arm.dynamics, p, _gains_by_torque(r, arm)) for p, r in zip(pieces, runs, strict=True)]
     responses = []
-    for (x, floor), logs, p, r in zip(_solved_with_floors(arm.dynamics, problems), parts, pieces, runs, strict=True):
+    solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, runs, strict=True)
+    for (x, sigmas, floor), problem, logs, p, r in solutions:
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
         responses.append(Response(
             arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
-            _torque_terms_of(arm, r, floor), floor,
+            _torque_terms_of(arm, r, floor), floor, True, np.column_stack([-x[:, 0], x[:, 2:]]),
+            *(each[:, _LOG_PARAMETERS] for each in (sigmas, problem.width)),
         ))  # fmt: skip
     return responses
 
 
-def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Floor | None]]:
-    """Return for each problem the parameters of all joints, and the surface that the tool rests on.
+def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Array, Floor | None]]:
+    """Return for each problem the parameters of all joints, their standard deviations, and a surface.
 
     The surface is the one found in the logs, or else the one that the drives declare, or None.
     """
@@ -351,19 +359,19 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     heights = [free.above(p.position) for p in problems]
 
     def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, Array]:
-        """Return the parameters of some problems, fitted to the samples that are off the surface.
+        """Return parameters and their deviations of some problems, by samples off the surface.
 
         there : number of the problem -> weight of each sample, off the surface or not; starts :
             first parameters
         """
         parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]
         x = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
-        return dict(zip(there, np.split(x, len(parts)), strict=True))
+        return dict(zip(there, np.split(x, len(parts), axis=1), strict=True))
 
     def surface(k: int) -> Floor | None:
         """Return the surface that problem k shows with its present parameters, or None."""
         p, seen = problems[k], problems[k].weight[..., 0] > 0
-        return floor_of(dynamics, p.position[seen], p.angles(x[k][:, :, None])[..., 0][seen])
+        return floor_of(dynamics, p.position[seen], p.angles(x[k][0][:, :, None])[..., 0][seen])
 
     off = {}
     for k, (z, p) in enumerate(zip(heights, problems, strict=True)):
@@ -372,10 +380,13 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     x = solved(off, {k: p.middle for k, p in enumerate(problems)})
     floors = {k: floor for k in x if (floor := surface(k))}
     if floors:
-        x |= solved({k: heights[k] > floor.height + CONTACT_MARGIN_M for k, floor in floors.items()}, x)
+        x |= solved(
+            {k: heights[k] > floor.height + CONTACT_MARGIN_M for k, floor in floors.items()},
+            {k: x[k][0] for k in floors},
+        )
         floors = {k: surface(k) or floor for k, floor in floors.items()}
     usual = None if declared is None else Floor(dynamics, declared)
-    return [(x[k], floors.get(k, usual)) for k in x]
+    return [(*x[k], floors.get(k, usual)) for k in x]
 
 
 def _together(problems: Sequence[_Problem]) -> _Problem:
@@ -506,7 +517,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
 
 
 def _solved(p: _Problem, start: Array) -> Array:
-    """Return the parameters of least cost, shape (joints, PARAMETERS_PER_JOINT).
+    """Return the parameters of least cost and their deviations, (2, joints, PARAMETERS_PER_JOINT).
 
     Joints are independent of each other.
     """
@@ -533,7 +544,8 @@ def _solved(p: _Problem, start: Array) -> Array:
             before = np.where(better, now, before)
             if done:
                 break
-    return x
+    covariance = np.linalg.inv(_normal(p, sigma, x, residual, slope)[0])
+    return np.stack([x, np.sqrt(np.einsum("jaa->ja", covariance))])
 
 
 def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:

@@ -65,7 +65,7 @@ def test_mujoco_alone_replays_real_commands_as_well(so101, tmp_path, response, m
     """In figure_eight the tool rests on a table time and again; what was fitted has that once, in another pose."""
     mujoco = pytest.importorskip("mujoco")
     log = logged(so101, motion)
-    found = Replay(response, (log,), (response.predicted(log),), True)
+    found = Replay(response, (log,), (response,), (response.predicted(log),), True)
     made = of_file(response.robot(), tmp_path / "arm.toml", "mjcf")
     left = np.sqrt(((log.position - driven(mujoco, made.text, log)[0]) ** 2).mean(axis=0))
     assert (left[joints] < 1.15 * found.after[joints]).all()

@@ -1,0 +1,248 @@
+"""Published parameters of a drive beside those that logs show: which of them the logs contradict.
+
+A set of parameters comes from an MJCF with actuators, from the table [drive] of a robot file, or
+from a table with a row for each joint. Each set replays the withheld runs as the fit does. Of each
+parameter it is told whether the logs determine it, and if so, whether they contradict the file.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.basics import Array, InputError
+from casadical.core.drive import read_drive
+from casadical.core.telling.blocks import Table
+from casadical.diagnosis.motion.response import Response, fitted
+from casadical.measurements.logs.log import JointLog
+from casadical.robot.robot import Robot
+
+# Parameters of a set, as the columns of a table name them.
+PARAMETERS = ("kp", "friction", "damping", "armature", "delay")
+# What logs tell of each of them, in the order of `Response.log_values`.
+RATIOS = ("kp [N m/rad]", "F/kp [mrad]", "b/kp [s]", "J/kp [s^2]", "delay [ms]")
+UNITS = np.array([1.0, 1e3, 1.0, 1.0, 1e3])  # from SI to the units of `RATIOS`
+# A log parameter is determined if its standard deviation is below this share of the prior's, and
+# below `MAX_DETERMINED_SIGMA`.
+DETERMINED_SHARE = 0.5
+MAX_DETERMINED_SIGMA = 0.5
+# Standard deviation of a delay by the sampling of the log, as a share of the time between samples.
+DELAY_SAMPLE_SHARE = 0.15
+CONTRADICTED_SIGMAS = 3.0  # a value further from the logs' by this many deviations is contradicted
+INTERVAL_SIGMAS = 1.96  # half-width of the told interval, in standard deviations
+SMALLEST = 1e-9  # a value of zero counts as this [SI], for logarithms
+
+
+@dataclass(frozen=True, eq=False)
+class Arbitration:
+    """A set of parameters beside the response that logs show.
+
+    source : file of the set; rms : of its replay of the withheld runs, shape (joints,) [rad]
+    values : of the set as `RATIOS`, shape (joints, 5), NaN where the file gives none
+    low, high : 95 % interval of the logs, shape (joints, 5)
+    verdicts : of each: "contradicted", "agrees", "not determined", or "" where there is no value
+    """
+
+    source: str
+    rms: Array
+    values: Array
+    low: Array
+    high: Array
+    verdicts: tuple[tuple[str, ...], ...]
+
+    def count(self, verdict: str) -> int:
+        """Return the number of parameters with a verdict."""
+        return sum(row.count(verdict) for row in self.verdicts)
+
+    def plain(self, joints: Sequence[str]) -> dict[str, object]:
+        """Return the replay's errors, and of each parameter value, interval and verdict."""
+        rows = [
+            {
+                "joint": joint,
+                "parameter": name,
+                "value": None if np.isnan(self.values[j, k]) else float(self.values[j, k]),
+                "low": float(self.low[j, k]),
+                "high": float(self.high[j, k]),
+                "verdict": self.verdicts[j][k],
+            }
+            for j, joint in enumerate(joints)
+            for k, name in enumerate(RATIOS)
+        ]
+        return {"file": self.source, "rms_rad": [float(v) for v in self.rms], "parameters": rows}
+
+
+def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
+    """Return a set of parameters from a file, each of shape (joints,), NaN where there is none.
+
+    Raises InputError: what is wrong with the file, or no joint in it that the robot has.
+    """
+    names, n = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)], robot.n
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    if path.suffix == ".toml":
+        drive = read_drive(path, n)
+        fields = {"kp": drive.kp, "friction": drive.friction, "damping": drive.damping, "delay": drive.delay}
+        given = {k: v for k, v in fields.items() if v is not None}
+        made = {k: np.broadcast_to(np.asarray(v, dtype=float), n) for k, v in given.items()}
+        rotor = drive.inertia_at_joint(n)
+        return made if rotor is None else {**made, "armature": rotor}
+    rows = _of_mjcf(path) if path.suffix == ".xml" else _of_table(path)
+    known = [name for name in names if name in rows]
+    if not known and len(rows) == n:  # other names, the same number: in their order
+        rows = dict(zip(names, rows.values(), strict=True))
+    elif not known:
+        raise InputError(f"{path.name}: joints {', '.join(rows) or 'none'}; the robot has {', '.join(names)}")
+    lacking = dict.fromkeys(PARAMETERS, np.nan)
+    return {k: np.array([rows.get(name, lacking)[k] for name in names]) for k in PARAMETERS}
+
+
+def _of_table(path: Path) -> dict[str, Mapping[str, float]]:
+    """Return the parameters of each joint from a table. Raises InputError."""
+    table = pd.read_csv(path, comment="#", skipinitialspace=True)
+    if "joint" not in table or not {*PARAMETERS} & {*table}:
+        raise InputError(f"{path.name}: needs a column joint, and some of {', '.join(PARAMETERS)} in SI units")
+    numbers = table.reindex(columns=PARAMETERS).apply(pd.to_numeric, errors="coerce")
+    return {str(name): row.to_dict() for name, (_, row) in zip(table["joint"], numbers.iterrows(), strict=True)}
+
+
+def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
+    """Return the parameters of each driven joint of an MJCF, with its default classes.
+
+    What it does not give is zero, as in MuJoCo. Raises InputError.
+    """
+    try:
+        root = ET.parse(path).getroot()
+    except ET.ParseError as error:
+        raise InputError(f"{path.name}: is no XML: {error}") from None
+    defaults: dict[tuple[str, str], dict[str, str]] = {}
+
+    def read_defaults(node: ET.Element, name: str, above: str) -> None:
+        """Store the attributes of a default class for each kind of element, with inherited ones."""
+        for tag in ("joint", "position", "general"):
+            own = node.find(tag)
+            inherited = defaults.get((above, tag), {})
+            defaults[name, tag] = {**inherited, **({} if own is None else own.attrib)}
+        for child in node.findall("default"):
+            read_defaults(child, str(child.get("class")), name)
+
+    for node in root.findall("default"):
+        read_defaults(node, "main", "")
+    joints: dict[str, dict[str, str]] = {}
+
+    def read_bodies(body: ET.Element, inherited: str) -> None:
+        """Store the attributes of all joints of a body and those below it."""
+        inherited = body.get("childclass", inherited)
+        for joint in body.findall("joint"):
+            known = defaults.get((joint.get("class", inherited), "joint"), {})
+            joints[str(joint.get("name"))] = {**known, **joint.attrib}
+        for child in body.findall("body"):
+            read_bodies(child, inherited)
+
+    for world in root.findall("worldbody"):
+        read_bodies(world, "main")
+    rows: dict[str, Mapping[str, float]] = {}
+    for node in root.iterfind("actuator/*"):
+        actuator = {**defaults.get((node.get("class", "main"), node.tag), {}), **node.attrib}
+        joint = joints.get(actuator.get("joint", ""))
+        if joint is None or node.tag not in ("position", "general"):
+            continue
+        gear = float(actuator.get("gear", "1").split()[0])
+        bias = [float(word) for word in actuator.get("biasprm", "0 0 0").split()] + [0.0] * 3
+        gain = float(actuator.get("gainprm", "1").split()[0])
+        kp, kv = (
+            (float(actuator.get("kp", "1")), float(actuator.get("kv", "0")))
+            if node.tag == "position"
+            else (gain, -bias[2])
+        )
+        rows[actuator["joint"]] = {
+            "kp": kp * gear**2,
+            "friction": _first(joint, "frictionloss"),
+            "damping": _first(joint, "damping") + kv * gear**2,
+            "armature": _first(joint, "armature"),
+            "delay": _first(actuator, "delay"),
+        }
+    if not rows:
+        raise InputError(f"{path.name}: no position or general actuator that drives a joint")
+    return rows
+
+
+def _first(attributes: Mapping[str, str], name: str) -> float:
+    """Return the first number of an attribute; zero where it is not there."""
+    return float(attributes.get(name, "0").split()[0])
+
+
+def with_parameters(response: Response, given: Mapping[str, Array]) -> Response:
+    """Return a response with the parameters of a set; what the set lacks is as the logs show it."""
+
+    def chosen(name: str, own: Array) -> Array:
+        values = given.get(name)
+        return own if values is None else np.where(np.isnan(values), own, values)
+
+    armature = chosen("armature", response.armature)
+    return replace(
+        response, gain=chosen("kp", response.gain), friction=chosen("friction", response.friction),
+        damping=chosen("damping", response.damping), delay=chosen("delay", response.delay),
+        inertia=response.inertia + armature - response.armature,
+    )  # fmt: skip
+
+
+def arbitrated(
+    robot: Robot, files: Sequence[Path], fit: Sequence[JointLog], runs: Sequence[JointLog], response: Response
+) -> Iterator[Arbitration]:
+    """Yield for each file how its parameters replay runs, and which ones the logs contradict.
+
+    fit : logs of the response; runs : withheld ones. The deviation of a parameter has that of the
+    fit, and half the difference between the fits of both halves of the logs. Raises InputError.
+    """
+    assert response.log_values is not None
+    assert response.log_sigmas is not None
+    assert response.log_widths is not None
+    sets = {path: read_parameters(path, robot) for path in files}
+    own, sigma = [run for log in fit for run in log.runs()], response.log_sigmas
+    if len(own) > 1:
+        one, other = (half.log_values for half in fitted(robot, own[::2], own[1::2]))
+        assert one is not None
+        assert other is not None
+        sigma = np.hypot(sigma, np.abs(one - other) / 2)
+    sampled = np.zeros_like(sigma)
+    sampled[:, -1] = DELAY_SAMPLE_SHARE * own[0].step / np.maximum(response.delay, SMALLEST)
+    sigma = np.hypot(sigma, sampled)
+    known = (sigma < np.minimum(DETERMINED_SHARE * response.log_widths, MAX_DETERMINED_SIGMA)) & response.moved[:, None]
+    ends = (response.log_values + way * INTERVAL_SIGMAS * sigma for way in (-1, 1))
+    low, high = (np.exp(end) * UNITS for end in ends)
+    for path, given in sets.items():
+        there = with_parameters(response, given)
+        of = np.array([np.isfinite(given.get(name, np.full(robot.n, np.nan))) for name in PARAMETERS]).T
+        values = np.column_stack([
+            there.gain, *(each / there.gain for each in (there.friction, there.damping, there.inertia)), there.delay,
+        ])  # fmt: skip
+        # The ratios of a set without a gain are those to the gain that the logs show.
+        off = np.abs(np.log(np.maximum(values, SMALLEST)) - response.log_values) > CONTRADICTED_SIGMAS * sigma
+        verdict = np.where(known, np.where(off, "contradicted", "agrees"), "not determined")
+        errors = np.concatenate([run.position - there.predicted(run) for run in runs])
+        yield Arbitration(
+            str(path), np.asarray(np.sqrt(np.nanmean(errors**2, axis=0))), np.where(of, values * UNITS, np.nan), low,
+            high, tuple(tuple(row) for row in np.where(of, verdict, "").tolist()),
+        )  # fmt: skip
+
+
+def arbitration_tables(joints: Sequence[str], after: Array, found: Sequence[Arbitration]) -> Iterator[Table]:
+    """Yield the tables of the sets: their replays beside the fit's, and their parameters."""
+    rows = [("this fit", *(f"{1e3 * v:.3g}" for v in after))]
+    rows += [(Path(a.source).name, *(f"{1e3 * v:.3g}" for v in a.rms)) for a in found]
+    title = "Parameters of files in the same replay, rms of each joint [mrad]"
+    yield Table(title, ("parameters", *joints), rows, frozenset(range(1, 1 + len(joints))))
+    marks = {"contradicted": " contradicted", "agrees": " agrees", "not determined": "", "": ""}
+    parameters = []
+    for j, joint in enumerate(joints):
+        for k, name in enumerate(RATIOS):
+            told = [f"{a.values[j, k]:.3g}{marks[a.verdicts[j][k]]}" if a.verdicts[j][k] else "" for a in found]
+            open_ = any(a.verdicts[j][k] == "not determined" for a in found)
+            own = "not determined" if open_ else f"{found[0].low[j, k]:.3g} to {found[0].high[j, k]:.3g}"
+            if any(told):
+                parameters.append((joint, name, own, *told))
+    columns = ("joint", "parameter", "these logs, 95 %", *(Path(a.source).name for a in found))
+    yield Table("What these logs say of each parameter", columns, parameters, frozenset({2}))
