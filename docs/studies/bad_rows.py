@@ -2,7 +2,7 @@
 
     python docs/studies/bad_rows.py [TABLES]
 
-An arm of `tests/cli/first_hour.py` (plain numpy, not this package's model), 90 poses, noise 0.03 mm; each table is
+An arm of `tests/first_hour.py` (plain numpy, not this package's model), 90 poses, noise 0.03 mm; each table is
 calibrated by `casadical.calibrate`, KM. Bad rows: a position that is wrong by 5 to 200 mm, as after a lost beam or a
 swapped point; of them, those that fall into the fitted poses are counted.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "cli"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import first_hour
 
 from casadical import calibrate

@@ -2,7 +2,7 @@
 
     python docs/studies/slips.py [--tables N] [--clean N] [--seed S] [--slips 4 --part 0:25]
 
-Six arms, their poses and their departures from the drawing are plain numpy (`tests/cli/first_hour.py`), noise 0.05 mm;
+Six arms, their poses and their departures from the drawing are plain numpy (`tests/first_hour.py`), noise 0.05 mm;
 every other table has orientations, too, with 0.05 deg. A repair is right if it leaves, on 100 other poses with the same
 slips, no more than three times what the clean table leaves (or 3 mm), and has no more slips than were made. Slips that
 base and tool absorb (zeros of the first and the last joint) are not made. Two of a heavy arm are: "heavy", the third
@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "cli"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 import first_hour
 
 from casadical.measurements.reading import from_table

@@ -111,43 +111,6 @@ def test_method_and_seed_choose(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert figures[0] == figures[1] != figures[2]
 
 
-WRONG = {
-    "no such folder": (["calibrate", "problems/none"], ["problems/none", "no such problem folder"]),
-    "a name mistyped": (
-        ["plan", "problems/plnar"],
-        ["problems/plnar: no such problem folder; did you mean problems/planar"],
-    ),
-    "a robot file mistyped": (
-        ["diagnose", "problems/planar/robt.toml"],
-        ["no such robot file; did you mean", "robot.toml"],
-    ),
-    "no folder of that name": (
-        ["compare", "none/a.toml", PLANAR],
-        ["none/a.toml: no such file", "there is no folder none"],
-    ),
-    "a problem for results": (["verify", PLANAR, "data/planar/planar.csv"], ["is a problem folder; give its results"]),
-    "no problem in the folder": (["calibrate", "tests"], ["tests/problem.toml", "no such file"]),
-    "no such method": (["calibrate", PLANAR, "--method", "BP"], ["--method BP", "KM, SKCM"]),
-    "no such loss": (["calibrate", PLANAR, "--loss", "l2"], ["--loss l2", "huber"]),
-    "negative seed": (["calibrate", PLANAR, "--seed", "-1"], ["--seed", "greater than or equal to 0"]),
-    "the same problem twice": (["calibrate", PLANAR, "problems/planar"], ["planar", "one after the other"]),
-    "no such option": (["calibrate", PLANAR, "--metod", "KM"], ["--metod"]),
-    "no such command": (["calibrat"], ["calibrat"]),
-    "nothing to calibrate": (["calibrate"], ["PROBLEM_DIR"]),
-}
-
-
-@pytest.mark.parametrize("name", WRONG)
-def test_a_users_mistake_ends_in_a_message_and_2(name, monkeypatch, capfd):
-    arguments, expected = WRONG[name]
-    monkeypatch.chdir(ROOT)
-    assert main(monkeypatch, *arguments) == 2
-    printed = capfd.readouterr()
-    for part in expected:
-        assert part in printed.err
-    assert "Traceback" not in printed.err + printed.out
-
-
 def test_a_place_that_cannot_be_written_is_a_users_mistake_and_nothing_is_kept(tmp_path, monkeypatch, capfd):
     (tmp_path / "file").write_text("mine")
     for place in (["--out", tmp_path / "file"], ["--out", tmp_path / "new", "--json", tmp_path / "file" / "x.json"]):

@@ -4,8 +4,6 @@ import json
 import os
 import subprocess
 import sys
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -74,18 +72,3 @@ def test_without_standard_output_the_files_are_written_all_the_same(expected, tm
     line = f"{' '.join(map(repr, COMMAND))} calibrate {str(PLANAR)!r} --json kept.json <&- >&- 2>&-"
     assert subprocess.run(["sh", "-c", line], cwd=tmp_path, env=environment({}), check=False).returncode == 0
     assert json.loads((tmp_path / "kept.json").read_text())["methods"] == expected["methods"]
-
-
-def figures(problem: Path) -> object:
-    return calibrate(problem).to_json()["methods"]
-
-
-def test_two_threads_give_the_same_figures(expected) -> None:
-    with ThreadPoolExecutor(2) as pool:
-        assert list(pool.map(figures, [PLANAR] * 4)) == [expected["methods"]] * 4
-
-
-@pytest.mark.parametrize("how", ["fork", "spawn"])
-def test_processes_give_the_same_figures(how: str, expected) -> None:
-    with ProcessPoolExecutor(2, mp_context=get_context(how)) as pool:
-        assert list(pool.map(figures, [PLANAR] * 2)) == [expected["methods"]] * 2

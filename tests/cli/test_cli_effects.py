@@ -76,8 +76,6 @@ def test_calibrate_takes_them_as_a_prior(kept, tmp_path, monkeypatch, capfd):
     assert "friction_windup@3 held at the values found there" in said or "allowed inside these ranges only" in said
     assert main(monkeypatch, *command, "--prior-effects", "backlash") == 2
     assert "no effect 'backlash'; allowed: effects, all, friction_windup@3" in words(capfd)
-    assert main(monkeypatch, "calibrate", problem, "--frozen") == 2
-    assert "--frozen: needs the robot file that --prior names" in words(capfd)
 
 
 @pytest.mark.slow
@@ -153,31 +151,3 @@ def test_c_carries_what_joints_and_payload_decide(kept, tmp_path, monkeypatch, c
     assert main(monkeypatch, *given, "--leave-out") == 0
     assert "LEFT OUT friction_windup@3" in words(capfd)
     assert (tmp_path / "c" / "manifest.json").exists()
-
-
-@pytest.mark.slow
-def test_models_refuse_what_has_no_place_there(kept, tmp_path, monkeypatch, capfd):
-    assert main(monkeypatch, "export", "model", kept, "--out", tmp_path / "a.xml") == 0
-    assert "effect friction_windup@3: dry friction" in words(capfd)
-    more = kept.with_name("more.toml")
-    for kind, held in (("mjcf", 1), ("urdf", 2)):
-        given, file = ("export", "model", more, "--to", kind), tmp_path / f"more.{kind}"
-        assert main(monkeypatch, *given, "--out", file) == 2
-        assert f"cannot hold {held} of its effects" in (said := words(capfd))
-        assert "gear_eccentricity@5" in said
-        assert "mm at most" in said
-        assert not file.exists()
-        assert main(monkeypatch, *given, "--out", file, "--leave-out", "--json", tmp_path / "k.json") == 0
-        lines = held + (kind == "urdf")  # of a URDF also what all cost together
-        assert words(capfd).count("LEFT OUT") == lines
-        assert len(json.loads((tmp_path / "k.json").read_text())["left_out"]) == lines
-
-
-@pytest.mark.slow
-def test_replay_takes_it(kept: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("mujoco", reason="MuJoCo is not installed (extra mujoco)")
-    given = (kept, CAMPAIGN, "--mujoco", "--effects", "backlash")
-    assert main(monkeypatch, "verify", *given, "--json", tmp_path / "r.json") == 0
-    stages = json.loads((tmp_path / "r.json").read_text())["stages"]
-    assert [s["model"] for s in stages] == ["nominal", "geometry and stiffness"]
-    assert stages[1]["mean_mm"] < 0.09

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from command_line import ROOT, own_planar, run
 
-from casadical import InputError, read_problem
 from casadical.cli.terminal import refusal
 from casadical.core.basics import MAX_FAULTS_SHOWN, Fault, FaultsError
 
@@ -37,20 +36,6 @@ def test_every_file_is_told_of_at_once(tmp_path: Path, command: str) -> None:
         assert "color = 3: not a known key" in done.stderr
         assert "joint[2].a_mm = '400': must be a valid number" in done.stderr
         assert len(done.stderr.splitlines()) < 60
-
-
-def test_python_and_check_tell_the_same(tmp_path: Path) -> None:
-    folder = broken(tmp_path / "arm")
-    (folder / "robot.toml").write_text((folder / "good.toml").read_text())
-    with pytest.raises(InputError) as refused:
-        read_problem(folder)
-    text = str(refused.value)
-    told = ["problem.toml: 2 fault(s)", "row 4, column 'z_mm': 'x'", "row 42, column 'q1': 170.5 deg is outside"]
-    assert all(line in text for line in told), text
-    assert text.count("row 4, column 'z_mm'") == 1
-    done = run("check", folder)
-    said = "".join(done.stdout.split())  # a long path may break anywhere
-    assert all("".join(line.split()) in said for line in ("NOT READY, 3 errors", *told)), done.stdout
 
 
 def test_robot_table_and_poses_of_a_new_problem_are_told_at_once(tmp_path: Path) -> None:

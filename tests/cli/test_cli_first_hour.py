@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from command_line import main
 
-from casadical import calibrate
-
 NAMES = [f"J{k} (deg)" for k in range(1, 7)] + ["Measured X", "Measured Y", "Measured Z"]
 
 
@@ -66,17 +64,6 @@ def test_the_hard_cases_are_calibrated_by_the_readmes_commands(given, tmp_path, 
     assert main(monkeypatch, *later, "--promised-mm", "0.15") == 0
     assert json.loads(figures.read_text())["found_rms_mm"] < 0.12
     assert {path: path.read_bytes() for path in before} == before
-
-
-@pytest.mark.slow
-def test_the_calibrated_robot_in_a_notebook(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a researcher looks at after `new`: short texts, tables and units."""
-    assert main(monkeypatch, "new", tmp_path / "arm", *a_urdf(tmp_path), "--yes", "-q") == 0
-    found = calibrate(tmp_path / "arm", method="KM")
-    for shown in (found, found.robot, found.identification, found.problem.sets["report"][0]):
-        assert len(repr(shown)) < 200
-        assert len(shown._repr_html_()) < 20000
-        assert "mm" in shown._repr_html_()
 
 
 def test_what_was_understood_of_a_table_is_printed_as_a_table(tmp_path, monkeypatch, capfd):

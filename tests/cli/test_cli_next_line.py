@@ -1,10 +1,12 @@
 """Each command ends with the one sensible next command, and that command runs where it names no file to come."""
 
+import json
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import own_planar, run
 
@@ -63,3 +65,12 @@ def test_what_is_not_ready_says_when_to_look_again(place: Path) -> None:
     done = run("check", "wrong", folder=place)
     assert done.returncode == 2
     assert next_of(done.stdout) == ["check", "wrong"]
+
+
+def test_a_plan_suggests_the_poses_from_which_on_ten_more_gain_little(place: Path) -> None:
+    done = run("plan", "arm", "--json", "plan.json", folder=place)
+    told = json.loads((place / "plan.json").read_text())["forecast"]
+    error = np.array(told["expected_error_mm"])
+    enough = told["poses"][np.flatnonzero(error[10:] > 0.9 * error[:-10])[0]]
+    assert "Next, to choose so many:" in done.stdout
+    assert next_of(done.stdout) == ["plan", "arm", "--json", "plan.json", "-n", str(enough)]

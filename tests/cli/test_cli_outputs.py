@@ -90,42 +90,6 @@ def test_the_second_writer_of_a_folder_is_told_before_it_works(monkeypatch, caps
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-@pytest.mark.parametrize("command", [("new", "n", "--dh"), ("plan", "p", "-n", "6", "--measured")])
-def test_a_device_is_no_input(monkeypatch, capsys, tmp_path, problem, command) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(monkeypatch, *command, "/dev/full") == 2
-    assert "/dev/full: is a device; name a file" in capsys.readouterr().err
-
-
-def test_an_empty_path_is_not_the_folder_that_one_is_in(problem: Path) -> None:
-    for command in (["new", ""], ["check", ""], ["check", "p", "--json", ""]):
-        done = run(*command, folder=problem.parent)
-        assert done.returncode == 2
-        assert "a path is empty" in done.stderr
-    assert [path.name for path in problem.parent.iterdir()] == ["p"]
-    done = run("plan", "p", "-n", "6", "--for", "", folder=problem.parent)
-    assert "is empty; give a value, or leave it out" in done.stderr
-
-
-def test_a_fleet_of_none_leaves_no_store(tmp_path: Path) -> None:
-    done = run("fleet", "nothing", "--store", "s.parquet", folder=tmp_path)
-    assert "nothing: neither a problem folder nor a folder of such" in done.stderr
-    shutil.copytree(ROOT / "problems" / "planar", tmp_path / "p")
-    again = run("fleet", "p", "--store", "s.parquet", "--scheduler", "nonsense", folder=tmp_path)
-    assert (done.returncode, again.returncode) == (2, 2)
-    assert "s.parquet" not in done.stderr + again.stderr
-    assert not (tmp_path / "s.parquet").exists()
-
-
-def test_what_two_options_say_is_asked_for(tmp_path: Path) -> None:
-    done = run("new", "arm", "--urdf", "a.urdf", "--dh", "b.csv", folder=tmp_path)
-    assert "--dh: not together with --urdf; leave one of the two out" in done.stderr
-    done = run("new", "a\x1bb", folder=tmp_path)
-    assert "its name holds the control character" in done.stderr
-    assert not [*tmp_path.iterdir()]
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_folder_is_not_left_where_the_json_beside_it_is_not_written(monkeypatch, capsys, tmp_path) -> None:
     monkeypatch.chdir(tmp_path)
     assert main(monkeypatch, "new", "n", "--json", "/dev/full") == 2
@@ -149,24 +113,9 @@ def test_json_goes_into_the_file_that_a_shell_opened_for_the_standard_output() -
     assert json.JSONDecoder().raw_decode("{" + after)[0]["ok"] is True
 
 
-def test_a_folder_of_results_stands_for_its_robot_file(problem: Path) -> None:
-    """Wherever a robot file may be given."""
-    folder = problem.parent
-    assert run("calibrate", "p", "--out", "results", folder=folder).returncode == 0
-    for command in (
-        ["export", "model", "results", "--out", "arm.urdf"],
-        ["check", "results", "p/poses.csv"],
-        ["diagnose", "results", "p/poses.csv", "--no-laws"],
-        ["export", "c", "results", "--nominal", "p/robot.toml", "--out", "c", "--what", "command"],
-    ):
-        done = run(*command, folder=folder)
-        assert done.returncode in (0, 2), done.stderr
-        assert "problem.toml" not in done.stderr, command
-        assert "Traceback" not in done.stderr
-    assert (folder / "arm.urdf").is_file()
-    for kept in (folder / "results" / "result.json", *(folder / "results").glob("*.robot.toml")):
-        done = run("certificate", "results", "--out", kept, folder=folder)
-        assert "is an input of this command and is not replaced" in done.stderr
-    (folder / "targets.csv").write_text("q1_deg,q2_deg\n10,20\n")
-    done = run("correct", "results", "targets.csv", "--nominal", "p/robot.toml", "--out", "t.csv", folder=folder)
-    assert "manifest" not in done.stderr
+@pytest.mark.parametrize(("name", "refused"), [("KM.robot.toml", True), ("result.json", True), ("prior.toml", False)])
+def test_inputs_in_the_folder_of_the_outputs_are_safe_by_their_name(name, refused, monkeypatch, capsys, tmp_path):
+    (tmp_path / name).write_text("casadical = 1\n")
+    given = ("calibrate", ROOT / "problems" / "planar", "--prior", tmp_path / name, "--out", tmp_path)
+    assert main(monkeypatch, *given) == 2
+    assert ("is an input, and --out may replace it" in capsys.readouterr().err) == refused

@@ -17,7 +17,6 @@ READINGS = 'q1_deg = "turn", q2_deg = "bend"'
 NAMED = {
     "position": f'columns = {{ {READINGS}, x_mm = "east", y_mm = "north", z_mm = "up" }}',
     "distance": f'kind = "distance"\ncolumns = {{ {READINGS}, distance_mm = "L" }}',
-    "contact": f'columns = {{ {READINGS} }}\npoint_from = ["plate", "hole"]',
 }
 
 
@@ -35,9 +34,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     places = np.array([[2, 0, 0.3], [-1, 1.5, 0.8], [-1, -1.5, 1.4]])[np.arange(60) % 3]
     length = np.linalg.norm(p - places, axis=1) + rng.normal(0, 2e-5, 60)
     distances = readings.assign(L=1e3 * length, **{f"to_{c}_mm": 1e3 * places[:, k] for k, c in enumerate("xyz")})
-    # Both elbows, and a ring about the base that no reading but these two reaches.
-    contacts = pd.concat([readings[:30], readings[:30]], ignore_index=True).assign(plate="front", hole=[*range(30)] * 2)
-    for kind, table in (("position", positions), ("distance", distances), ("contact", contacts)):
+    for kind, table in (("position", positions), ("distance", distances)):
         home = folder / kind
         home.mkdir()
         table.to_csv(home / "own.csv", index=False)
@@ -71,35 +68,6 @@ def test_a_table_and_a_robot_file_are_enough(measured: Path, tmp_path: Path, com
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("command", COMMANDS)
-def test_another_table_is_understood_by_the_folders_names(measured: Path, tmp_path: Path, command: str) -> None:
-    words = COMMANDS[command].format(robot="position", table="position.csv", out=tmp_path / "out")
-    done = run(*words.split(), folder=measured)
-    assert done.returncode == 0, done.stdout + done.stderr
-    # Without the folder nobody knows what "east" is.
-    words = COMMANDS[command].format(robot=ROBOT, table="position.csv", out=tmp_path / "out2")
-    assert run(*words.split(), folder=measured).returncode == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["check", "calibrate", "diagnose", "export"])
-def test_distances_count_as_they_are(measured: Path, tmp_path: Path, command: str) -> None:
-    words = COMMANDS[command].format(robot="distance", table="distance.csv", out=tmp_path / "out")
-    done = run(*words.split(), folder=measured)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("command", ["check", "diagnose"])
-def test_touched_points_are_named_by_the_columns_of_the_folder(measured: Path, command: str) -> None:
-    words = COMMANDS[command].format(robot="contact", table="contact.csv", out="-")
-    done = run(*words.split(), folder=measured)
-    assert "'point' is missing" not in done.stdout + done.stderr
-    assert "no point is touched twice" not in done.stdout + done.stderr
-    assert done.returncode in (0, 2)
-
-
 @pytest.mark.parametrize(("results", "table"), [("results", "position"), ("by-wires", "distance")])
 def test_a_check_later_reads_the_kind_that_was_calibrated(measured: Path, results: str, table: str) -> None:
     done = run("verify", f"{results}/KM.robot.toml", f"{table}.csv", folder=measured)
@@ -113,18 +81,3 @@ def test_a_promise_of_another_kind_is_not_taken(measured: Path) -> None:
     done = run("verify", "results/KM.robot.toml", "ours-by-wires.csv", folder=measured)
     assert done.returncode == 2
     assert "--promised-mm" in done.stderr
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["calibrate", "ours.csv"], "whose poses?"),
-        (["calibrate", str(ROBOT)], "is a robot alone"),
-        (["check", "--repair", str(ROBOT), "ours.csv"], "--repair writes problem.toml"),
-        (["calibrate", str(ROBOT), "lost.csv"], "lost.csv"),
-    ],
-)
-def test_what_is_missing_is_said(measured: Path, arguments: list[str], message: str) -> None:
-    done = run(*arguments, folder=measured)
-    assert done.returncode == 2
-    assert message in done.stderr

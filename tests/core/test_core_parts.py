@@ -2,8 +2,6 @@
 
 import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import casadi as ca
@@ -11,17 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 from scipy.spatial.transform import Rotation
 
-import casadical as ca_package
-from casadical.core import lazy, subprocesses
+from casadical.core import subprocesses
 from casadical.core.basics import InputError
 from casadical.core.cache_folder import private_folder
 from casadical.core.mapped_function import call
-from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
-from casadical.core.schema import TomlTable
 from casadical.core.statistics import first_of_best, known_digits, ranked
 from casadical.core.sx_instructions import SxInstructions
 from casadical.core.transforms import from_rpy, to_rpy
@@ -50,12 +44,6 @@ def test_instructions_with_values_of_any_kind_are_the_function() -> None:
         read.on_arrays([1.0, 2.0], [3.0])
 
 
-def test_instructions_are_read_at_one_place() -> None:
-    package = Path(ca_package.__file__).parent
-    readers = {path.name for path in package.rglob("*.py") if "n_instructions" in path.read_text(encoding="utf-8")}
-    assert readers == {"sx_instructions.py"}
-
-
 def test_a_function_takes_no_argument_of_another_shape() -> None:
     x, none = ca.SX.sym("x", 2, 4), ca.SX.sym("none", 0, 4)
     f = ca.Function("f", [x, none], [2 * x])
@@ -63,28 +51,6 @@ def test_a_function_takes_no_argument_of_another_shape() -> None:
     np.testing.assert_array_equal(found, np.tile([[2.0], [6.0]], 4))
     with pytest.raises(ValueError, match=r"input 0 has shape \(3, 4\), expected \(2, 4\)"):
         call(f, np.zeros((3, 4)), np.zeros((0, 4)))
-
-
-def test_turning_joints_are_counted_from_one() -> None:
-    joints = tuple(Joint(kind=kind, d=0.1) for kind in ("revolute", "prismatic", "revolute"))
-    assert Arm("arm", joints).revolute == (1, 3)
-    assert [*Arm("arm", joints).reading_units] == ["q1_deg", "q2_mm", "q3_deg"]
-
-
-@pytest.mark.parametrize(("unit", "shown", "factor"), [("m", "mm", 1e3), ("rad", "deg", 180 / np.pi), ("kg", "kg", 1)])
-def test_units_of_reports(unit: str, shown: str, factor: float) -> None:
-    p = Parameter("p", "group", unit, 0.0, 1.0, -1.0, 1.0, 1.0)
-    assert p.readable_unit == shown
-    assert p.readable(2.0) == pytest.approx(2 * factor)
-
-
-def test_a_toml_table_is_a_table() -> None:
-    class Given(TomlTable):
-        name: str
-
-    assert Given.model_validate({"name": "x"}).name == "x"
-    with pytest.raises(ValidationError, match="valid dictionary"):
-        Given.model_validate(["name"])
 
 
 def test_a_link_is_no_private_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,13 +93,6 @@ def test_a_number_of_threads_that_was_given_stays(monkeypatch: pytest.MonkeyPatc
     monkeypatch.delenv(names[1])
     subprocesses.one_thread()
     assert [os.environ.get(name) for name in names] == ["1", "1", "1"]
-
-
-def test_names_are_attached_without_loading_typing() -> None:
-    code = f"import sys; sys.path.insert(0, {str(Path(lazy.__file__).parent)!r}); import lazy; print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-S", "-E", "-c", code], capture_output=True, text=True, check=True)
-    assert "lazy" in done.stdout.split()
-    assert "typing" not in done.stdout.split()
 
 
 def test_the_first_of_equal_values_is_taken() -> None:

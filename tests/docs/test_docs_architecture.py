@@ -94,13 +94,6 @@ def test_the_committed_page_is_up_to_date(house: House, monkeypatch: pytest.Monk
     assert {"the table of imports", "the picture"} <= set(architecture.out_of_date(house))
 
 
-def test_every_room_has_a_paragraph() -> None:
-    page = architecture.PAGE.read_text(encoding="utf-8")
-    rooms = [room for storey in architecture.floors() for room in storey]
-    assert {path.parent.name for path in (ROOT / "casadical").glob("*/__init__.py")} == set(rooms)
-    assert [room for room in rooms if f"\n**{room}** " not in page] == []
-
-
 def stops(heading: str) -> list[str]:
     """Return FILE:FUNCTION of each stop of the way under a heading that begins so."""
     part = architecture.PAGE.read_text(encoding="utf-8").partition("\n## Four ways")[2]

@@ -1,17 +1,23 @@
 """A newcomer's path: every command and code block of the README and of the pages runs as it stands, offline."""
 
 import re
-import shlex
 import shutil
 import tomllib
 from pathlib import Path
 
+import command_line
 import pytest
 from walk import ROOT, Block, blocks, run, walk
 
+README = ROOT / "README.md"
 PAGES = sorted((ROOT / "docs").glob("*.md"))
 # Its blocks are run, and their output looked at, by tests/diagnosis.
 ELSEWHERE = {"diagnosis.md"}
+
+
+def in_language(page: Path, language: str) -> list[str]:
+    """Return the code blocks of a page in one language."""
+    return [block.text for block in blocks(page) if block.language == language]
 
 
 def needs(page: Path) -> str:
@@ -35,13 +41,6 @@ def test_every_block_runs(page: Path, tmp_path: Path) -> None:
         assert done.returncode == 0, f"{block.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
 
 
-def test_what_the_pages_show_is_known_to_these_tests() -> None:
-    """No block in a language that nothing here looks at."""
-    known = {"", "sh", "python", "toml", "csv", "c", "console", "synopsis", "text", "{eval-rst}", "json"}
-    strange = {(p.name, b.language) for p in (*PAGES, ROOT / "README.md") for b in blocks(p) if b.language not in known}
-    assert strange == set()
-
-
 def alike(shown: str, printed: str) -> bool:
     """The same words, and figures within a fifth; probabilities that are as good as zero are all alike."""
     if NUMBER.sub("#", " ".join(shown.split())) != NUMBER.sub("#", " ".join(printed.split())):
@@ -53,7 +52,7 @@ def alike(shown: str, printed: str) -> bool:
 @pytest.mark.slow
 def test_the_readmes_console_shows_what_is_printed() -> None:
     """Lines may be left out."""
-    (block,) = [b for b in blocks(ROOT / "README.md") if b.language == "console"]
+    (block,) = [b for b in blocks(README) if b.language == "console"]
     command, *shown = block.text.splitlines()
     printed = run(Block("sh", command.removeprefix("$ ")), ROOT)
     assert printed.returncode == 0, printed.stderr
@@ -67,19 +66,10 @@ def test_alike_is_no_more_than_alike() -> None:
     assert not alike("backlash@5 0.99", "backlash@4 0.99")
 
 
-@pytest.mark.parametrize("folder", sorted((ROOT / "problems").iterdir()), ids=lambda f: f.name)
-def test_a_problems_readme_names_its_own_command(folder: Path) -> None:
-    """The command itself is run, with its figures, by tests/problems."""
-    found = [shlex.split(b.text) for b in blocks(folder / "README.md") if b.text.startswith("casadical")]
-    verb = "diagnose" if "[logs]" in (folder / "problem.toml").read_text(encoding="utf-8") else "calibrate"
-    assert found == [["casadical", verb, f"problems/{folder.name}"]]
-
-
 def test_the_problem_file_shown_is_one() -> None:
     from casadical.project.problem_file import ProblemFile
 
-    page = ROOT / "docs" / "problem-folder.md"
-    (text,) = [b.text for b in blocks(page) if b.language == "toml" and "casadical = 1" in b.text]
+    (text,) = [b for b in in_language(ROOT / "docs" / "problem-folder.md", "toml") if "casadical = 1" in b]
     assert ProblemFile.model_validate(tomllib.loads(text)).measurements[0].separation
 
 
@@ -99,24 +89,37 @@ def test_the_figures_on_networks_are_those_of_the_studies() -> None:
     assert [n for n, d in digits.items() if not any(abs(float(n) - k) < 0.51 * 10**-d for k in known)] == []
 
 
-def test_every_study_named_has_its_output_beside_it() -> None:
-    """`docs/studies/NAME.py` or .txt named in a page: both are there, unless the script is no study that prints."""
-    makers = {
-        "acting",
-        "architecture",
-        "certify",
-        "diagnosis_tables",
-        "licences",
-        "picture",
-        "planar",
-        "real_data",
-        "synthetic",
-    }
-    texts = [page.read_text(encoding="utf-8") for page in (*PAGES, ROOT / "README.md")]
-    named = {name for text in texts for name in re.findall(r"studies/(\w+)\.(?:py|txt)", text)}
-    assert len(named) > 8
-    for name in named - makers:
-        printed = ROOT / "docs" / "studies" / f"{name}.txt"
-        assert printed.exists(), name
-        made = (ROOT / "docs" / "studies" / f"{name}.py").exists()
-        assert made or "    casadical " in printed.read_text(encoding="utf-8"), name  # its command stands in it
+@pytest.mark.slow
+def test_the_calibrate_command_runs() -> None:
+    """Its last part, in this process; .ci/run makes a fresh environment by the second command."""
+    name, *arguments = in_language(README, "sh")[0].strip().split(" && ")[-1].split()
+    assert Path(name).name == "casadical"
+    done = command_line.run(*arguments)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("report (held out)") == 2
+    assert done.stdout.count("are not identifiable.") == 2
+
+
+@pytest.mark.slow
+def test_the_example_runs(tmp_path: Path) -> None:
+    (code,) = in_language(README, "python")
+    assert len([line for line in code.splitlines() if line.strip()]) <= 15
+    for name in ("problems", "data"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    done = command_line.python(code, tmp_path)
+    assert done.returncode == 0, done.stderr
+    before, after = map(float, re.search(r"mean: ([\d.]+) mm .*, ([\d.]+) mm", done.stdout).groups())
+    assert after < 0.6 < before
+    assert (tmp_path / "ur10_calibrated.toml").exists()
+
+
+def test_a_robot_in_the_docs_is_one(tmp_path: Path) -> None:
+    from casadical import read_robot
+
+    six_axis = (ROOT / "problems" / "hh800" / "robot.toml").read_text().replace("casadical = 1", "")
+    for k, text in enumerate(in_language(ROOT / "docs" / "robot-file.md", "toml")):
+        if "[[joint]]" not in text:  # what a robot may have besides: in the file of one
+            head, first, rest = text.partition("[[")
+            text = head + six_axis + "\n" + first + rest
+        (tmp_path / f"{k}.toml").write_text(text)
+        read_robot(tmp_path / f"{k}.toml")

@@ -1,14 +1,12 @@
 """docs/reference.md: public names, docstrings that say what a caller must know, and examples that run."""
 
 import doctest
-import enum
 import importlib
 import importlib.util
 import inspect
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +15,6 @@ from walk import ROOT, blocks
 
 PAGE = ROOT / "docs" / "reference.md"
 SECTION = re.compile(r"^(\w[\w ]*)\n-{4,}\n(.*?)(?=\n\w[\w ]*\n-{4,}\n|\Z)", re.MULTILINE | re.DOTALL)
-AT_MOST = 80  # names that a user must know and we must keep
 ARRAY = re.compile(r"\b(?:Array|NDArray|ArrayLike|Vector|ndarray|Buffer)\b")
 SHAPE = re.compile(r"shapes? \(|\((?:(?:\w+|\.{3}), ?)*\w*\d?,?\)|see `|see :func|as of `|inverse of `")
 UNIT = re.compile(r"\[[^\]]+\]|_mm\b|\bSI\b|boolean|bool|degrees|radians|see `|see :func|as of `")
@@ -94,37 +91,6 @@ def sections(thing: object) -> dict[str, str]:
     return dict(SECTION.findall((inspect.getdoc(thing) or "") + "\n"))
 
 
-def arguments(thing: object) -> set[str]:
-    if inspect.isclass(thing):
-        if issubclass(thing, enum.Enum | Exception):
-            return set()
-        if is_dataclass(thing) and thing.__dataclass_params__.init:
-            return {f.name for f in fields(thing) if f.init}
-        thing = vars(thing).get("__init__")
-        if thing is None:
-            return set()
-    return set(inspect.signature(thing).parameters) - {"self", "cls"}
-
-
-def described(section: str) -> set[str]:
-    """Return the names of a section's entries."""
-    entry = re.compile(r"\*{0,2}\w+(, \*{0,2}\w+)* : ")
-    named = (line.partition(" : ")[0] for line in section.splitlines() if entry.match(line))
-    return {name.lstrip("*") for names in named for name in names.split(", ")}
-
-
-def items(thing: object) -> str:
-    """Return where arguments are described: a section, or lines `name : what it is` before all sections."""
-    text = inspect.getdoc(thing) or ""
-    return sections(thing).get("Parameters", re.split(r"\n\w[\w ]*\n-{4,}\n", text)[0])
-
-
-def test_every_public_name_has_its_reason() -> None:
-    rows = re.findall(r"^\| `(\S+)` \| (\S.*) \|$", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
-    assert [f"casadical.{name}" for name, _ in rows] == list(documented())
-    assert len(documented()) <= AT_MOST
-
-
 def test_every_name_has_a_docstring_and_an_example() -> None:
     assert [name for name, thing in (documented() | members()).items() if not thing.__doc__] == []
     without = [name for name, thing in documented().items() if ">>> " not in sections(thing).get("Examples", "")]
@@ -139,40 +105,6 @@ def test_shapes_and_units_of_arrays_are_told() -> None:
     assert len(docs) > 25
     assert [name for name, text in docs.items() if not SHAPE.search(text)] == []
     assert [name for name, text in docs.items() if name not in UNITLESS and not UNIT.search(text)] == []
-
-
-def test_an_argument_that_is_described_exists() -> None:
-    strange = {
-        name: sorted(described(items(thing)) - arguments(thing) - {*dir(thing), *getattr(thing, "__annotations__", ())})
-        for name, thing in with_methods(documented() | inside()).items()
-    }
-    assert {name: names for name, names in strange.items() if names} == {}
-
-
-def test_faults_of_a_docstring_are_found() -> None:
-    def bare(q: float) -> float:
-        """Nothing is said of q, and p is no argument.
-
-        Parameters
-        ----------
-        p : float
-            what it is
-        """
-        return q
-
-    def short(q: float) -> float:
-        """Of q.
-
-        p : what it is
-
-        Examples
-        --------
-        >>> r : 3
-        """
-        return q
-
-    assert described(items(bare)) - arguments(bare) == described(items(short)) - arguments(short) == {"p"}
-    assert described("q : float, shape (3,) [m]\nr, t : int\n    how many\nNo r : s\ns : int\n") == {"q", "r", "t", "s"}
 
 
 def lacking(name: str) -> bool:

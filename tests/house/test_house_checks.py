@@ -7,7 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from repository import ROOT
+from command_line import ROOT
 
 PAGE = """# A page
 

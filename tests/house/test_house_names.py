@@ -5,16 +5,12 @@ import importlib.util
 import inspect
 import re
 from functools import cache
-from pathlib import Path
 
 import pytest
-from repository import ROOT
+from command_line import ROOT
 
 LAZY = sorted(".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "casadical").rglob("__init__.pyi"))
 PACKAGES = [*LAZY, "casadical.compensator", "casadical.effects", "casadical.pose_selection"]
-FURTHER = ["casadical.blind_check.mujoco_physics"]  # its page lists a part of its names
-# Pages about the inside of the package, for whoever changes it or runs its blind check: they name modules.
-ABOUT_THE_INSIDE = ("linear-gaussian.md", "blind-check.md")
 # Members of families: public in their package by their line in the registry, and listed on the page from there.
 REGISTRIES = {"casadical.effects": "effects.registry", "casadical.compensator": "compensator.trainers"}
 
@@ -53,23 +49,3 @@ def test_the_reference_lists_every_public_name() -> None:
     assert sorted(public - set(listed)) == []
     assert [name for name in listed if name.rpartition(".")[0] in PACKAGES and name not in public] == []
     assert [name for name in REGISTRIES.values() if f".. automodule:: casadical.{name}\n" not in page] == []
-
-
-def imports(page: Path) -> set[str]:
-    found = re.findall(r"^ *from (casadical[\w.]*) import ([\w, ]+)", page.read_text(), re.MULTILINE)
-    return {f"{module}.{name.split()[0]}" for module, names in found for name in names.split(",")}
-
-
-def test_the_pages_import_public_names_only() -> None:
-    """Those of the README, of the pages, and of the tutorials; a page on the inside imports what it is about."""
-    members = {
-        f"{package}.{name}"
-        for package, registry in REGISTRIES.items()
-        for name, kind in vars(importlib.import_module(f"casadical.{registry}")).items()
-        if isinstance(kind, type)
-    }
-    public = {*names_of(*PACKAGES, *FURTHER), *members, *PACKAGES, *FURTHER}
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "tutorials").glob("*.py")]
-    imported = {(p.name, name) for p in pages if p.name not in ABOUT_THE_INSIDE for name in imports(p)}
-    assert len(imported) > 30
-    assert sorted(pair for pair in imported if pair[1] not in public) == []

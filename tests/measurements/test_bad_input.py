@@ -94,16 +94,12 @@ class Bad:
 TABLES = [
     # files
     Bad("no such file", lambda tmp: read_measurements(tmp / "none.csv", 3), ("none.csv", "no such file")),
-    Bad("a folder", lambda tmp: read_measurements(tmp, 3), ("cannot be read: Is a directory",)),
     Bad("empty file", lambda tmp: file(tmp, ""), ("bad.csv", "not a readable CSV")),
-    Bad("an integer of 400 digits", lambda tmp: file(tmp, f"q1_deg,q2_deg\n{'1' * 400},1\n"),
-        ("bad.csv", "q1_deg")),
     Bad("ragged rows", lambda tmp: file(tmp, "a,b\n1,2\n1,2,3,4\n"), ("bad.csv", "row 3 has 4 cells", "2")),
     Bad("a quote without end", lambda tmp: file(tmp, 'q1_deg,q2_deg\n1,2\n"3,4\n'),
         ("bad.csv", "row 3", "correct its quotes")),
     Bad("not text", lambda tmp: file(tmp, b"a,b\n\xff\xfe\x00\x81,2\n"), ("bad.csv", "not a readable CSV")),
     Bad("header only", lambda tmp: file(tmp, "q1_deg,q2_deg,q3_deg,x_mm,y_mm,z_mm\n"), ("bad.csv", "no rows")),
-    Bad("a column twice", lambda tmp: file(tmp, "q1_deg,q1_deg\n1,2\n"), ("bad.csv", "'q1_deg'", "twice")),
     # columns
     Bad("a joint missing", lambda _: read(table(q2_deg=None)), ("bad.csv", "q2_deg or q2_rad is missing", "q3_deg")),
     Bad("too many joints", lambda _: read(table(q4_deg=np.zeros(N))), ("'q4_deg'", "only 3 joints")),
@@ -115,14 +111,10 @@ TABLES = [
     Bad("a coordinate, two units", lambda _: read(table(x_m=np.zeros(N))), ("x_mm and x_m", "keep one")),
     Bad("renamed from nothing", lambda _: read(table(), columns={"x_mm": "X"}), ("'X'", "'x_mm'", "is missing")),
     Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: pose, position_covariance")),
-    Bad("unknown joint kind", lambda _: read(table(), ["rotary"] * 3), ("'rotary'", "'revolute' or 'prismatic'")),
     Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
     # cells
     Bad("a word", lambda _: read(changed("y_mm", 5, "12,7")), ("row 5", "'y_mm'", "'12,7'", "not a finite number")),
     Bad("an empty cell", lambda _: read(changed("q3_deg", 9, np.nan)), ("row 9", "'q3_deg'", "an empty cell")),
-    Bad("infinity", lambda _: read(changed("z_mm", 2, np.inf)), ("row 2", "'z_mm'", "inf", "not a finite number")),
-    Bad("a word among payloads", lambda _: read(table(payload_kg=["2.0"] * 5 + ["2,0"] + ["2.0"] * (N - 6))),
-        ("row 7", "'payload_kg'", "'2,0'", "not a finite number")),
     Bad("a direction that is none", lambda _: read(table(approach2=np.full(N, 0.5))),
         ("row 2", "'approach2'", "0.5 is not possible", "allowed: -1 or 1")),
     Bad("kelvin", lambda _: read(table(temperature_degC=np.full(N, 293.0))),
@@ -131,7 +123,6 @@ TABLES = [
         ("row 9", "'weight'", "-2", "zero or more")),
     Bad("no weight at all", lambda _: read(table(weight=np.zeros(N))), ("'weight'", "zero in every row")),
     Bad("sigma of zero", lambda _: read(table(), sigma_mm=0.0), ("sigma is 0", "positive")),
-    Bad("sigma not a number", lambda _: read(table(), sigma_mm=float("nan")), ("sigma is nan", "positive")),
     # units
     Bad("degrees as radians", lambda _: read(table(q2_rad=table().q2_deg, q2_deg=None)),
         ("'q2_rad'", "turns", "degrees?", "q2_deg")),
@@ -146,8 +137,6 @@ TABLES = [
         ("row 4", "'q1_deg'", "4000 deg", "11.1 turns")),
     Bad("millimetres as metres", lambda _: check(table().rename(columns=lambda c: c.replace("_mm", "_m"))),
         ("bad.csv", "spread over", "the robot reaches", "millimetres?", "x_mm")),
-    Bad("metres as millimetres", lambda _: check(table(**{f"{c}_mm": table()[f"{c}_mm"] / 1e3 for c in "xyz"})),
-        ("bad.csv", "mm only", "metres?", "x_m")),
     Bad("pair distances in metres as mm",
         lambda _: check(without_positions(**PAIRS | {"distance_mm": PAIRS["distance_mm"] / 1e3})),
         ("bad.csv", "distances up to", "the robot, which reaches", "distance_m?")),
@@ -156,10 +145,8 @@ TABLES = [
     # orientations
     Bad("no rotation", lambda _: read(table(**IDENTITY | {"R11": np.full(N, 0.9)})),
         ("row 2", "'R00' to 'R22'", "orthonormal")),
-    Bad("a mirror", lambda _: read(table(**IDENTITY | {"R22": -np.ones(N)})), ("row 2", "no rotation", "right-handed")),
     Bad("quaternion too long", lambda _: read(table(**QUATERNION | {"qx": np.r_[np.zeros(N - 1), 1.0]})),
         (f"row {N + 1}", "1.414", "unit quaternions")),
-    Bad("quaternion of zero", lambda _: read(table(**QUATERNION | {"qw": np.zeros(N)})), ("row 2", "length 0", "unit")),
     Bad("an angle missing", lambda _: read(table(**{**ANGLES, "ry_deg": None})), ("ry_deg or ry_rad is missing",)),
     # distances and contacts
     Bad("a negative distance", lambda _: read(without_positions(distance_mm=np.r_[np.full(N - 1, 300), -4.0])),
@@ -181,8 +168,6 @@ TABLES = [
     Bad("a separation of nothing",
         lambda _: read(without_positions(point=["A", "B"] * 12)).with_separations([("A", "B", 0.0)]),
         ("'A' - 'B'", "0 mm", "positive")),
-    Bad("separations of positions", lambda _: GOOD.with_separations([("A", "B", 0.1)]),
-        ("no pose touches", "contact only")),
     # against the robot
     Bad("another robot's joints", lambda _: check(table(q3_deg=None), joints=2),
         ("2 joint columns", "arm has 3 joints")),
@@ -190,10 +175,8 @@ TABLES = [
         ("row 8", "'q2': 130 deg", "[-114.592, 114.592]")),
     Bad("an open loop", lambda _: check(table(), LOOPED), ("row", "four-bar cannot close", "signs and zeros")),
     # splits
-    Bad("sets too large", lambda _: GOOD.split({"identify": 20, "report": 20}), ("cannot be taken from 24 poses",)),
     Bad("a set of nothing", lambda _: GOOD.split({"identify": 0.5, "report": 0}),
         ("cannot be taken", "positive sizes")),
-    Bad("no sets", lambda _: GOOD.split({}), ("cannot be taken",)),
     # arguments of Measurements and identify
     Bad("lengths differ", lambda _: replace(GOOD, position=GOOD.position[:5]),
         ("position has shape (5, 3)", "(24, 3)")),
@@ -208,15 +191,11 @@ TABLES = [
     Bad("a table, not measurements", lambda _: identify(ARM, [table()]), ("DataFrame", "from_table")),
     Bad("unknown parameter", lambda _: identify(ARM, GOOD, ["theta9"]), ("'theta9'", "groups:", "theta3")),
     Bad("nothing free", lambda _: identify(ARM, GOOD, []), ("chooses no parameter of arm", "groups:")),
-    Bad("no compliance to free", lambda _: identify(ARM, GOOD, ["compliance"]), ("chooses no parameter of arm",)),
     Bad("unknown loss", lambda _: identify(ARM, GOOD, loss="cauchy"), ("'cauchy'", "linear, huber, soft_l1")),
     Bad("unknown method", lambda _: identify(ARM, GOOD, method="XM"), ("'XM'", "KM, SKCM")),
     # robots
-    Bad("no rows", lambda _: Robot("none", ()), ("'none' has no joints",)),
-    Bad("a row of nan", lambda _: Robot("r", (Joint(), Joint(a=np.nan))), ("'r', joint 2", "a is nan", "finite")),
     Bad("limits turned round", lambda _: Robot("r", (Joint(lower=1, upper=-1),)), ("joint 1", "[1, -1]", "below")),
     Bad("negative compliance", lambda _: Robot("r", (Joint(compliance=-1e-6),)), ("joint 1", "-1e-06", "zero or more")),
-    Bad("negative mass", lambda _: Robot("r", (Joint(body=Body(-3, np.zeros(3))),)), ("joint 1", "mass -3 kg")),
     Bad("unknown joint", lambda _: Robot("r", (Joint(kind="ball"),)), ("'ball'", "revolute, prismatic")),
     Bad("a loop backwards", lambda _: replace(ARM, loops=(FourBar(2, 3, 0.3, 0.5, 0.3),)),
         ("carrier = 3", "driven = 2", "before")),

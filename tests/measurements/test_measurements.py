@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, from_table, read_measurements
+from casadical.measurements.kinds.distance import distance_fault
 from casadical.measurements.kinds.registry import kinds
-from casadical.measurements.measurements import same_readings
+from casadical.measurements.measurements import Noise, same_readings
+from casadical.measurements.reading import refuse_shared_rows
 
 
 def readings(n, joints=2, seed=0):
@@ -81,6 +83,13 @@ def test_every_other_column_is_a_condition():
     assert m.weight.tolist() == [1, 2]
     matrix = m.condition_matrix(["payload_kg", "temperature_degC"], np.array([9.0, 20.0]))
     assert matrix.tolist() == [[2, 20], [3, 20]]
+
+
+def test_points_are_named_by_the_columns_that_are_given(tmp_path):
+    path = tmp_path / "touched.csv"
+    path.write_text("q1_deg,plate,hole\n1,front,1\n2,front,2\n3,back,1\n4,front,1\n5,back,1\n6,front,2\n")
+    m = read_measurements(path, 1, point_from=["plate", "hole"])
+    assert (m.kind, [*m.label]) == ("contact", ["front/1", "front/2", "back/1", "front/1", "back/1", "front/2"])
 
 
 def test_pairs_take_the_readings_of_the_other_pose():
@@ -216,3 +225,43 @@ def test_readings_so_dense_that_no_gap_separates_them_are_not_one() -> None:
     sizes = np.bincount(found)
     assert sizes.max() < 40  # a cell is 0.1 x 0.1 of 2 x 2
     assert np.mean(found[5000:] == found[:100]) > 0.97
+
+
+def test_a_separation_is_kept_only_with_both_its_points() -> None:
+    m = Measurements(q=np.zeros((4, 2)), kind="contact", label=np.array(list("ABBC"), dtype=object))
+    m = m.with_separations([("A", "B", 0.1), ("C", "B", 0.2)])
+    assert m.residuals == 3 * 4 + 2
+    assert m[1:].separations == (("C", "B", 0.2),)
+    assert m[:3].separations == (("A", "B", 0.1),)
+    assert m[[0, 3]].separations == ()
+
+
+@pytest.mark.parametrize(("sigma", "repeatability"), [(0.0, 0.0), (-1e-5, 0.0), (1e-5, -1e-6), (0.0, 1e-5)])
+def test_noise_that_cannot_be_is_refused(sigma: float, repeatability: float) -> None:
+    with pytest.raises(InputError, match="allowed: above zero, and zero or more"):
+        Noise(sigma, repeatability)
+    assert Noise(1e-5, 0.0).sigma == 1e-5
+
+
+@pytest.mark.parametrize(("times", "word"), [(100.0, ""), (101.0, "distance_mm"), (0.0101, ""), (0.0099, "distance_m")])
+def test_a_distance_of_another_unit_is_told_by_a_factor_beyond_a_hundred(times: float, word: str) -> None:
+    p = np.zeros((5, 3))
+    far = np.tile([0.0, 0.0, 1.0], (5, 1))
+    told = distance_fault({"distance": np.full(5, times)}, p, far, 1.5)
+    assert told.endswith(f"should the column be named {word}?") if word else told == ""
+
+
+@pytest.mark.parametrize("kind", ["position", "contact"])
+def test_tables_that_share_half_of_their_poses_are_refused(kind):
+    q = np.arange(24.0).reshape(8, 3) / 10
+    seen = {"position": q + 1} if kind == "position" else {"label": np.array(["a", "b"] * 4)}
+
+    def part(rows):
+        return Measurements(q[rows], kind, source=f"{rows[0]}.csv", **{name: v[rows] for name, v in seen.items()})
+
+    refuse_shared_rows([part([0, 1, 2, 3]), part([4, 5, 6]), part([7, 0])][:2])
+    for other in ([0, 1, 2, 3], [7, 0], [5, 6, 2, 3, 7]):
+        with pytest.raises(InputError, match=r"poses are in 0\.csv, too; a pose counts once: take one"):
+            refuse_shared_rows([part([0, 1, 2, 3]), part(other)])
+    if kind == "contact":  # another point at the same readings is another pose
+        refuse_shared_rows([part([0, 1]), Measurements(q[:2], kind, label=np.array(["b", "a"]))])

@@ -9,7 +9,9 @@ import pytest
 from command_line import run
 
 from casadical import InputError, read_measurements, read_problem
+from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import read_table
+from casadical.measurements.table_form import decoded
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign
@@ -118,3 +120,24 @@ def test_a_plan_takes_the_headers_of_the_problem(tmp_path: Path) -> None:
     assert first | {"campaign": ""} == second | {"campaign": ""}
     with pytest.raises(InputError, match=r"a calibration needs at least one table: \[\[measurements\]\]"):
         read_problem(folder)
+
+
+@pytest.mark.parametrize("order", ["le", "be"])
+@pytest.mark.parametrize("text", ["q1_deg,x_mm\n1,2\n", "\u4e00" * 40 + "a" * 80, "x" * 400 + "\u4e00" * 300])
+def test_utf_16_without_its_mark_is_told_by_where_the_zeros_are(order: str, text: str) -> None:
+    # Letters have a zero as their high byte; a few signs, as the Chinese one, have one as their low byte.
+    assert decoded(text.encode(f"utf-16-{order}")) == (text, f"utf-16-{order}")
+
+
+def test_a_control_character_in_a_heading_is_refused(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,x\x1b[31m_mm\n1,2\n")
+    with pytest.raises(InputError, match=r"poses\.csv: the heading of column 2 holds the control character '\\x1b'"):
+        read_measurements(tmp_path / "poses.csv", 1)
+
+
+def test_a_column_without_a_cell_is_there_but_empty(tmp_path):
+    (tmp_path / "poses.csv").write_text("q1_deg,q2_deg,x_mm,y_mm,z_mm\n,1,2,3,4\nnan,5,2,3,5\n")
+    with pytest.raises(InputError, match=r"^poses\.csv: column q1_deg is empty; each of its rows needs a number$"):
+        read_measurements(tmp_path / "poses.csv", 2)
+    with pytest.raises(InputError, match="column q1_deg is empty"):
+        Columns.of_file(read_table(tmp_path / "poses.csv")).si("q1", ["_deg", "_rad"])

@@ -1,15 +1,12 @@
 """Bad rows of a table cannot hide: they are left out, named everywhere, and a result that they ruin is refused."""
 
 import json
-import sys
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pytest
 from command_line import main
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
-import first_hour
 
 from casadical import calibrate, read_problem
 from casadical.core.telling.blocks import Table

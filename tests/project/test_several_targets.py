@@ -1,16 +1,13 @@
 """Three reflectors on one flange: recognised, calibrated with a tool each, refused where a name is unknown."""
 
-import sys
 import tomllib
 from dataclasses import replace
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pytest
 from command_line import main
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
-import first_hour
 
 from casadical import InputError, calibrate, compare_files, diagnose, read_robot, verify
 from casadical.identification import errors

@@ -1,16 +1,13 @@
 """A few poses measured later: the promise is kept by the same robot and broken by one that changed."""
 
 import json
-import sys
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pytest
 from command_line import main
 from scipy.stats import chi2
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "cli"))
-import first_hour
 
 from casadical import InputError, calibrate
 from casadical.project.acceptance.verification import verify

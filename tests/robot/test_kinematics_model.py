@@ -36,7 +36,7 @@ def rigid(arm):
     return replace(arm, joints=tuple(replace(j, compliance=None) for j in arm.joints))
 
 
-def at_poses(arm, count=6):
+def at_poses(arm, count=4):
     return readings(arm, np.random.default_rng(3), count)
 
 
@@ -83,7 +83,7 @@ def test_model_stands_next_to_equilibrium(arm):
     q, left = at_poses(arm, 1)[0], []
     for deflection in (0.01, 0.02):
         soft, theta = sinking(arm, q, deflection), q
-        for _ in range(30):
+        for _ in range(10):
             theta = q + compliances(soft) * torques(soft, theta)
         stood = pose(soft, theta)[:3, 3]
         left.append(np.linalg.norm(vector(soft.position, q, soft.parameters.values) - stood))
@@ -91,19 +91,6 @@ def test_model_stands_next_to_equilibrium(arm):
         assert left[-1] < 0.02 * sunk
     assert left[0] > 1e-9
     assert left[1] / left[0] == pytest.approx(8, rel=0.3)
-
-
-def test_deflection_is_not_linearised(arm):
-    # The distance to the paper's p + J dtheta grows with the square of the compliance.
-    q, left, stiff = at_poses(arm, 1)[0], [], rigid(arm)
-    for deflection in (0.01, 0.02):
-        soft = sinking(arm, q, deflection)
-        J = derivative(lambda x: vector(stiff.position, x, stiff.parameters.values), q, np.full(arm.n, 1e-4))
-        tau = vector(soft.torque, q, soft.parameters.values)
-        linear = vector(stiff.position, q, stiff.parameters.values) + J @ (compliances(soft) * tau)
-        left.append(np.linalg.norm(vector(soft.position, q, soft.parameters.values) - linear))
-    assert left[0] > 1e-8
-    assert left[1] / left[0] == pytest.approx(4, rel=0.2)
 
 
 @pytest.mark.parametrize("output", ["position", "torque"])
@@ -151,17 +138,3 @@ def test_gravity_in_the_base_frame_does_not_turn_with_the_base():
         before, after = (vector(r.torque, q, r.parameters.values) for r in (robot, robot.with_values(tilted)))
         np.testing.assert_allclose(after, loaded_torques(robot.with_values(tilted), q), rtol=0, atol=1e-8)
         assert (np.abs(after - before).max() > 1) == changes
-
-
-def test_nominal_values_and_new_ones_are_the_same_model():
-    # with_values and phi are two ways to say the same.
-    arm = generic_arm(4)
-    rng = np.random.default_rng(4)
-    phi = arm.parameters.values + 1e-3 * rng.normal(size=len(arm.parameters))
-    phi = np.array([abs(v) if p.group == "compliance" else v for p, v in zip(arm.parameters, phi, strict=True)])
-    other = arm.with_values(dict(zip(arm.parameters.names, phi, strict=True)))
-    q = at_poses(arm, 1)[0]
-    for output in ("position", "torque"):
-        a = vector(getattr(arm, output), q, phi)
-        b = vector(getattr(other, output), q, other.parameters.values)
-        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)

@@ -133,18 +133,6 @@ def test_what_is_held_stays_known_and_what_is_free_is_known_anew() -> None:
     assert freed.std_errors["thermal_growth.alpha"] == before.std_errors["thermal_growth.alpha"]
 
 
-def test_new_values_have_no_old_covariance() -> None:
-    assert learnt().with_values({"backlash@5.half": 1e-5}).knowledge is None
-
-
-def test_a_robot_without_effects_is_written_as_ever() -> None:
-    m = campaign("hh800")
-    text = to_toml(identify(robot("hh800"), m, ("placement",)).robot)
-    assert text.startswith("casadical = 1\nname")
-    assert "covariance" not in text
-    assert to_toml(learnt()).startswith('casadical = 2\nwritten_by = "casadical ')
-
-
 def test_large_covariances_are_kept_effect_by_effect() -> None:
     rng = np.random.default_rng(0)
     names = [f"a.{k}" for k in range(70)] + [f"b.{k}" for k in range(60)]
@@ -225,15 +213,9 @@ lower = [[4e-12], [1e-12, 9e-12]]
 
 FAULTS = {
     "an effect that is not there": (('"backlash"', '"backlsh"'), ["effect[1].no effect 'backlsh'", "backlash"]),
-    "no name": (('name = "backlash"', ""), ["effect[1].name: is missing"]),
     "a joint that is not there": (("joint = 2", "joint = 3"), ["backlash: joint = 3", "joints 1 to 2"]),
     "a setting that is not there": (("friction = 0.1", "frict = 0.1"), ["effect[1].settings.frict", "friction, width"]),
-    "a setting of words": (("friction = 0.1", 'friction = "a"'), ["effect[1].settings.friction = 'a'", "valid number"]),
-    "a value that is not there": (("half = {", "haf = {"), ["effect[1].values.haf", "half"]),
     "another unit": (('"rad", std', '"mrad", std'), ["effect[1].values.half.unit = 'mrad'", "'rad'"]),
-    "no unit": ((', unit = "rad/rad"', ""), ["effect[2].values.k.unit: is missing"]),
-    "not finite": (("5e-5", "inf"), ["effect[1].values.half.value = inf", "finite"]),
-    "a negative error": (("2e-6", "-2e-6"), ["effect[1].values.half.std_error = -2e-06", "greater than or equal to 0"]),
     "two errors": (("2e-6", "3e-6"), ["backlash@2.half: std_error = 3e-06", "says 2e-06"]),
     "one effect twice": (
         ("joint = 1\n", 'joint = 1\n[[effect]]\nname = "joint_scale"\njoint = 1\n'),
@@ -243,15 +225,12 @@ FAULTS = {
     "covariance in a square": (("[4e-12]", "[4e-12, 1e-12]"), ["covariance[1].lower", "[2, 2]", "1 to 2"]),
     "no covariance": (("[1e-12, 9e-12]", "[9e-12, 9e-12]"), ["covariance[1].", "least eigenvalue", "below zero"]),
     "a negative variance": (("9e-12", "-9e-12"), ["covariance[1].", "variance of joint_scale@1.k is -9e-12"]),
-    "a name twice": (('"joint_scale@1.k"', '"backlash@2.half"'), ["covariance[1].", "named twice"]),
     "in two blocks": (
         ("[[covariance]]", '[[covariance]]\nnames = ["joint_scale@1.k"]\nlower = [[9e-12]]\n[[covariance]]'),
         ["joint_scale@1.k is in two blocks"],
     ),
     "a range the wrong way round": (("[0, 80]", "[80, 0]"), ["range of q2", "lower one must come first"]),
     "a range of another joint": (("q2_deg", "q3_deg"), ["learnt.readings.q3_deg", "q1_deg, q2_deg"]),
-    "a range in another unit": (("q2_deg", "q2_mm"), ["learnt.readings.q2_mm", "q1_deg, q2_deg"]),
-    "a range left out": (("q2_deg = [0, 80]", ""), ["learnt.readings.q2_deg: is missing"]),
     "an old version": (("casadical = 2", "casadical = 1"), ["effect", "version 2"]),
     "a version to come": (
         ("casadical = 2", 'casadical = 3\nwritten_by = "casadical 0.7.0"\nnovelty = 1'),

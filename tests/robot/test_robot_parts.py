@@ -11,7 +11,6 @@ from numeric_arm import shift, turn
 
 from casadical import Body, FourBar, Joint, Placement, Robot
 from casadical.effects import Effect
-from casadical.robot.effect_tables import LearntTable
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import MIN_TORQUE_SHARE
 from casadical.robot.urdf import new_urdf
@@ -167,9 +166,3 @@ def test_a_urdf_has_the_limits_and_the_tool_of_the_robot() -> None:
     assert origin is not None
     assert [float(v) for v in origin.get("xyz", "").split()] == pytest.approx([0.1, 0.2, 0.3])
     assert [float(v) for v in origin.get("rpy", "").split()] == pytest.approx([0, 0, 0.4])
-
-
-def test_what_was_learnt_on_no_readings_has_no_ranges() -> None:
-    assert LearntTable().ranges(elbow()).shape == (0, 2)
-    table = LearntTable(readings={"q1_deg": [-90.0, 45.0], "q2_deg": [0.0, 10.0]})
-    np.testing.assert_allclose(table.ranges(elbow()), np.deg2rad([[-90, 45], [0, 10]]))

@@ -14,17 +14,8 @@ BC = joint("j2", "revolute", "b", "c")
 
 FAULTS = {
     "not XML": ("<robot name='r'><link name='a'>", {}, "malformed XML.*line 1"),
-    "empty": ("", {}, "malformed XML"),
-    "mismatched tag": (robot(ABC, AB, "</joint>"), {}, "malformed XML: mismatched tag"),
     "another format": ("<sdf><model/></sdf>", {}, "root element is <sdf>, not <robot>"),
-    "robot without name": ("<robot><link name='a'/></robot>", {}, "not a readable URDF.*need a name"),
-    "no links": (robot(), {}, "holds no link"),
     "xacro": (robot(ABC, joint("j1", "fixed", "a", "b").replace("0.0", "${x}", 1)), {}, "xacro must be expanded"),
-    "joint without parent": (
-        robot(ABC, '<joint name="j" type="fixed"><child link="b"/></joint>'),
-        {},
-        "not a readable",
-    ),
     "two numbers": (robot(ABC, joint("j1", "fixed", "a", "b", (1, 2))), {}, "vectors three numbers"),
     "an origin of words": (
         robot(ABC, AB, BC).replace('xyz="0.0 0.0 0.0"', 'xyz="0,0 0 0"', 1),
@@ -56,7 +47,6 @@ FAULTS = {
     "joints twice": (robot(ABC, AB, joint("j1", "revolute", "b", "c")), {}, "joint names occur twice: j1"),
     "no such child": (robot(ABC, joint("j1", "revolute", "a", "x")), {}, "'j1' names link 'x', which is not there"),
     "no such base": (robot(ABC, AB, BC), {"base_link": "x"}, "base_link 'x' is not there; links: a, b, c"),
-    "no such tip": (robot(ABC, AB, BC), {"tip_link": "x"}, "tip_link 'x' is not there; links: a, b, c"),
     "branches": (
         robot(ABC, AB, joint("j2", "revolute", "a", "c")),
         {},
@@ -69,7 +59,6 @@ FAULTS = {
         {},
         "'c' is below two joints, 'j2' and 'j3'",
     ),
-    "ring": (robot(ABC, AB, joint("j2", "revolute", "b", "a")), {"base_link": "a"}, "'a' is below itself"),
     "link below a ring": (
         robot(link("z") + ABC, AB, joint("j2", "revolute", "b", "a"), joint("j3", "revolute", "b", "z")),
         {},
@@ -82,9 +71,7 @@ FAULTS = {
     ),
     "floating": (robot(ABC, AB, joint("j2", "floating", "b", "c")), {}, "'j2' is of type 'floating'; allowed"),
     "no limits": (robot(ABC, AB, BC.replace("limit ", "limits ")), {}, r"'j2' has the range \[0, 0\]"),
-    "limits reversed": (robot(ABC, AB, joint("j2", "revolute", "b", "c", limit=(1.0, -1.0))), {}, r"range \[1, -1\]"),
     "nothing moves": (robot(ABC, joint("j1", "fixed", "a", "b"), joint("j2", "fixed", "b", "c")), {}, "no joint moves"),
-    "base is tip": (robot(ABC, AB, BC), {"base_link": "a", "tip_link": "a"}, "no joint moves between 'a' and 'a'"),
     "101 joints": (
         robot(
             *(link(f"l{k}") for k in range(102)),
@@ -103,18 +90,6 @@ FAULTS = {
         "'j1' mimics 'j2', which mimics 'j1'; let both mimic a joint that mimics none",
     ),
     "5000 links": (robot(*(link(f"l{k}") for k in range(5000))), {}, "has 5000 links; allowed: up to 1000"),
-    "a long chain of fixed joints": (
-        robot(
-            *(link(f"l{k}") for k in range(990)), *(joint(f"j{k}", "fixed", f"l{k}", f"l{k + 1}") for k in range(989))
-        ),
-        {},
-        "no joint moves",
-    ),
-    "negative mass": (
-        robot(ABC, link("d", -2.0), AB, BC, joint("j3", "fixed", "c", "d")),
-        {},
-        "'d' has the mass -2 kg",
-    ),
 }
 
 

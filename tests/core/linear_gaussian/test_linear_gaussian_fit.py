@@ -10,9 +10,6 @@ from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
-    inverse_of_triangle,
-    marginalised,
-    normal_sums,
     reduced,
     root_of_inverse,
 )
@@ -100,50 +97,6 @@ def test_noise_is_made_white_by_its_covariance() -> None:
         np.testing.assert_allclose(by_axes, np.linalg.inv(C), atol=1e-12)
         trace = np.trace(C, axis1=1, axis2=2).sum() / 15
         assert noise.mean_variance(at, 15) == pytest.approx(trace)
-
-
-def test_sums_are_added_taken_off_and_moved() -> None:
-    rng = np.random.default_rng(0)
-    y, A, x = rng.normal(size=(6, 3)), rng.normal(size=(6, 3, 4)), rng.normal(size=4)
-    whole, part = normal_sums(y, A), normal_sums(y[:2], A[:2])
-    for found, expected in (
-        (whole.less(part), normal_sums(y[2:], A[2:])),
-        (whole.less(part).plus(part), whole),
-        (whole.moved(x), normal_sums(y + A @ x, A)),
-    ):
-        np.testing.assert_allclose(found.H, expected.H, atol=1e-12)
-        np.testing.assert_allclose(found.g, expected.g, atol=1e-12)
-        assert found.square == pytest.approx(expected.square)
-        assert found.count == expected.count
-
-
-def test_parameters_not_asked_for_are_integrated() -> None:
-    A = np.random.default_rng(0).normal(size=(20, 5))
-    H, g, kept, rest = A.T @ A, A.T @ np.arange(20.0), np.array([3, 0]), np.array([1, 2, 4])
-    P = np.diag([4.0, 1.0, 0.5])
-    own, score = marginalised(H, g, kept, np.linalg.inv(H[np.ix_(rest, rest)] + P))
-    whole = H.copy()
-    whole[np.ix_(rest, rest)] += P
-    covariance = np.linalg.inv(whole)
-    np.testing.assert_allclose(np.linalg.inv(own), covariance[np.ix_(kept, kept)])
-    np.testing.assert_allclose(np.linalg.solve(own, score), (covariance @ g)[kept])
-
-
-@pytest.mark.parametrize("size", [0, 1, 5, 151])
-def test_a_triangle_is_inverted(size: int) -> None:
-    A = np.random.default_rng(size).standard_normal((2 * size, size))
-    L = np.linalg.cholesky(A.T @ A + np.eye(size))
-    found = inverse_of_triangle(L)
-    assert found @ L == pytest.approx(np.eye(size), abs=1e-10)
-    assert np.all(found == np.tril(found))
-
-
-def test_a_right_hand_side_is_reduced_with_the_factorisation() -> None:
-    rng = np.random.default_rng(0)
-    A, right = rng.standard_normal((40, 9)), 1e6 * rng.standard_normal(9)
-    L, z = reduced(A.T @ A, right)
-    assert pytest.approx(A.T @ A) == L @ L.T
-    assert L @ z == pytest.approx(right)
 
 
 def test_a_root_of_the_inverse_holds_for_columns_of_very_unlike_length() -> None:

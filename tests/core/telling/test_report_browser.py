@@ -75,16 +75,6 @@ def test_on_a_phone_no_words_of_a_figure_are_cut_or_lie_on_others(page) -> None:
     assert overlapping == []
 
 
-@on(PHONES[0])
-def test_on_a_phone_the_tables_of_errors_show_all_their_columns(page) -> None:
-    cut = page.js(
-        """[...document.querySelectorAll('#p1s2 .table')].filter(t => t.textContent.includes('95 %'))
-            .map(t => t.querySelector('.scroll')).map(s => [s.scrollWidth, s.clientWidth])"""
-    )
-    assert cut
-    assert all(whole <= seen for whole, seen in cut), cut
-
-
 def hover(page: Opened, name: str) -> str:
     """The tooltip that a real mouse finds over a mark of a plane figure."""
     figure = page.page.locator(FIGURE.format(name))
@@ -108,38 +98,6 @@ def test_tooltips_tell_the_pose_its_error_and_the_interval(page) -> None:
     assert "95 %" in hover(page, "where/regions")
 
 
-@on(DIAGNOSIS)
-def test_tooltips_tell_the_cause(page) -> None:
-    assert "backlash" in hover(page, "causes/1")
-
-
-@on(CALIBRATION)
-def test_the_workspace_turns_and_its_vectors_answer_the_mouse(page) -> None:
-    scene = page.page.locator(f"{FIGURE.format('workspace')} .gl-container canvas").first
-    scene.scroll_into_view_if_needed()
-    box = scene.bounding_box()
-    plot = f'document.querySelector("{FIGURE.format("workspace")} .plot")'
-    before = page.js(f"{plot}._fullLayout.scene._scene.getCamera().eye.x")
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    page.page.mouse.move(x, y)
-    page.page.mouse.down()
-    page.page.mouse.move(x + 80, y, steps=8)
-    page.page.mouse.up()
-    page.until(f"() => Math.abs({plot}._fullLayout.scene._scene.getCamera().eye.x - {before}) > 0.05")
-    # Where a tip stands on the screen, no library tells: the mouse searches for it.
-    page.js(f"(() => {{ window.tips = []; {plot}.on('plotly_hover', e => tips.push(e.points[0].customdata)); }})()")
-    for share in (0.5, 0.4, 0.6, 0.45, 0.55, 0.35, 0.3):
-        page.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + share * box["height"])
-        page.page.mouse.move(box["x"] + 0.75 * box["width"], box["y"] + share * box["height"], steps=60)
-        if page.js("tips.length"):
-            break
-    tips = page.js("tips")
-    assert tips
-    row, size, dx, dy, dz = tips[0][:5]
-    assert size == pytest.approx((dx**2 + dy**2 + dz**2) ** 0.5, abs=1e-4)
-    assert row == int(row)
-
-
 GROUNDS = """[getComputedStyle(document.body).backgroundColor,
     ...[...document.querySelectorAll('.plot .main-svg:first-child')].map(s => getComputedStyle(s).backgroundColor)]
     .map(c => Number(c.match(/\\d+/)[0]))"""
@@ -153,19 +111,3 @@ def test_in_the_dark_the_page_and_its_figures_turn_dark(page) -> None:
     assert len(page.js(GROUNDS)) > 12
     page.page.emulate_media(color_scheme="light")
     page.until(f"() => Math.min(...{GROUNDS}) > 200")
-
-
-@on(CALIBRATION, DIAGNOSIS)
-def test_it_prints_with_a_white_picture_of_every_figure(page, tmp_path) -> None:
-    page.until("() => document.documentElement.dataset.ready === 'yes'")
-    page.page.emulate_media(media="print", color_scheme="dark")
-    pictures = page.js(
-        """[...document.querySelectorAll('img.print')].map(i => [i.naturalWidth, i.clientWidth,
-            getComputedStyle(i).display, i.src.includes(encodeURIComponent('#171c23'))])"""
-    )
-    page.page.emulate_media(media="screen", color_scheme="light")
-    assert len(pictures) == page.js("document.querySelectorAll('figure[data-name]').length")
-    assert all(natural and shown and display == "block" and not dark for natural, shown, display, dark in pictures)
-    pdf = page.page.pdf(path=tmp_path / "report.pdf", format="A4")
-    assert pdf.startswith(b"%PDF")
-    assert len(pdf) > 50_000

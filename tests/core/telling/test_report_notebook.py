@@ -1,24 +1,16 @@
 """What a notebook shows: short texts with units, tables that parse, and every figure by one call."""
 
+import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 
-import casadical
 from casadical import plot
-from casadical.blind_check.mujoco_physics import Plant
 from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Shown, html
-from casadical.diagnosis.isolability import Isolability
-from casadical.export.model_file import RobotModel
-from casadical.fleet.estimates import Estimate
-from casadical.identification.accuracy import Accuracy
-from casadical.identification.identification import Prepared
-from casadical.identification.prior import Prior
-from casadical.pose_selection.plan import MeasurementPlan
-from casadical.pose_selection.pose_search import Forecast
+from casadical.core.telling.result import Result, Shown, html
 
 
 class Cells(HTMLParser):
@@ -65,15 +57,12 @@ def test_results_show_themselves_in_a_line_and_in_tables(shown, name) -> None:
     assert len(shown[name]._repr_html_()) < 40_000
 
 
-def test_every_public_result_has_a_line_of_its_own() -> None:
-    """None prints the fields of a dataclass, for pages; plain data without arrays may."""
-    classes = [kind for name in casadical.__all__ if isinstance(kind := getattr(casadical, name), type)]
-    assert {k.__name__ for k in classes if issubclass(k, Shown)} >= {
-        "Robot", "Measurements", "Problem", "Identification", "Calibration", "Diagnosis", "Discovery", "Selection",
-        "Verification", "Comparison", "Fleet",
-    }  # fmt: skip
-    shown = [Isolability, Forecast, RobotModel, Plant, Accuracy, Prior, Prepared, MeasurementPlan, Estimate]
-    assert all(issubclass(kind, Shown) for kind in shown)
+def test_results_are_plain_data_and_files(shown) -> None:
+    for result in (found for found in shown.values() if isinstance(found, Result)):
+        data, files = result.to_json(), result.files(Path("out"))
+        assert json.loads(json.dumps(data, allow_nan=False)).keys() == data.keys()
+        assert all(files.values())
+        assert {path.parent for path in files} == {Path("out")}
 
 
 def test_a_line_is_made_of_the_first_block_and_is_short() -> None:

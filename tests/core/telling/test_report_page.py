@@ -2,17 +2,13 @@
 
 import hashlib
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 from pathlib import Path
 
-from command_line import run
-
 from casadical import report
-from casadical.core.telling.blocks import Words
+from casadical.core.telling.blocks import Words, mm
 from casadical.core.telling.page import provenance_of
 from casadical.diagnosis.page import diagnosis_page
 from casadical.project.problem import read_problem
@@ -118,29 +114,16 @@ def test_a_users_text_stays_text(calibrated) -> None:
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 3
 
 
-def test_distances_and_contacts_have_a_report_too(calibrated) -> None:
-    text = report([calibrated("panda_1")])
-    assert "there is no map" in text
-    assert 'data-name="errors/report"' in text
-
-
-def test_the_commands_write_it_whole_or_not_at_all(tmp_path) -> None:
-    planar = str(ROOT / "problems/planar")
-    done = run("calibrate", planar, "--report", "r.html", "--json", "r.json", "-q", folder=tmp_path)
-    assert done.returncode == 0, done.stderr
-    text = (tmp_path / "r.html").read_text(encoding="utf-8")
-    assert text.rstrip().endswith("</html>")
-    assert "--report r.html --json r.json" in text
-    (tmp_path / "taken.html").mkdir()
-    refused = run("calibrate", planar, "--report", "taken.html", "--json", "s.json", folder=tmp_path)
-    assert refused.returncode == 2
-    assert "is a folder" in refused.stderr
-    assert not (tmp_path / "s.json").exists()
-
-
-def test_plotly_is_loaded_when_a_figure_is_drawn() -> None:
-    program = (
-        "import sys, casadical\n"
-        "for name in ('plot', 'report'): assert callable(getattr(casadical, name)); assert 'plotly' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", program], check=True)
+def test_the_tiles_are_the_figures_of_the_held_out_poses(calibrated) -> None:
+    planar = calibrated("planar")
+    states = planar.accuracies["KM"]
+    held_out = next(name for name in states if name.startswith("report"))
+    after, before = states[held_out]["calibrated"], states[held_out]["placed"]
+    shown = {tile.label: tile.value for tile in planar.page().tiles}
+    assert shown == {
+        "Mean error before": mm(before.mean),
+        "Mean error after KM": mm(after.mean),
+        "95 % of the poses below": mm(after.p95),
+        "Largest error": mm(after.max),
+    }
+    assert "training" not in planar.figures()  # no networks, no figure of their training

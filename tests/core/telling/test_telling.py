@@ -4,6 +4,7 @@ import re
 
 import pytest
 
+from casadical.cli.terminal import refusal, wrapped
 from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, figures_named
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 from casadical.core.telling.page import html_of
@@ -38,18 +39,6 @@ def test_a_long_command_is_broken_so_that_it_can_be_copied() -> None:
     assert len(lines) > 2
     assert " ".join(line.strip().removesuffix("\\").strip() for line in lines) == command
     assert all(line.rstrip().endswith("\\") for line in lines[:-1])
-
-
-def test_nothing_of_a_wide_table_is_cut() -> None:
-    """Headings and first cells are broken; numbers stay on one line."""
-    head = ["source of uncertainty", *(f"share {k} of the square [mm²]" for k in range(4))]
-    table = Table(
-        "", head, [["an instrument of a long name, its scale too", *["12345.6789"] * 4]], frozenset(range(1, 5))
-    )
-    printed = plain_text([table])
-    assert "…" not in printed
-    assert printed.count("12345.6789") == 4
-    assert all(word in printed for word in ["instrument", "long", "name", "scale", "too", "uncertainty", "[mm²]"])
 
 
 def test_terminal_notebook_and_page_say_the_same() -> None:
@@ -121,3 +110,12 @@ def test_ticks_of_a_logarithmic_axis_are_round() -> None:
     assert ticks_of_decades(0.1, 5) == [0.1, 0.2, 0.5, 1, 2, 5]
     assert ticks_of_decades(0.02, 30, (1,)) == [0.01, 0.1, 1, 10]
     assert re.fullmatch(r"[125]e-\d+|0\.\d+|\d+(e\+\d+)?", f"{ticks_of_decades()[0]:g}")
+
+
+def test_brackets_are_printed_and_control_characters_reach_no_terminal(capsys):
+    refusal("topic \x1b[31mred\x9b, line\nnext")
+    assert capsys.readouterr().err == "casadical: topic \\x1b[31mred\\x9b, line\nnext\n"
+    wrapped(False, 80).print("arm [red] of cell [bold]2")
+    assert capsys.readouterr().out == "arm [red] of cell [bold]2\n"
+    blocks = [Words("\x1b[31mred", "warning"), Table("t", ["\x1bcolumn"], [["\x1bcell"]])]
+    assert "\x1b" not in plain_text(blocks)

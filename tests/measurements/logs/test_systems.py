@@ -1,7 +1,6 @@
 """Logs of other systems: folders of SAGE, LeRobot's Parquet, ROS bags and MCAP written by rosbags itself."""
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from sqlite3 import connect
@@ -172,13 +171,6 @@ def test_what_is_no_list_of_numbers_is_named_by_row(tmp_path, cell) -> None:
         read_log(folder)
 
 
-def test_a_column_without_a_heading_is_left_out(tmp_path) -> None:
-    folder = sage(tmp_path / "motion", [[b, a] for a, b in Q])
-    head, *rows = (folder / "state_motor.csv").read_text().splitlines()
-    (folder / "state_motor.csv").write_text("\n".join([f"{head},", *(f"{row},7" for row in rows)]))
-    assert read_log(folder).position is not None
-
-
 def lerobot(tmp_path, scale):
     data = tmp_path / "data" / "chunk-000"
     data.mkdir(parents=True)
@@ -234,13 +226,3 @@ def test_a_bag_of_more_bytes_than_are_read_is_refused_before_it_is_opened(tmp_pa
         (tmp_path / "metadata.yaml").touch()
         with pytest.raises(InputError, match=r"many\.mcap: has 500000001 bytes; at most 500000000 are read"):
             read_log(path)
-
-
-@pytest.mark.parametrize("name", ["metadata.yaml", "messages"])
-def test_a_pipe_in_the_folder_of_a_bag_is_refused(tmp_path, name) -> None:
-    folder = write(tmp_path / "bag", [("/joint_states", 1.0, state(1.0, ("a", "b"), (0.0, 1.0)))])
-    (folder / name).unlink(missing_ok=True)
-    os.mkfifo(folder / name)
-    (folder / "metadata.yaml").touch()
-    with pytest.raises(InputError, match=f"{name}: is a pipe or a socket; name a file"):
-        read_log(folder)

@@ -2,20 +2,17 @@
 
 import json
 import shutil
-import sys
 import tomllib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pandas as pd
 import pytest
 from command_line import run
 from marks import slow
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
-import first_hour
 
 from casadical import Measurements, calibrate
 from casadical.identification.identification import identify

@@ -1,18 +1,15 @@
 """Several slips at once: found, shown, written, and the repaired problem calibrates; clean tables are left alone."""
 
 import re
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pandas as pd
 import pytest
 from command_line import main, own_planar
 from marks import slow
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
-import first_hour
 
 from casadical import Measurements, calibrate
 from casadical.project.check import precheck

@@ -1,10 +1,10 @@
 """What a new table holds: orientations in every usual form, names of joints, stamps, lengths, computed coordinates."""
 
-import sys
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,9 +17,6 @@ from casadical.project.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_campaign_robot
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
-import first_hour
 
 SIX = ["revolute"] * 6
 J = [f"J{k} [deg]" for k in range(1, 7)]

@@ -1,10 +1,10 @@
 """A new problem folder runs at once, says what is made up, and takes nothing away from what was there."""
 
 import json
-import sys
 import tomllib
 from pathlib import Path
 
+import first_hour
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,9 +17,6 @@ from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
 from casadical.project.problem import read_problem
 from casadical.robot.robot_file import read_robot
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "cli"))
-import first_hour
 
 ROOT = Path(__file__).parents[3]
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import command_line
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 BIN = Path(sys.executable).parent
 # <!-- file: cell.toml --> above a block says under which name the page's commands expect it.
 _BLOCK = re.compile(r"(?:<!-- file: (?P<name>\S+) -->\n)?^```(?P<language>[\w{}-]*)\n(?P<text>.*?)^```$", re.M | re.S)
