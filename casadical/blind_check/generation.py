@@ -34,16 +34,23 @@ from casadical.robot.robot_file import to_toml
 
 
 def base_jacobian(robot: Robot, clean: Measurements) -> Array:
-    """Return the base model's columns, calibrated on a campaign without effects, (n, 3, P)."""
+    """Return the base model's Jacobian at the poses of a campaign, shape (n, 3, P) [m per unit].
+
+    It is taken after a calibration on the campaign, which has no effects.
+
+    robot : nominal robot; clean : campaign without effects
+    """
     fit = calibrate_base_model(prepare(robot, clean))
     m, _ = derive(clean, robot.conditions, robot.loads)
     return signatures(robot, (), m, robot.values_of(fit.robot))[1]
 
 
 def unabsorbed_rms(J: Array, shift: Array) -> float:
-    """Return the rms of the part of a shift that the base model cannot absorb [m].
+    """Return the rms over all coordinates of the part of a shift that the base model cannot absorb.
 
-    J : the base model's columns, shape (n, 3, P); shift : shape (n, 3) [m]"""
+    J : Jacobian of the base model, shape (n, 3, P)
+    shift : displacement of each measured point, shape (n, 3) [m]; the result is in its unit
+    """
     A = J.reshape(shift.size, -1)
     # Some columns of the base model are linearly dependent; without a rank threshold they would add
     # arbitrary directions.
@@ -52,9 +59,9 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
     return float(np.sqrt(np.mean(left**2)))
 
 
-# Number of poses of a campaign whose positions are only in the key.
+# Number of a campaign's additional poses whose positions are only in the key.
 UNSEEN_POSES = 50
-# With fewer poses in a campaign no robot can be identified.
+# Smallest number of measured poses of a campaign; with fewer no robot can be identified.
 MIN_POSES = 20
 
 
@@ -62,9 +69,10 @@ MIN_POSES = 20
 class Campaign:
     """A campaign before it is written.
 
-    name : of the campaign
-    seen, unseen : CSV text of the measured poses, and of the unseen ones without positions
-    secret : what it hides
+    name : name of the campaign
+    seen : CSV text of the measured poses
+    unseen : CSV text of the unseen poses, without positions
+    secret : what the campaign hides
     """
 
     name: str
@@ -89,13 +97,16 @@ def make(
 
     The manifest contains the hash of the key.
 
-    seed : of everything drawn, kept in the key; by default a random one, which a real test needs
-    poses : possible numbers of poses of a campaign; each has 50 more whose positions are only in
-        the key
+    folder, key : new folders of the campaigns and of the key
+    seed : seed of everything drawn, which the key contains; None: a random one, which a real test
+        needs
+    poses : possible numbers of measured poses of a campaign; each has 50 more whose positions are
+        only in the key
     project : folder with problems/ and data/
-    executor : of `concurrent.futures`' kind, by default a process for each core
-    show : called with a campaign's name, how many are done, and how many there are
-    also : returns further files, which are written together with the campaigns
+    executor : executor of `concurrent.futures`; None: a process for each core
+    show : called with a campaign's name, the number of campaigns done, and that of all
+    also : function that returns texts of additional files by path, which are written together with
+        the campaigns
     Raises InputError for too few campaigns, a folder that is in use, or a key within the campaigns'
     folder.
     """
@@ -152,7 +163,7 @@ def make(
 
 
 def engine_versions() -> dict[str, str]:
-    """Return the versions of the packages on which campaigns depend.
+    """Return the versions of mujoco and numpy, on which campaigns depend, by name.
 
     Raises InputError if one is not installed.
     """
@@ -163,7 +174,10 @@ def engine_versions() -> dict[str, str]:
 
 
 def campaign_of(subject: Subject, plan: Plan) -> Campaign:
-    """Return one campaign of a plan; this runs in a worker."""
+    """Return the simulated campaign of a plan; this runs in a worker process.
+
+    Raises ConvergenceError: no equilibrium in six attempts with different draws.
+    """
     rng = np.random.default_rng([plan.seed, 2])
     # Unseen poses lie between measured ones, so that no time or temperature is extrapolated.
     kept = np.ones(plan.poses + UNSEEN_POSES, dtype=bool)
@@ -190,9 +204,13 @@ def campaign_of(subject: Subject, plan: Plan) -> Campaign:
 
 
 def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
-    """Return given poses where the mask is true, and poses on the way to the next one elsewhere.
+    """Return a table with the given poses where the mask is true, and intermediate poses elsewhere.
 
-    The latter have the payload of the pose before and the approach directions of the next one.
+    The latter are between the pose before and the next one, with the payload of the former and the
+    approach directions of the latter.
+
+    poses : table with a row for each true entry of the mask
+    kept : mask of the rows of the result, shape (rows,); the first is true
     """
     place = np.cumsum(kept) - 1.0
     for k in np.flatnonzero(~kept):
@@ -212,12 +230,17 @@ def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
 
 
 def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
-    """Return what a campaign hides, with the visible size of each effect."""
+    """Return what a campaign hides, with the visible size of each effect.
+
+    kept : mask of the measured poses; model : text of the nominal robot's file
+    unseen : table of the unseen poses, with positions
+    """
     robot = nominal(model)
     clean = from_table(recorded.clean[kept].drop(columns=TRUE_COLUMNS), [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
+        """Return the visible size [m] of the effects in a table; see `unabsorbed_rms`."""
         shift = table[MEASURED_COLUMNS].to_numpy(float) - recorded.clean[MEASURED_COLUMNS].to_numpy(float)
         return round(unabsorbed_rms(J, 1e-3 * shift[kept]), 9)
 
@@ -241,5 +264,5 @@ def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.Da
 
 
 def _rows(table: pd.DataFrame, columns: list[str]) -> tuple[tuple[float, float, float], ...]:
-    """Return columns of a table as rounded tuples [mm]."""
+    """Return three columns of a table [mm] as tuples of numbers rounded to 1e-4, one per row."""
     return tuple((round(x, 4), round(y, 4), round(z, 4)) for x, y, z in table[columns].to_numpy(float).tolist())

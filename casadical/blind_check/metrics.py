@@ -22,18 +22,21 @@ from casadical.core.basics import Array
 class Outcome:
     """What was hidden in one campaign, and what was answered.
 
-    name, robot, poses : of the campaign
+    name, robot : name of the campaign, and of its robot
     kind : none, one, several or unlisted
-    missing : column that was not logged, or None
+    poses : number of measured poses
+    missing : quantities that were not logged; None: all were
     effects : names of the hidden effects
-    truth : labels that a right answer names
-    signal : rms of all effects that the base model cannot absorb, over the noise
-    signals : the same of each effect alone
-    verdict, named : the answer, and its causes by label
-    alike : the set of indistinguishable causes with the first one, itself included
-    probability : that the answer gives to the truth (the mean, where there are several)
-    predicted, realised : share by which the gap shrinks, as predicted by the answer and at the
-        unseen poses
+    truth : labels that a right answer names; empty for unlisted effects
+    signal : rms of a coordinate that all effects add and the base model cannot absorb, divided by
+        the instrument's noise
+    signals : the same for each effect alone
+    verdict : verdict of the answer: none, explained, ambiguous or unknown
+    named : labels of the causes that the answer names
+    alike : first named cause and up to two that the answer cannot distinguish from it
+    probability : probability that the answer gives to the truth, the mean over several labels
+    predicted, realised : relative reduction of the mean error by the named causes, as predicted by
+        the answer and at the unseen poses
     before, after : mean error at the unseen poses [m], of the base model and with the named causes
     """
 
@@ -62,17 +65,17 @@ class Outcome:
 
     @property
     def alarmed(self) -> bool:
-        """Whether the answer reports a cause that is not there, or an unknown one."""
+        """Whether the answer names a cause that was not hidden, or is "ambiguous" or "unknown"."""
         return self.verdict in ("ambiguous", "unknown") or any(text not in self.truth for text in self.named)
 
     @property
     def claimed(self) -> bool:
-        """Whether the answer claims to explain the gap."""
+        """Whether the answer claims to explain the gap, the error of the base model."""
         return self.verdict == "explained"
 
     @property
     def wrong_claims(self) -> tuple[str, ...]:
-        """The claimed causes that are not there."""
+        """The labels of claimed causes that were not hidden."""
         return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
 
     @property
@@ -82,7 +85,10 @@ class Outcome:
 
 
 def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
-    """Return the outcome of a campaign from its secret and its answer."""
+    """Return the outcome of a campaign: what it hid (secret) compared with what was answered.
+
+    name : name of the campaign
+    """
     named = tuple(dict.fromkeys(c.label for c in answer.causes))
     before, after = unseen_errors(secret, answer, "outliers" in named)
     wanted = secret.truth or ("none" if secret.kind == "none" else "unknown",)
@@ -126,10 +132,12 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
 
 @dataclass(frozen=True)
 class Estimate:
-    """An estimate and its 95 % interval; None without data.
+    """An estimate and its 95 % interval; without data these are None.
 
+    value : share, mean or quantile
+    low, high : ends of its 95 % interval
     n : number of campaigns or claims
-    hits : number of positive ones, for a share
+    hits : number of positive ones, for a share; else None
     """
 
     value: float | None
@@ -146,7 +154,7 @@ class Estimate:
 
 
 def share(hits: Sequence[bool]) -> Estimate:
-    """Return the share of positive cases with Wilson's score interval."""
+    """Return the share of true entries, 0 to 1, with Wilson's score interval."""
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
@@ -159,7 +167,7 @@ def share(hits: Sequence[bool]) -> Estimate:
 def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> Estimate:
     """Return a statistic of values with its bootstrap interval.
 
-    statistic : function that takes the values along the last axis
+    statistic : function of arrays that reduces their last axis, along which the values are
     """
     if not len(values):
         return Estimate(None, None, None, 0)
@@ -175,20 +183,20 @@ def mean(values: Sequence[float]) -> Estimate:
 
 
 def quantile(values: Sequence[float], q: float) -> Estimate:
-    """Return a quantile with its bootstrap interval."""
+    """Return the quantile of values at a probability q, 0 to 1, with its bootstrap interval."""
     return bootstrap(values, lambda x: np.asarray(np.quantile(x, q, axis=-1)))
 
 
-# Signal (rms over noise) from which on an effect counts as strong.
+# Smallest signal (rms over noise, see `Outcome`) of a strong effect.
 STRONG_SIGNAL = 0.5
-# Signal from which on an effect should be detected.
+# Smallest signal of an effect that should be detected.
 DETECTABLE_SIGNAL = 0.35
-# Signal from which on an effect is counted as faint; smaller ones are invisible.
+# Smallest signal of a faint effect; effects with a smaller one are invisible.
 FAINT_SIGNAL = 0.2
 
 
 def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
-    """Return the metrics by name, each with its interval and the project's target."""
+    """Return the metrics by name, each with the project's target as text; "" for none."""
     none, one, several, off = (of_kind(outcomes, kind) for kind in ("none", "one", "several", "unlisted"))
     hidden = [t for t in outcomes if t.kind != "none"]
     pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE_SIGNAL]
@@ -227,12 +235,12 @@ def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
 
 
 def detectable(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return the outcomes whose signal is large enough to be detected."""
+    """Return the outcomes with a signal of at least `DETECTABLE_SIGNAL`."""
     return [t for t in outcomes if t.signal >= DETECTABLE_SIGNAL]
 
 
 def false_alarms(none: Sequence[Outcome]) -> Estimate:
-    """Return the share of answers that report something that is not there."""
+    """Return the share of false alarms among answers to campaigns that hide nothing."""
     return share([t.alarmed for t in none])
 
 
@@ -242,12 +250,12 @@ def detection(hidden: Sequence[Outcome], low: float, high: float = float("inf"))
 
 
 def isolation(outcomes: Sequence[Outcome]) -> Estimate:
-    """Return the mean probability given to the truth (FIA)."""
+    """Return the mean probability that answers give to the truth (fault isolation accuracy)."""
     return mean([t.probability for t in outcomes])
 
 
 def claims_right(one: Sequence[Outcome]) -> Estimate:
-    """Return the share of claims that are right."""
+    """Return the share of right claims among those on campaigns with one hidden effect."""
     return share([t.first_right for t in one if t.claimed])
 
 
@@ -257,12 +265,15 @@ def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
 
 
 def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
-    """Return |predicted - realised| shrink of the gap, where a cause is named."""
+    """Return |predicted - realised| reduction of the error, of each answer that names a cause."""
     return [abs(t.predicted - t.realised) for t in outcomes if t.named]
 
 
 def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]]:
-    """Return the outcomes in parts: by poses, signal, missing column, robot, and effect."""
+    """Return the outcomes in parts, by criterion and value.
+
+    The criteria are poses, signal, "not logged", robot, "effect (one hidden)" and "on no list".
+    """
     bands = [
         (0.0, FAINT_SIGNAL),
         (FAINT_SIGNAL, DETECTABLE_SIGNAL),
@@ -283,12 +294,12 @@ def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]
 
 
 def _parts(outcomes: Sequence[Outcome], word: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
-    """Return the outcomes grouped by a word."""
+    """Return the outcomes grouped by the text that a function gives for each, sorted by it."""
     return {w: [t for t in outcomes if word(t) == w] for w in sorted({word(t) for t in outcomes})}
 
 
 def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
-    """Return the metrics that are computed for each part."""
+    """Return the metrics that are computed for each part of `breakdown`, by name."""
     one = of_kind(part, "one")
     return {
         "false alarms": false_alarms(of_kind(part, "none")),

@@ -38,13 +38,13 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-# Standard deviation of a joint about its reading [rad, or m of a prismatic joint].
+# Simulated standard deviation of a joint about its reading [rad or m].
 JOINT_REPEATABILITY = 5e-6
-# Deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
+# Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
 DEFLECTION_UNKNOWN_STIFFNESS = 3e-4
-# Deflection at the rated torque of a joint that the file takes as rigid [rad or m].
+# Simulated deflection at the rated torque of a joint that the robot file declares rigid [rad or m].
 DEFLECTION_RIGID = 2e-6
-# Standard deviation of the logarithm of estimated masses.
+# Standard deviation of the logarithm of simulated masses where they are estimated from the reach.
 LOG_MASS_SIGMA = 0.3
 
 
@@ -92,7 +92,10 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
 
 
 def _in_order(poses: Measurements, turns: Array) -> pd.DataFrame:
-    """Return poses and logged quantities in the order of measuring, as a campaign's columns."""
+    """Return readings and logged quantities in the order of measuring, as a campaign's columns.
+
+    turns : whether each joint is revolute, shape (joints,)
+    """
     logged = {k: c for k, c in poses.conditions.items() if k.startswith(tuple(COLUMN_PREFIXES.values()))}
     if "time_s" in logged:
         logged["time_s"] = logged["time_s"] - logged["time_s"].min() + SECONDS_A_POSE
@@ -121,12 +124,15 @@ def _refuse(robot: Robot) -> None:
 
 
 def _turns(robot: Robot) -> Array:
-    """Return whether each joint is revolute, shape (joints,)."""
+    """Return a mask of the revolute joints, shape (joints,)."""
     return np.array([j.kind == "revolute" for j in robot.joints])
 
 
 def _drawing(robot: Robot) -> Plant:
-    """Return a robot file's numbers for the physics, which computes the kinematics itself."""
+    """Return a nominal robot for the physics, which computes the kinematics itself.
+
+    Its stiffnesses are one; see `_stiffness`.
+    """
     joints, bar = robot.joints, robot.loops[0] if robot.loops else None
     gravity = robot.gravity if robot.gravity_frame != "base" else robot.base.T[:3, :3] @ robot.gravity
     return Plant(
@@ -156,7 +162,10 @@ def _drawing(robot: Robot) -> Plant:
 
 
 def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
-    """Return the stiffness of every joint [N m/rad or N/m], and what was assumed of it."""
+    """Return the stiffness of every joint, shape (joints,) [N m/rad or N/m], and assumptions.
+
+    nominal : the robot for the physics, by which rated torques are computed
+    """
     given = [joint.compliance for joint in robot.joints]
     values = [
         1 / c if c else torque / (DEFLECTION_RIGID if c is None else DEFLECTION_UNKNOWN_STIFFNESS)
@@ -175,15 +184,17 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
 
 @dataclass(frozen=True, eq=False)
 class RobotCheck(Result):
-    """Hidden campaigns of one robot and how they were answered.
+    """Simulated campaigns of one robot with hidden effects, and how they were diagnosed.
 
-    robot : its name
-    poses, noise, seed : as of `check_robot`, the noise in [m]
-    not_logged : columns that the campaigns lack
-    assumed : what the file does not specify
-    not_drawn : effects that the robot cannot have, and why
-    outcomes : of the campaigns that were answered
-    failed : names of the other campaigns, and why
+    robot : name of the robot
+    poses : number of measured poses of a campaign
+    noise : standard deviation of a measured coordinate [m]
+    seed : seed of everything drawn
+    not_logged : quantities that the campaigns lack
+    assumed : sentences on what the robot file does not specify
+    not_drawn : reason for each effect that the robot cannot have, by its name
+    outcomes : outcomes of the campaigns that were diagnosed
+    failed : reason for each campaign without a diagnosis, by its name
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -229,7 +240,7 @@ class RobotCheck(Result):
 
     @property
     def figures(self) -> dict[str, Estimate]:
-        """The shares of right answers, with their 95 % intervals (Wilson), by what they count."""
+        """The shares of right and wrong answers with 95 % intervals, by what they count."""
         none, one, off = (of_kind(self.outcomes, kind) for kind in ("none", "one", "unlisted"))
         hidden = [t for t in self.outcomes if t.kind != "none"]
         claims = [t for t in self.outcomes if t.claimed]
@@ -245,7 +256,7 @@ class RobotCheck(Result):
 
     @property
     def by_effect(self) -> dict[str, list[Outcome]]:
-        """The campaigns in which an effect was hidden, alone or with others, by its name."""
+        """The outcomes of campaigns that hid an effect, alone or with others, by its name."""
         names = sorted({e for t in self.outcomes for e in t.effects}, key=lambda e: (e in UNLISTED, e))
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
@@ -282,7 +293,7 @@ class RobotCheck(Result):
 
     @property
     def verdict(self) -> str:
-        """A sentence on right claims and false alarms."""
+        """A sentence with the numbers of right claims and of false alarms."""
         right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"
@@ -290,12 +301,15 @@ class RobotCheck(Result):
 
 
 def _named(effect: str, t: Outcome) -> bool:
-    """Return whether an answer named this effect at the right joint."""
+    """Return whether an answer named a hidden effect of this name at the right joint."""
     return any(text in t.named for text in t.truth if text.partition("@")[0] == effect)
 
 
 def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
-    """Return the table's row of an effect: how often noticed and named, median signal."""
+    """Return the table's row of an effect: name, times noticed and named, interval, median signal.
+
+    part : outcomes of campaigns that hide it
+    """
     noticed, signal = f"{sum(t.detected for t in part)} of {len(part)}", f"{median(t.signal for t in part):.2g}"
     if effect in UNLISTED:
         return [f"{effect} (on no list)".replace("_", " "), noticed, "-", "-", signal]
@@ -320,18 +334,17 @@ def check_robot(
     Campaigns of robots built after its file are simulated in MuJoCo, with effects hidden at random;
     each is diagnosed from its table alone, and compared with what was hidden.
 
-    Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
-
     robot : nominal robot
-    poses : of a campaign: how many are drawn within the joint ranges; or those to measure, where
-        what was logged of them (time, temperature, payload, approach) is taken as it is, and the
-        rest is simulated
-    noise_um : one sigma of a measured coordinate [um]
+    poses : number of poses of a campaign, which are drawn within the joint ranges; or the poses to
+        measure, of which logged quantities (time, temperature, payload, approach) are taken
+        unchanged and all others are simulated
+    noise_um : standard deviation of a measured coordinate [um]
     n : number of campaigns
-    seed : of everything drawn; by default a random one
-    not_logged : of temperature, payload, approach and time, what is not logged
-    executor : any of `concurrent.futures`' kind; by default a process for each core
-    show : called with a campaign's name, how many are done, and how many there are
+    seed : seed of everything drawn; None: a random one
+    not_logged : quantities that are not logged, of temperature, payload, approach and time
+    executor : executor of `concurrent.futures`; None: a process for each core
+    show : called with a campaign's name, the number of campaigns done, and that of all
+    Raises InputError for a robot that cannot be simulated, and for too few poses or campaigns.
 
     Examples
     --------
@@ -386,9 +399,10 @@ def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequen
 
 
 def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
-    """Return a campaign's name and its outcome, or why there is none; this runs in a worker.
+    """Return a campaign's name and its outcome, or the reason why it has none, as text.
 
-    The campaign is simulated, diagnosed from its tables alone, and compared with its secret.
+    The campaign is simulated, diagnosed from its tables alone, and compared with its secret. This
+    runs in a worker process.
     """
     try:
         made = campaign_of(subject, plan)

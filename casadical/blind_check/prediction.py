@@ -29,10 +29,10 @@ from casadical.robot.robot_file import read_robot, robot_from, to_toml
 
 @dataclass(frozen=True, eq=False)
 class Session:
-    """A campaign and its unseen poses.
+    """A campaign and its unseen poses, whose positions only the key contains.
 
-    name : of the campaign
-    robot : nominal
+    name : name of the campaign
+    robot : nominal robot
     everything : all poses in the order in which the robot took them, with positions of zero at
         unseen ones
     seen : mask of measured poses, shape (all poses,)
@@ -49,20 +49,26 @@ class Session:
         return self.everything[self.seen]
 
     def _with_columns(self, robot: Robot) -> Measurements:
-        """Return all poses with the columns that a robot's effects need.
+        """Return all poses with the columns of conditions that a robot's effects need.
 
-        Lagged temperatures are counted from the mean of the measured poses.
+        Columns of lagged temperatures are relative to their mean over the measured poses.
         """
         m, _ = derive(self.everything, robot.conditions, robot.loads)
         columns = {k: c - c[self.seen].mean() if k.startswith("warmth") else c for k, c in m.conditions.items()}
         return replace(m, conditions=columns)
 
     def at_unseen(self, robot: Robot) -> Array:
-        """Return predicted positions of a robot at the unseen poses, shape (unseen, 3) [m]."""
+        """Return a robot's predicted positions at the unseen poses, shape (unseen, 3) [m].
+
+        They are in the measuring frame.
+        """
         return predicted(robot, self._with_columns(robot)[~self.seen])[0]
 
     def fitted(self, robot: Robot, leave_out: Array) -> Robot:
-        """Return a robot with its effects, identified from the measured poses without some rows."""
+        """Return a robot identified, with its effects, from the measured poses without some rows.
+
+        leave_out : row numbers of poses that are not used
+        """
         m = self._with_columns(robot)
         m = m[self.seen & ~np.isin(m.row, leave_out)]
         free = ("kinematic", "compliance", *dict.fromkeys(e.label for e in robot.effects))
@@ -71,14 +77,18 @@ class Session:
 
 @lru_cache(maxsize=16)
 def nominal(model: str) -> Robot:
-    """Return the robot of a file's text; it is cached, because compiling its model is costly."""
+    """Return the robot that the text of a robot file describes.
+
+    It is cached, because compiling its model is costly.
+    """
     return robot_from(tomllib.loads(model), "the folder's robot")
 
 
 def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> Session:
     """Return the session of a campaign's two tables. Raises InputError.
 
-    model : text of the nominal robot's file
+    name : name of the campaign; model : text of the nominal robot's file
+    seen : table of the measured poses; unseen : table of the other poses, without positions
     """
     robot = nominal(model)
     blank = unseen.assign(x_mm=0.0, y_mm=0.0, z_mm=0.0)
@@ -91,9 +101,12 @@ def session(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> 
 
 
 def answer_campaign(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFrame) -> dict[str, Any]:
-    """Return the diagnosis of one campaign as plain data; this runs in a worker.
+    """Return the answer to one campaign as plain data; this runs in a worker process.
 
-    If a campaign cannot be answered, the entry `failed` says why.
+    It is that of `diagnosis`. If a campaign cannot be answered, it has the entries `campaign` and
+    `failed`, the reason.
+
+    name, model, seen, unseen : as of `session`
     """
     try:
         return diagnosis(session(name, model, seen, unseen))
@@ -102,7 +115,11 @@ def answer_campaign(name: str, model: str, seen: pd.DataFrame, unseen: pd.DataFr
 
 
 def diagnosis(s: Session) -> dict[str, Any]:
-    """Return the answer of the diagnosis to a session, with posterior and predictions."""
+    """Return the answer of the diagnosis to a session as plain data.
+
+    It is what `casadical diagnose --json` writes, with the entries `posterior` (probability by
+    label, "none" and "unknown" included) and `unseen` (see `unseen_positions`).
+    """
     from casadical.diagnosis.details import Details
     from casadical.diagnosis.json_answer import as_json
     from casadical.diagnosis.localisation import localise
@@ -127,10 +144,13 @@ def diagnosis(s: Session) -> dict[str, Any]:
 
 
 def unseen_positions(s: Session, base: Robot, with_causes: Robot, leave_out: Array) -> dict[str, Any]:
-    """Return the positions at the unseen poses of the base model and of the robot with causes [mm].
+    """Return predicted positions at the unseen poses [mm], three numbers per pose, by two models.
 
-    base : calibrated on all poses
-    leave_out : rows of outliers, without which the base model is calibrated again
+    The keys are base_mm, of the base model, and with_causes_mm, of the robot with named causes;
+    both are in the measuring frame.
+
+    base : base model calibrated on all measured poses
+    leave_out : row numbers of outliers, without which the base model is calibrated again
     """
     before = s.at_unseen(s.fitted(s.robot, leave_out) if len(leave_out) else base)
     after = s.at_unseen(with_causes) if with_causes.effects else before
@@ -152,7 +172,8 @@ def predict(
     Answers that are in the file already are kept. A campaign that cannot be answered has a line
     that says why; it is tried again by the next call.
 
-    out : file of answers, a line each; by default answers.diagnosis.jsonl in the folder
+    folder : campaigns that `make` wrote
+    out : file of answers, a line each; None: answers.diagnosis.jsonl in the folder
     executor, show : as of `make`
     Raises InputError for no such folder, tables that cannot be read, or a file that answers another
     check.

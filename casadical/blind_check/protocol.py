@@ -23,14 +23,17 @@ from casadical.core.reading import json_of, load_json, read_bytes
 from casadical.core.schema import check
 from casadical.measurements.raw_table import read_table as read_csv
 
-# Names in the public folder and in that of the key.
+# Name of the manifest in the public folder.
 MANIFEST_FILE = "withheld.json"
+# Name of the key in its folder.
 KEY_FILE = "key.json"
+# Name of the folder of the nominal robots in the public folder.
 ROBOTS_FOLDER = "robots"
-# How many listed effects a campaign hides, or "unlisted" for one that is on no list.
+# Kind of a campaign: number of listed effects that it hides, or "unlisted" for one effect that the
+# diagnosis does not know.
 Kind = Literal["none", "one", "several", "unlisted"]
 
-# Effects that belong to no joint, so that answers are compared without one.
+# Names of effects that belong to no joint, so that answers are compared without a joint.
 JOINTLESS = frozenset((
     "thermal_growth", "target_shift", "payload_error", "gravity_compensator", "link_flexure", "base_compliance",
     "frame_drift", "outliers", "none", "unknown",
@@ -38,11 +41,13 @@ JOINTLESS = frozenset((
 
 
 def label(effect: str, joint: int | None) -> str:
-    """Return the label by which effects are compared: name, or name@joint."""
+    """Return the label by which effects are compared: EFFECT, or EFFECT@JOINT."""
     return effect if joint is None or effect in JOINTLESS else f"{effect}@{joint}"
 
 
 class _Strict(BaseModel):
+    """Base of the schemas of manifest and key: no other entries, finite numbers."""
+
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
@@ -63,8 +68,9 @@ class Manifest(_Strict):
 class HiddenEffect(_Strict):
     """One effect that was switched on.
 
-    effect, joint : its name, and its joint from 1 or None
-    about : its sizes in words
+    effect : name of the effect
+    joint : its joint, from 1; None: it belongs to none
+    about : its sizes as text
     visible : rms of a coordinate that it adds and the base model cannot absorb [m]
     """
 
@@ -82,14 +88,14 @@ class HiddenEffect(_Strict):
 class Secret(_Strict):
     """What a campaign hides.
 
-    robot, kind, poses : of the campaign
+    robot, kind, poses : name of the robot, kind of the campaign, number of its measured poses
     hidden : its effects
+    missing : quantities that were not logged; None: all were
     noise : standard deviation of a measured coordinate [m]
     repeatability : standard deviation of a joint about its reading [rad]
     visible : rms of a coordinate that all effects together add and the base model cannot absorb [m]
-    missing : the column that was not logged, or None
-    measured_mm, true_mm : positions at the unseen poses, with and without noise, three numbers a
-        pose [mm]
+    measured_mm, true_mm : positions at the unseen poses in the measuring frame, with and without
+        noise, three numbers per pose [mm]
     """
 
     robot: str
@@ -110,7 +116,14 @@ class Secret(_Strict):
 
 
 class Key(_Strict):
-    """Content of key.json: salt, how the campaigns were made, and every campaign's secret."""
+    """Content of key.json: how the campaigns were made, and every campaign's secret.
+
+    salt : hash that makes the key's SHA-256 unpredictable
+    seed : seed of everything drawn
+    reality : name of the engine
+    versions : versions of packages by name
+    campaigns : secret of each campaign by its name
+    """
 
     salt: str
     seed: int
@@ -134,7 +147,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def read_key(folder: Path, manifest: Manifest) -> Key:
-    """Return the key, after a check that its hash is the published one.
+    """Return the key in a folder or file, after a check that its hash is the published one.
 
     Raises InputError if it is another one or was changed.
     """
@@ -155,7 +168,7 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
 
 
 def read_table(folder: Path, name: str) -> pd.DataFrame:
-    """Return a campaign's table, or with `.unseen` behind the name its unseen readings.
+    """Return the table NAME.csv of a folder; with NAME ending in .unseen its unseen readings.
 
     Raises InputError.
     """
@@ -165,14 +178,14 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
     return read_csv(path).frame
 
 
-# A line of answers with its checksum.
+# Pattern of a line of answers with its checksum.
 _CHECKSUMMED_LINE = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
-# Positions, three numbers a pose [mm].
+# Type of positions, three numbers per pose [mm].
 Rows = tuple[tuple[float, float, float], ...]
 
 
 class _Loose(BaseModel):
-    """Part of an answer that is scored; other entries are allowed."""
+    """Base of the schemas of answers, of which a part is scored: other entries are allowed."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False, frozen=True)
 
@@ -186,7 +199,7 @@ class Header(_Loose):
 
 
 class GapMm(_Loose):
-    """Mean error on poses held out [mm], before and with the named causes."""
+    """Mean position error on held-out poses [mm], by the base model and with the named causes."""
 
     before: float
     after: float
@@ -206,12 +219,12 @@ class NamedCause(_Loose):
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """The other causes of its set, by the labels of the key."""
+        """The labels, as of the key, of the other causes of its set."""
         return tuple(relabelled(text) for text in self.indistinguishable)
 
 
 class UnseenPositions(_Loose):
-    """Predicted positions at the unseen poses [mm], of the base model and with the named causes."""
+    """Predicted positions at the unseen poses [mm], by the base model and with the named causes."""
 
     base_mm: Rows
     with_causes_mm: Rows
@@ -232,7 +245,7 @@ class Answer(_Loose):
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The posterior by the labels of the key."""
+        """The posterior probability by label, with the labels of the key."""
         by_label: dict[str, float] = {}
         for text, p in self.posterior.items():
             by_label[relabelled(text)] = by_label.get(relabelled(text), 0.0) + p
@@ -240,7 +253,7 @@ class Answer(_Loose):
 
 
 def relabelled(text: str) -> str:
-    """Return name or name@joint as in the key: without a joint for effects that belong to none."""
+    """Return a label EFFECT or EFFECT@JOINT as in the key, in which some effects have no joint."""
     name, _, joint = text.partition("@")
     return label(name, int(joint) if joint.isdigit() else None)
 
@@ -257,7 +270,7 @@ def sha256(content: bytes) -> str:
 
 
 def _intact(line: bytes) -> bool:
-    """Return whether a line is unchanged; a line without a checksum must be valid JSON.
+    """Return whether a line of answers is intact: by its checksum, else as valid JSON.
 
     Earlier versions of casadical wrote lines without checksums.
     """
@@ -271,17 +284,20 @@ def _intact(line: bytes) -> bool:
 
 
 def whole_lines(path: Path) -> int:
-    """Return the number of bytes of complete lines; 0 if there is no file. Raises InputError."""
+    """Return the number of bytes of a file's complete lines; 0 if there is no file.
+
+    Raises InputError.
+    """
     return read_bytes(path).rfind(b"\n") + 1 if path.exists() else 0
 
 
 def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
     """Return the header and the answers by campaign, without failed and damaged ones.
 
-    Raises InputError.
-
     A damaged line (a process was killed, a disk was full) counts as no answer, so that `predict`
     answers it again.
+
+    Raises InputError.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file; make it with `casadical withheld predict`")
@@ -297,7 +313,11 @@ def read_answers(path: Path) -> tuple[Header, dict[str, Answer]]:
 
 
 def _read(schema: Any, text: bytes, place: str, remedy: str) -> Any:
-    """Return a line of JSON as an object of a schema. Raises InputError."""
+    """Return a line of JSON as an instance of a schema.
+
+    place, remedy : begin and end of the error message
+    Raises InputError.
+    """
     try:
         return schema.model_validate_json(text)
     except ValidationError as error:

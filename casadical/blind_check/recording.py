@@ -14,9 +14,9 @@ from casadical.blind_check.mujoco_physics.stops import Warmup
 from casadical.blind_check.mujoco_physics.table import readings
 from casadical.blind_check.protocol import Kind
 
-# Possible numbers of poses of a campaign.
+# Default numbers of measured poses that a campaign may have.
 POSE_COUNTS = (40, 100, 200)
-# Quantities that may be missing in a campaign, and how the names of their columns begin.
+# Prefix of the names of the columns of each quantity that may not be logged in a campaign.
 COLUMN_PREFIXES = {"temperature": "temperature_degC", "payload": "payload_kg", "approach": "approach", "time": "time_s"}
 
 Thing = TypeVar("Thing")
@@ -26,11 +26,15 @@ Thing = TypeVar("Thing")
 class Plan:
     """One campaign before it is measured.
 
-    name, robot, kind, effects, poses : of the campaign
-    missing : quantities that are not logged, separated by commas, or None
+    name : name of the campaign
+    robot : name of the robot
+    kind : number of hidden effects (none, one, several), or "unlisted"
+    effects : names of the hidden effects
+    poses : number of measured poses
+    missing : quantities that are not logged, separated by commas; None: all are logged
     noise : standard deviation of a measured coordinate [m]
     repeatability : standard deviation of a joint about its reading [rad]
-    seed : of everything else that is drawn
+    seed : seed of everything else that is drawn
     """
 
     name: str
@@ -45,7 +49,7 @@ class Plan:
 
     @property
     def not_logged(self) -> tuple[str, ...]:
-        """The quantities that are not logged."""
+        """The quantities that are not logged, such as "temperature"; see `COLUMN_PREFIXES`."""
         return tuple(self.missing.split(",")) if self.missing else ()
 
 
@@ -63,10 +67,11 @@ def draw_plans(
 
     Robots, numbers of poses, effects and missing columns take turns.
 
-    words : effects that are on the diagnosis' list, and on none
-    poses : possible numbers of poses of a campaign
-    robots, noises : possible robots and noises [m]
-    struck : share of campaigns in which a column is not logged
+    words : names of the effects that are on the diagnosis' list, and of those on none
+    poses : possible numbers of measured poses of a campaign
+    robots : names of possible robots
+    noises : possible standard deviations of a measured coordinate [m]
+    struck : share of campaigns in which a quantity is not logged, 0 to 1
     """
     rng = np.random.default_rng([seed, 1])
     shares: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
@@ -89,7 +94,10 @@ def draw_plans(
 
 
 def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:
-    """Return n items in the given shares, rounded by the largest remainder method."""
+    """Return n items in which each thing has its share, rounded by the largest remainder method.
+
+    shares : share of each thing, 0 to 1; they add up to one
+    """
     exact = {thing: n * share for thing, share in shares.items()}
     counts = {thing: int(count) for thing, count in exact.items()}
     for thing in sorted(exact, key=lambda t: counts[t] - exact[t])[: n - sum(counts.values())]:
@@ -103,7 +111,7 @@ def shuffled(rng: np.random.Generator, things: Sequence[Thing]) -> list[Thing]:
 
 
 def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
-    """Yield all items in random order, then again in another one, endlessly."""
+    """Yield all items in random order, then again in another random order, endlessly."""
     while True:
         yield from shuffled(rng, things)
 
@@ -112,13 +120,13 @@ def turns(rng: np.random.Generator, things: Sequence[Thing]) -> Iterator[Thing]:
 class Subject:
     """A robot whose diagnosis is checked.
 
-    nominal : its drawing, for the physics
-    model : text of the file of the base model that the diagnosis is given
-    building : which errors the real robot has
-    level : whether gravity is given in the measuring frame, not in the base
+    nominal : nominal robot, for the physics
+    model : text of the robot file that the diagnosis is given
+    building : which building errors the simulated robot has
+    level : whether gravity is given in the measuring frame, not in the base frame
     poses : poses to measure, in their order, as columns of a campaign: readings, and those of
-        time_s, temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: drawn
-        within the joint ranges
+        time_s, temperature_degC, payload_kg, approach1 .. that are not to be simulated; None: poses
+        are drawn within the joint ranges
     """
 
     nominal: Plant
@@ -128,7 +136,7 @@ class Subject:
     poses: pd.DataFrame | None = None
 
     def built(self, seed: int) -> Plant:
-        """Return the robot with building errors drawn from a seed."""
+        """Return the robot as built, with building errors drawn from a seed."""
         plant = perturb(self.nominal, seed, building=self.building)
         if self.level:
             return plant
@@ -140,11 +148,11 @@ class Subject:
 class Record:
     """A measuring session, and the same session with fewer effects.
 
-    hidden : the effects
-    session : with all effects; its columns are a campaign's, and x_true_mm, y_true_mm, z_true_mm
-        without noise
-    clean : without any effect, with the same seed, poses and noise
-    alone : with each effect by itself, if there are several
+    hidden : hidden effects of the session
+    session : table with all effects; its columns are those of a campaign, and x_true_mm, y_true_mm,
+        z_true_mm without noise
+    clean : table without any effect, with the same seed, poses and noise
+    alone : table with each effect by itself, if there are several; else empty
     """
 
     hidden: tuple[Hidden, ...]
@@ -154,9 +162,10 @@ class Record:
 
 
 def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> Record:
-    """Return the session of a plan with n poses.
+    """Return the simulated session of a plan with n poses, with and without its effects.
 
-    poses : all poses, as of `Subject.poses`; None: drawn
+    n : number of measured and unseen poses together
+    poses : all n poses, as of `Subject.poses`; None: they are drawn
     """
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
@@ -178,6 +187,7 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> 
     seed = int(rng.integers(1 << 30))
 
     def session(*acting: Hidden) -> pd.DataFrame:
+        """Return the table of the session with these effects alone."""
         return campaign(plant, acting, n, seed, **options)
 
     return Record(

@@ -17,9 +17,9 @@ from casadical.core.telling.result import Result
 class Score(Result):
     """A file of answers compared with the key.
 
-    head : the method that answered
-    key : how the campaigns were made
-    outcomes : of campaigns that were answered
+    head : header of the file of answers: the method that answered, and its versions
+    key : what was hidden, and how the campaigns were made
+    outcomes : comparisons of the campaigns that were answered
     """
 
     head: Header
@@ -28,17 +28,17 @@ class Score(Result):
 
     @property
     def unanswered(self) -> list[str]:
-        """The campaigns without an answer; they do not count."""
+        """The names of campaigns without an answer, sorted; they do not count."""
         return sorted(set(self.key.campaigns) - {t.name for t in self.outcomes})
 
     @property
     def metrics(self) -> dict[str, tuple[Estimate, str]]:
-        """The metrics by name, with their targets."""
+        """The metrics over all outcomes by name, each with its target as text; "" for none."""
         return counted.metrics(self.outcomes)
 
     @property
     def parts(self) -> dict[str, dict[str, list[Outcome]]]:
-        """The outcomes by poses, signal, missing column, robot, and effect."""
+        """The outcomes grouped by poses, signal, missing column, robot and effect."""
         return counted.breakdown(self.outcomes)
 
     def blocks(self) -> list[Block]:
@@ -66,7 +66,7 @@ class Score(Result):
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the score as plain data."""
+        """Return the score as plain data for the JSON file."""
         return {
             "by": self.head.by,
             "versions": self.head.versions,
@@ -83,8 +83,11 @@ class Score(Result):
 
 
 def score(folder: str | Path, key: str | Path, answers: str | Path) -> Score:
-    """Return the score of answers with the key of the campaigns in a folder.
+    """Return the score of answers to the campaigns in a folder, by their key.
 
+    folder : campaigns that `make` wrote
+    key : folder of the key, or its file
+    answers : file of answers that `predict` wrote
     Raises InputError if the key is not the published one, or the answers are to another check.
     """
     folder, path = Path(folder), Path(answers)
@@ -104,7 +107,7 @@ def _plain(f: Estimate) -> dict[str, Any]:
 
 
 def _short(value: Any) -> Any:
-    """Return plain data with floats rounded to six digits."""
+    """Return plain data with floats rounded to six significant digits."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     return [_short(v) for v in value] if isinstance(value, Sequence) and not isinstance(value, str) else value

@@ -28,7 +28,10 @@ def start_worker() -> None:
 
 @contextmanager
 def workers(executor: Executor | None, count: int | None = None) -> Iterator[Executor]:
-    """Yield the given executor, which stays open, or one with a process for each core."""
+    """Yield the given executor, which stays open, or a new one that is shut down at the end.
+
+    executor : None: a new one; count : number of its processes, None: one per core
+    """
     if executor is not None:
         yield executor
         return
@@ -46,7 +49,10 @@ def completed(
 ) -> Iterator[Result]:
     """Yield the results of a function for each task's arguments, in the order of completion.
 
-    An error in one ends them all; when the caller stops, tasks that have not begun are cancelled.
+    An error in one task is raised and ends them all. When the caller stops, tasks that have not
+    begun are cancelled.
+
+    tasks : arguments of each call
     """
     futures: list[Future[Result]] = [executor.submit(function, *task) for task in tasks]
     try:

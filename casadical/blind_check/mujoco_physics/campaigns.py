@@ -21,8 +21,10 @@ from casadical.core.basics import InputError
 def campaign(
     plant: Plant, hidden: Sequence[Hidden | Cause], n: int, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
-    """Return the table of a simulated campaign of the robot as built ``plant``; see `simulate`.
+    """Return the table of a simulated campaign of n poses, a row each; see `simulate`.
 
+    plant : robot as built; hidden : hidden effects that act on it
+    seed : seed of all random draws; options : as of `table.Options`
     Raises InputError for unusable arguments, and without MuJoCo.
     """
     return simulate(plant, partial(positions, plant, hidden), causes(hidden, plant.n), n, seed, **options)
@@ -31,10 +33,15 @@ def campaign(
 def measure(
     plant: Plant, hidden: Sequence[Hidden | Cause], readings: pd.DataFrame, *, seed: int, **options: Unpack[Options]
 ) -> pd.DataFrame:
-    """Return the table ``readings`` with simulated positions of the reflector at its poses.
+    """Return the table of a simulated campaign at given poses, with positions of the reflector.
 
     Quantities that `readings` lacks are constant (temperature, payload, approach), the time grows
     by 30 s.
+
+    plant : robot as built; hidden : hidden effects that act on it
+    readings : table with the columns q1_deg, .. (q1_mm of a prismatic joint) and, as far as they
+        are given, time_s, temperature_degC, payload_kg, approach1, ..
+    seed : seed of all random draws; options : as of `table.Options`
     Raises InputError where a reading is missing.
     """
     n, columns = len(readings), columns_of_readings(plant)
@@ -53,7 +60,10 @@ def measure(
 def positions(plant: Plant, hidden: Sequence[Hidden | Cause], stops: Stops, jitter: Array | float = 0.0) -> Array:
     """Return the reflector's positions as the tracker sees them without noise, shape (n, 3) [m].
 
-    jitter : added to the readings, shape (n, joints)
+    They are in the measuring frame, by equilibria in MuJoCo.
+
+    plant : robot as built; hidden : hidden effects; stops : n poses with their circumstances
+    jitter : errors that are added to the readings, shape (n, joints) [rad or m]
     Raises ConvergenceError where the engine finds no equilibrium.
     """
     acting = causes(hidden, plant.n)

@@ -21,6 +21,7 @@ from casadical.blind_check.mujoco_physics.plant import Array, Plant, move, rotat
 from casadical.blind_check.mujoco_physics.stops import Stops, draw_poses, in_column
 from casadical.core.basics import ConvergenceError
 
+# Type of a vector of three numbers.
 Vector = tuple[float, float, float]
 
 
@@ -28,11 +29,11 @@ Vector = tuple[float, float, float]
 class State:
     """The bodies and loads of a robot at n poses.
 
-    plant, stops : the robot and the circumstances
-    angles : true positions of the actuated joints, shape (n, joints) [rad or m]
-    bodies : motions of the links and of what the flange carries, from zero readings to the
-        measuring frame, shape (joints + 1, n, 4, 4)
-    load : torque or force on each actuated joint, shape (n, joints) [N m or N]
+    plant : robot as built; stops : the n poses with their circumstances
+    angles : true coordinates of the actuated joints, shape (n, joints) [rad or m]
+    bodies : transforms of the links and of what the flange carries, from their place in the base
+        frame at zero readings to that in the measuring frame, shape (joints + 1, n, 4, 4) [m]
+    load : torque or force of the weights on each actuated joint, shape (n, joints) [N m or N]
     """
 
     plant: Plant
@@ -44,15 +45,16 @@ class State:
     def axis(self, joint: int) -> tuple[Array, Array]:
         """Return direction and a point [m] of a joint's axis in the measuring frame, (n, 3) each.
 
-        joint : 1-based
+        joint : number of the joint, from 1
         """
         G = self.bodies[joint - 1]
         return rotated(G, self.plant.axes[joint - 1]), move(G, self.plant.centres[joint - 1])
 
     def weights(self) -> tuple[Array, Array]:
-        """Return the masses of links and payload, (joints + 1, n) [kg], and their centres.
+        """Return the masses of links and payload, (joints + 1, n) [kg], and their mass centres.
 
-        The centres are in the measuring frame, shape (joints + 1, n, 3) [m]."""
+        The centres are in the measuring frame, shape (joints + 1, n, 3) [m].
+        """
         plant, payload = self.plant, self.stops.payload_kg * self.plant.payload_factor
         mass = np.vstack([np.repeat(plant.mass[:, None], len(self.stops), 1), payload])
         homes = [plant.at_home(i + 1, plant.com[i]) for i in range(plant.n)]
@@ -60,9 +62,12 @@ class State:
         return mass, move(self.bodies, np.array(homes)[:, None])
 
     def wrench_beyond(self, link: int, about: Array) -> tuple[Array, Array]:
-        """Return force (n, 3) [N] and moment (n, 3) [N m] of all weights beyond ``link``.
+        """Return force, (n, 3) [N], and moment, (n, 3) [N m], of all weights beyond a link.
 
-        about : points of reference of the moment, shape (n, 3) [m]
+        Both are in the measuring frame.
+
+        link : number of the last link whose weight does not count, 0: that of none
+        about : points of reference of the moment in the measuring frame, shape (n, 3) [m]
         """
         mass, centre = self.weights()
         force = mass[..., None] * self.plant.gravity
@@ -73,7 +78,7 @@ class State:
 def moments(state: State) -> Array:
     """Return the torques of the weights on the actuated joints, shape (n, joints) [N m or N].
 
-    They are positive along the axis.
+    They are positive along the axes.
     """
     plant, tau = state.plant, np.empty_like(state.angles)
     for joint in range(1, plant.n + 1):
@@ -88,9 +93,11 @@ def moments(state: State) -> Array:
 
 
 def link_angles(plant: Plant, angles: Array) -> Array:
-    """Return the coordinates of the links' own axes, (n, joints), at those of the motors.
+    """Return the coordinates of the links about their own axes, shape (n, joints) [rad or m].
 
-    They differ for a joint that a four-bar drives.
+    They differ from those of the motors for a joint that a four-bar drives.
+
+    angles : coordinates of the motors, shape (n, joints) [rad or m]
     """
     turned = angles.copy()
     if plant.four_bar is not None:
@@ -99,7 +106,10 @@ def link_angles(plant: Plant, angles: Array) -> Array:
 
 
 def placed(plant: Plant, stops: Stops, angles: Array) -> State:
-    """Return the bodies at true motor coordinates, (n, joints), nothing bent, loads zero."""
+    """Return the state of a rigid robot at given joint coordinates, with zero loads.
+
+    angles : true coordinates of the actuated joints, shape (n, joints) [rad or m]
+    """
     turned, n = link_angles(plant, angles), len(stops)
     G, bodies = np.broadcast_to(plant.base, (n, 4, 4)), np.empty((plant.n + 1, n, 4, 4))
     for link in range(plant.n):
@@ -109,9 +119,11 @@ def placed(plant: Plant, stops: Stops, angles: Array) -> State:
 
 
 def moved_by(plant: Plant, link: int, by: Array) -> Array:
-    """Return the motions of a link by its own joint's coordinate, shape (n, 4, 4).
+    """Return the transforms that move a link by its own joint, shape (n, 4, 4) [m].
 
-    link : 0-based; by : shape (n,) [rad or m]
+    They are in the base frame, with all other joints at zero.
+
+    link : index of the link, from 0; by : coordinates of the joint, shape (n,) [rad or m]
     """
     if link + 1 in plant.slides:
         return slide(by[:, None] * plant.axes[link])
@@ -119,7 +131,7 @@ def moved_by(plant: Plant, link: int, by: Array) -> Array:
 
 
 def settle(plant: Plant, stops: Stops) -> State:
-    """Return the poses in equilibrium on the joint springs, to 1e-12.
+    """Return the state in equilibrium of weights and joint springs, to 1e-12 rad or m.
 
     Raises ConvergenceError where joints are too soft.
     """
@@ -140,17 +152,21 @@ def reflector(state: State) -> Array:
 
 
 def largest_torque(plant: Plant) -> Array:
-    """Return each joint's largest torque by weight in 300 fixed poses, (joints,) [N m or N]."""
+    """Return each joint's largest torque by weights in 300 fixed poses, shape (joints,) [N m or N].
+
+    It is an absolute value.
+    """
     q = draw_poses(plant, 300, np.random.default_rng(0), plant.ranges, unfolded(plant))
     still = Stops(q, np.arange(300.0), np.zeros(300), np.full(300, plant.payload_kg), np.ones_like(q))
     return np.asarray(np.abs(moments(placed(plant, still, q))).max(0))
 
 
 def rated_torque(plant: Plant) -> Array:
-    """Return each joint's largest torque, at least 5 % of the greatest, (joints,) [N m or N].
+    """Return the torque by which effects of each joint are sized, shape (joints,) [N m or N].
 
-    Effects are sized by it. If no joint carries weight, as in an arm that moves in a level plane,
-    the greatest one is that of all weights at full stretch.
+    It is the joint's `largest_torque`, but at least 5 % of the largest of all joints. If no joint
+    carries weight, as in an arm that moves in a level plane, the latter is the moment of all
+    weights of the arm stretched out horizontally.
     """
     largest, full = largest_torque(plant), stretched_moments(plant, 0)[1]
     greatest = largest.max() if largest.max() > 1e-3 * full else full
@@ -158,9 +174,11 @@ def rated_torque(plant: Plant) -> Array:
 
 
 def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
-    """Return the moments [N m] of all weights beyond ``link`` about its end and about its root.
+    """Return the moments [N m] of all weights beyond a link about its end and about its root.
 
-    The arm is taken to be stretched out horizontally.
+    The arm is assumed to be stretched out horizontally.
+
+    link : number of the link, from 1; 0: the pedestal
     """
     ends = plant.stations
     steps = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
@@ -174,7 +192,7 @@ def stretched_moments(plant: Plant, link: int) -> tuple[float, float]:
     return about_end, about_root
 
 
-# Where in the engine a cause acts; see `Kind.place`.
+# Place in the engine at which a cause acts; see `Kind.place`.
 Place = Literal["built", "motors", "settings", "measured"]
 
 
@@ -182,10 +200,11 @@ Place = Literal["built", "motors", "settings", "measured"]
 class Kind:
     """A kind of hidden cause: an effect that geometry and linear joint springs do not contain.
 
-    place : where in the engine it acts: how the mechanism is built, where the motors stop, what
-        differs from the built mechanism at the poses, or what the instrument makes of the positions
-    act : function that applies it, with its sizes as keyword arguments; for motors it returns the
-        joint's error, shape (n,) [rad]
+    place : place in the engine at which it acts: "built" for the mechanism, "motors" for the
+        coordinates at which they stop, "settings" for deviations from the built mechanism at the
+        poses, "measured" for the measured positions
+    act : function that applies it, with its sizes as keyword arguments; for motors it returns one
+        joint's true angle less its reading at each pose, shape (n,) [rad]
     """
 
     place: Place
@@ -198,48 +217,53 @@ class Kind:
 
     @property
     def sizes(self) -> set[str]:
-        """The names of its sizes."""
+        """The names of its sizes, the keyword arguments of `act`."""
         return {p.name for p in signature(self.act).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
 
 def acts(place: Place) -> Callable[[Callable[..., Any]], Kind]:
-    """Return a decorator that makes a function a kind of cause."""
+    """Return a decorator that makes a function a kind of cause that acts at this place."""
     return partial(Kind, place)
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A hidden cause: a kind with its sizes; it acts only in the place of its kind."""
+    """A hidden cause: a kind with its sizes by name; it acts only at the place of its kind."""
 
     kind: Kind
     sizes: Mapping[str, Any]
 
     def _in(self, place: Place, otherwise: Any, *given: Any) -> Any:
-        """Return what the cause does in a place, or `otherwise` if its kind acts elsewhere."""
+        """Return the result of the cause's function, or `otherwise` if it acts at another place.
+
+        given : positional arguments of the function
+        """
         return self.kind.act(*given, **self.sizes) if self.kind.place == place else otherwise
 
     def built(self, mechanism: Mechanism, plant: Plant) -> Mechanism:
-        """Return the mechanism with the cause."""
+        """Return the mechanism with the cause; unchanged if it acts at another place."""
         return cast(Mechanism, self._in("built", mechanism, mechanism, plant))
 
     def motors(self, plant: Plant, stops: Stops) -> Array | float:
-        """Return the motors' deviations from the readings, (n, joints) [rad]."""
+        """Return the motors' deviations from the readings, (n, joints) [rad]; 0 for none."""
         error = self._in("motors", None, plant, stops)
         return 0.0 if error is None else in_column(self.sizes["joint"], error, plant.n)
 
     def settings(self, plant: Plant, stops: Stops) -> Sequence[Setting]:
-        """Return deviations from the built mechanism, with values (n, 3) for the n poses."""
+        """Return deviations from the built mechanism, with values of shape (n, 3) at n poses."""
         return cast(Sequence[Setting], self._in("settings", (), plant, stops))
 
     def measured(self, xyz: Array, stops: Stops, rng: np.random.Generator) -> Array:
-        """Return what the instrument makes of the positions ``xyz`` (n, 3) [m]."""
+        """Return the positions that the instrument measures, shape (n, 3) [m]; xyz : true ones."""
         return cast(Array, self._in("measured", xyz, xyz, stops, rng))
 
 
 def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
-    """Return the temperature rise inside a casting, shape (n,) [K].
+    """Return the temperature rise inside a casting at each stop, shape (n,) [K].
 
     Heat passes through its wall (a third of the lag) into its core (the rest).
+
+    lag_minutes : lag behind the surface [min]
     """
     steps = np.diff(stops.time_s, prepend=0.0) / 60.0
     wall = core = 0.0
@@ -255,13 +279,21 @@ def warmth_inside(stops: Stops, lag_minutes: float) -> Array:
 
 
 def length_of(plant: Plant, link: int) -> Array:
-    """Return the vector from the joint of ``link`` to the next, in the link's axes, (3,) [m]."""
+    """Return the vector from a link's joint to the next one, in the link's frame, shape (3,) [m].
+
+    For the last link it leads to the reflector.
+
+    link : number of the link, from 1
+    """
     frame = plant.home[link - 1]
     return np.asarray(frame[:3, :3].T @ (plant.stations[link + 1] - frame[:3, 3]))
 
 
 def beam_axes(length: Array) -> tuple[Array, Array, Array]:
-    """Return unit vectors (3,) along a beam and in two directions across it."""
+    """Return unit vectors, shape (3,) each, along a beam and in two directions across it.
+
+    length : vector along the beam, shape (3,) [m]
+    """
     e = length / np.linalg.norm(length)
     across = np.cross(e, np.eye(3)[np.argmin(np.abs(e))])
     across /= np.linalg.norm(across)

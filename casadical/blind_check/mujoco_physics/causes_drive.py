@@ -14,11 +14,15 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 def gear_eccentricity(
     plant: Plant, stops: Stops, *, joint: int, size: float, towards: float, oval: float, oval_towards: float
 ) -> Array:
-    """Return the joint error of an eccentric, oval gear wheel, shape (n,) [rad].
+    """Return the joint error of an eccentric, oval gear wheel at each of n stops, shape (n,) [rad].
 
-    A wheel whose centre is ``size`` radii off its shaft, and which is oval by ``oval``, rolls on a
-    pinion whose angle is read. The pinion turns by the rolled length of the rim, the integral of
-    the rim's distance from the shaft.
+    It is the true angle less the reading. The wheel rolls on a pinion, whose angle the encoder
+    measures: the integral of the rim's distance from the shaft. The error is zero at reading zero;
+    to first order its first harmonic has the amplitude `size` and its second `oval` [rad].
+
+    size : distance of the wheel's centre from its shaft, divided by its radius
+    oval : a quarter of the relative difference of the wheel's semi-axes
+    towards, oval_towards : directions of the eccentricity and of the long axis [rad]
     """
     angle = np.linspace(-2 * np.pi, 2 * np.pi, 8001)
     along = angle - towards
@@ -34,10 +38,13 @@ def gear_eccentricity(
 
 @acts("motors")
 def transmission_ripple(plant: Plant, stops: Stops, *, joint: int, size: float, cycles: int, phase: float) -> Array:
-    """Return the joint error of a gear's teeth, shape (n,) [rad].
+    """Return the joint error of a gear's teeth at each of n stops, shape (n,) [rad].
 
-    There are ``cycles`` teeth a turn; each moves the joint a little ahead while it enters the mesh,
-    and behind while it leaves.
+    It is the true angle less the reading. Each tooth moves the joint ahead while it enters the
+    mesh, and back while it leaves.
+
+    size : amplitude of the error [rad]; cycles : number of teeth per turn of the joint
+    phase : phase of the mesh at reading zero [rad]
     """
     mesh = cycles * stops.q[:, joint - 1] + phase
     return np.asarray(size * (np.arcsin(0.95 * np.sin(mesh)) / np.arcsin(0.95)))
@@ -45,7 +52,12 @@ def transmission_ripple(plant: Plant, stops: Stops, *, joint: int, size: float, 
 
 @acts("motors")
 def joint_scale(plant: Plant, stops: Stops, *, joint: int, size: float) -> Array:
-    """Return the joint error of a pulley that is too large by the share ``size``, (n,) [rad]."""
+    """Return the joint error of a pulley of a wrong diameter at each of n stops, shape (n,) [rad].
+
+    It is the true angle less the reading.
+
+    size : relative error of the transmission ratio
+    """
     return size * stops.q[:, joint - 1]
 
 
@@ -53,8 +65,10 @@ def joint_scale(plant: Plant, stops: Stops, *, joint: int, size: float) -> Array
 def joint_coupling(mechanism: Mechanism, plant: Plant, *, joint: int, source: int, size: float) -> Mechanism:
     """Return the mechanism with bevel gears that couple a joint to another one.
 
-    The springs of the joint wind between its motor and the joint less ``size`` times joint
-    ``source``. A torque in the joint then also acts on the source.
+    The springs of the joint are between its motor and the joint's angle less `size` times that of
+    joint `source`, so that a torque in the joint also acts on the source.
+
+    joint, source : numbers of the joints, from 1; size : ratio of the coupling
     """
     name, other = f"joint{joint}", f"joint{source}"
     held = mechanism.joint(name)
@@ -66,23 +80,35 @@ def joint_coupling(mechanism: Mechanism, plant: Plant, *, joint: int, source: in
 
 @acts("motors")
 def joint_zero_step(plant: Plant, stops: Stops, *, joint: int, size: float, at_s: float) -> Array:
-    """Return the joint error of a zero that jumps by ``size`` [rad] at time ``at_s``, (n,)."""
+    """Return the joint error of a zero that jumps once at each of n stops, shape (n,) [rad].
+
+    It is the true angle less the reading.
+
+    size : size of the jump [rad]; at_s : time of the jump [s]
+    """
     return np.where(stops.time_s >= at_s, size, 0.0)
 
 
 @acts("motors")
 def thermal_zero_drift(plant: Plant, stops: Stops, *, joint: int, size: float, lag_minutes: float) -> Array:
-    """Return the joint error of a zero that drifts with temperature, shape (n,) [rad].
+    """Return the joint error of a zero that drifts thermally at each of n stops, shape (n,) [rad].
 
-    It follows the temperature inside the gear by ``size`` [rad/K], with a lag."""
+    It is the true angle less the reading, and follows the temperature inside the gear, which lags
+    behind that of the surface.
+
+    size : drift per temperature rise [rad/K]; lag_minutes : time constant of the lag [min]
+    """
     return size * warmth_inside(stops, lag_minutes)
 
 
 @acts("motors")
 def encoder_pit(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: float, width_rad: float) -> Array:
-    """Return the joint error of a scratched encoder disc, shape (n,) [rad]; not a listed effect.
+    """Return the joint error of a scratched encoder disc at each of n stops, shape (n,) [rad].
 
-    It is up to ``size`` [rad] within ``width_rad`` of ``at_rad``.
+    It is the true angle less the reading. The effect is not on the diagnosis' list.
+
+    size : largest error [rad]; at_rad : reading at which it occurs [rad]
+    width_rad : distance in reading from there at which the error vanishes [rad]
     """
     q = stops.q[:, joint - 1]
     beside = np.abs((q - at_rad + np.pi) % (2 * np.pi) - np.pi) / width_rad
@@ -91,10 +117,13 @@ def encoder_pit(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: 
 
 @acts("motors")
 def damaged_tooth(plant: Plant, stops: Stops, *, joint: int, size: float, ratio: float, at_rad: float) -> Array:
-    """Return the joint error of a pinion with a worn tooth, shape (n,) [rad]; not a listed effect.
+    """Return the joint error of a pinion with a worn tooth at each of n stops, shape (n,) [rad].
 
-    The joint jumps back by ``size`` [rad] for a tenth of each turn of the pinion, which makes
-    ``ratio`` turns in one of the joint.
+    It is the true angle less the reading: the joint jumps back for a tenth of each turn of the
+    pinion. The effect is not on the diagnosis' list.
+
+    size : size of the jump [rad]; ratio : turns of the pinion per turn of the joint
+    at_rad : angle of the pinion at which the jump begins [rad]
     """
     pinion = (ratio * stops.q[:, joint - 1] - at_rad) % (2 * np.pi) / (2 * np.pi)
     return np.where(pinion < 0.1, -size, 0.0)
@@ -102,9 +131,12 @@ def damaged_tooth(plant: Plant, stops: Stops, *, joint: int, size: float, ratio:
 
 @acts("motors")
 def lost_bits(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: float) -> Array:
-    """Return the joint error of an encoder that lost its low bits, shape (n,) [rad]; not listed.
+    """Return the joint error of an encoder without its low bits at each of n stops, (n,) [rad].
 
-    The joint stops in the middle of a step of ``size`` [rad]; one of the middles is at ``at_rad``.
+    It is the true angle less the reading: the joint stops in the middle of a step. The effect is
+    not on the diagnosis' list.
+
+    size : width of a step [rad]; at_rad : middle of one of the steps [rad]
     """
     q = stops.q[:, joint - 1] - at_rad
     return size * np.round(q / size) - q

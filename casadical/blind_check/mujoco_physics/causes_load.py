@@ -13,11 +13,13 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 
 @acts("built")
 def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, friction: float) -> Mechanism:
-    """Return the mechanism with play of +-``size`` [rad] between a joint's gear and its link.
+    """Return the mechanism with play between a joint's gear and its link.
 
-    The play is a hinge between hard stops. The link's bearing has dry friction: the torque that
-    would wind the joint's spring by the share ``friction`` of ``size``. Where the load is less, the
-    link lags behind the motion; elsewhere the load takes up the play.
+    The play is a hinge between hard stops. The link's bearing has dry friction. Where the load is
+    less than that, the link lags behind the motion; elsewhere the load takes up the play.
+
+    size : half of the play [rad]
+    friction : deflection of the joint's spring by the friction torque, divided by `size`
     """
     name, stiffness = f"joint{joint}", float(plant.stiffness[joint - 1])
     k = 0.1 * stiffness
@@ -29,10 +31,10 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
 
 @acts("built")
 def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, load_share: float) -> Mechanism:
-    """Return the mechanism with dry friction in a joint.
+    """Return the mechanism with dry friction in a joint, whose spring stays wound after a motion.
 
-    The joint's spring stays wound by up to ``size`` [rad] against the last motion. The rated torque
-    adds the share ``load_share`` to the friction of the idle joint.
+    size : largest deflection of the spring by the friction of the joint without load [rad]
+    load_share : relative increase of the friction at the rated torque
     """
     j, held = joint - 1, mechanism.joint(f"joint{joint}")
     idle = size * float(plant.stiffness[j])
@@ -44,12 +46,15 @@ def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: flo
 def nonlinear_stiffness(
     mechanism: Mechanism, plant: Plant, *, joint: int, size: float, knee: float, linear: float
 ) -> Mechanism:
-    """Return the mechanism with a strain-wave gear, which is soft at small torques.
+    """Return the mechanism with a strain-wave gear in a joint, which is soft at small torques.
 
-    With ``knee`` > 0 a second spring engages beyond that share of the rated torque; otherwise the
-    gear has a flexible wheel in series with the torque a x + b x^3. ``size`` [rad] is its
-    deflection at the rated torque beyond that of the joint's own spring; ``linear`` is the share of
-    that torque which the flexible wheel carries linearly there.
+    Either a second spring engages at some torque, or a flexible wheel with the torque a x + b x^3
+    is in series.
+
+    size : deflection at the rated torque beyond that of the joint's own spring [rad]
+    knee : torque at which the second spring engages, divided by the rated torque; 0: there is a
+        flexible wheel instead
+    linear : linear part a x of the flexible wheel's torque at the rated torque, divided by it
     """
     name, rated = f"joint{joint}", rated_torque(plant)[joint - 1]
     held = mechanism.joint(name)
@@ -69,10 +74,12 @@ def nonlinear_stiffness(
 def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean: float, post: float) -> Mechanism:
     """Return the mechanism with a balancing spring from a post above joint 2 to the upper arm.
 
-    The spring carries up to the share ``size`` of the rated torque. The post stands ``post`` times
-    as far from the joint as the spring's lug on the arm, so that the spring never folds, and leans
-    by ``lean`` [rad]. The unstretched spring is four fifths as long as where the two pass each
-    other.
+    The length of the unstretched spring is four fifths of that at which post and lug are closest.
+
+    size : largest torque of the spring on joint 2, divided by the rated torque
+    lean : angle of the post from the vertical [rad]
+    post : distance of the post from joint 2, divided by that of the spring's lug on the arm; above
+        1, so that the spring never folds
     """
     shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
     lever = 0.2 * float(np.linalg.norm(arm))
@@ -86,7 +93,11 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
 
 
 def greatest_torque(lever: float, post: float, rest: float) -> float:
-    """Return the greatest torque per stiffness of a balancing spring over all angles [m^2]."""
+    """Return a balancing spring's largest torque over all angles, divided by its stiffness [m^2].
+
+    lever : distance of the lug from the joint [m]; post : distance of the post divided by `lever`
+    rest : length of the unstretched spring [m]
+    """
     angle = np.linspace(0, np.pi, 181)
     length = lever * np.sqrt(1 + post**2 - 2 * post * np.cos(angle))
     return float(np.max(post * lever**2 * np.sin(angle) * (1 - rest / length)))
@@ -96,8 +107,9 @@ def greatest_torque(lever: float, post: float, rest: float) -> float:
 def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     """Return the mechanism with a hose from the forearm to the tool; not a listed effect.
 
-    The hose is slack at first, and pulls when it is drawn out. ``size`` [rad] is roughly the windup
-    of joint 5 when the hose is drawn out by a third of its length.
+    The hose pulls where its length exceeds 85 % of that at zero readings.
+
+    size : deflection of joint 5, about, where it is stretched by a third of that length [rad]
     """
     wrist, end = plant.centres[4], plant.at_home(plant.n, plant.reflector)
     forearm = plant.centres[2] - wrist
@@ -115,8 +127,10 @@ def hose_pull(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
 def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, free: float) -> Mechanism:
     """Return the mechanism with a cable package that is too short for its joint; not listed.
 
-    It tightens towards both ends of the joint's range: ``size`` [rad] is the windup of the joint at
-    either end, ``free`` the share of the range in which it is slack.
+    It tightens towards both ends of the joint's range.
+
+    size : deflection of the joint's spring at either end of the range [rad]
+    free : part of the range in which the cable is slack, 0 to 1
     """
     half = float(np.ptp(plant.ranges[joint - 1])) / 2
     k = size * float(plant.stiffness[joint - 1]) / ((1 - free) * half)
@@ -126,13 +140,14 @@ def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, 
 
 @acts("motors")
 def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_minutes: float) -> Array:
-    """Return the joint error of a rubber coupling that creeps under load; not listed.
+    """Return the joint error of a creeping rubber coupling at each of n stops, shape (n,) [rad].
 
-    The error has shape (n,) [rad].
+    It is the true angle less the reading. The coupling creeps under load, so that the error depends
+    on the loads of the previous poses. The robot starts unloaded, and waits at each pose until it
+    is measured. The effect is not on the diagnosis' list.
 
-    It depends on the loads of the previous poses. ``size`` [rad] is the final deflection under the
-    rated torque, beyond that of the joint's own spring; its time constant is ``lag_minutes``. The
-    robot starts unloaded, and waits at each pose until it is measured.
+    size : final deflection under the rated torque, beyond that of the joint's own spring [rad]
+    lag_minutes : time constant of the creep [min]
     """
     j = joint - 1
     end = size * settle(plant, stops).load[:, j] / rated_torque(plant)[j]
@@ -145,9 +160,10 @@ def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_
 
 
 def mark(mechanism: Mechanism, plant: Plant, link: int, name: str, home: Array) -> Mechanism:
-    """Return the mechanism with a named point on ``link``.
+    """Return the mechanism with a named point added to a link.
 
-    home : the point in the base at zero readings, shape (3,) [m]
+    link : number of the link, from 1; name : name of the point
+    home : the point in the base frame at zero readings, shape (3,) [m]
     """
     body, frame = mechanism.body(f"link{link}"), plant.home[link - 1]
     there = frame[:3, :3].T @ (np.asarray(home) - frame[:3, 3])

@@ -12,10 +12,11 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 def frame_drift(
     plant: Plant, stops: Stops, *, shift_m: Vector, turn_rad: Vector, settling_minutes: float
 ) -> list[Setting]:
-    """Return the settings of a tracker whose stand creeps and turns, fast at first.
+    """Return the settings, at each stop, of a tracker whose stand creeps and turns, fast at first.
 
-    It moves by ``shift_m`` (3,) and ``turn_rad`` (3,) in an hour, with the time constant
-    ``settling_minutes``.
+    shift_m : displacement in one hour in the measuring frame, shape (3,) [m]
+    turn_rad : rotation vector in one hour in the measuring frame, shape (3,) [rad]
+    settling_minutes : time constant of both [min]
     """
     crept = np.expm1(-stops.time_s / 60 / settling_minutes) / np.expm1(-60 / settling_minutes)
     shift, turn = np.outer(crept, shift_m), np.outer(crept, turn_rad)
@@ -24,18 +25,22 @@ def frame_drift(
 
 @acts("settings")
 def target_shift(plant: Plant, stops: Stops, *, shift_m: Vector, at_s: float) -> list[Setting]:
-    """Return the settings of a reflector that moves in its nest at the time ``at_s``.
+    """Return the settings, at each stop, of a reflector that moves in its nest at one time.
 
-    shift_m : in the last frame, shape (3,)
+    shift_m : displacement in the last link's frame, shape (3,) [m]
+    at_s : time of the displacement [s]
     """
     return [Setting("mark", "reflector", np.outer(stops.time_s >= at_s, shift_m))]
 
 
 @acts("measured")
 def outliers(xyz: Array, stops: Stops, rng: np.random.Generator, *, share: float, size: float) -> Array:
-    """Return the positions with a share of wrong points, shape (n, 3) [m].
+    """Return measured positions some of which are displaced at random, shape (n, 3) [m].
 
-    They are wrong by some ``size`` [m], half of them by far more.
+    The distances are Pareto distributed from half of `size` on, in random directions.
+
+    xyz : positions, shape (n, 3) [m]
+    share : probability that a point is displaced; size : median distance, about [m]
     """
     direction = rng.standard_normal(xyz.shape)
     length = size * (0.5 + rng.pareto(2.0, len(xyz)))
@@ -46,11 +51,10 @@ def outliers(xyz: Array, stops: Stops, rng: np.random.Generator, *, share: float
 
 @acts("settings")
 def range_offset(plant: Plant, stops: Stops, *, size: float, stand_m: Vector) -> list[Setting]:
-    """Return the settings of a tracker with a range offset of ``size`` [m]; not listed.
+    """Return the settings of a tracker that measures every distance too long; not listed.
 
-    It reads every distance too long by that.
-
-    stand_m : position of the tracker in the measuring frame, shape (3,)
+    size : range offset [m]
+    stand_m : position of the tracker in the measuring frame, shape (3,) [m]
     """
     sight = reflector(settle(plant, stops)) - np.array(stand_m)
     away = sight / np.linalg.norm(sight, axis=1, keepdims=True)

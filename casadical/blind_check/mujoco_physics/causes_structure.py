@@ -17,9 +17,12 @@ from casadical.blind_check.mujoco_physics.stops import Stops
 def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, torsion: float) -> Mechanism:
     """Return the mechanism with a link that bends and twists like a beam.
 
-    The link is cut at a quarter and at three quarters of its length, with three sprung hinges each.
-    ``size`` [rad] is the slope of its end by the moment there if all beyond hung at full stretch;
-    ``torsion`` is twist over bend stiffness.
+    The link is cut at a quarter and at three quarters of its length, with three hinges on springs
+    each.
+
+    link : number of the link, from 1
+    size : slope of its end [rad] by the moment there if all beyond were stretched out horizontally
+    torsion : ratio of torsional to bending stiffness
     """
     name = f"link{link}"
     whole, length = mechanism.body(name), length_of(plant, link)
@@ -37,10 +40,11 @@ def link_flexure(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
 
 @acts("built")
 def base_compliance(mechanism: Mechanism, plant: Plant, *, size: float, across: float, height_m: float) -> Mechanism:
-    """Return the mechanism with a pedestal on compliant anchors.
+    """Return the mechanism with a pedestal on compliant anchors: it tilts and sinks.
 
-    It tilts about two axes ``height_m`` below the base, and sinks. ``size`` [rad] is its tilt by
-    the full overturning moment, ``across`` the share of that about the other axis.
+    size : tilt about x by the moment of the arm stretched out horizontally [rad]
+    across : ratio of the tilt about y by the same moment to that about x
+    height_m : distance of the two axes below the base [m]
     """
     k, at = stretched_moments(plant, 0)[1] / size, (0.0, 0.0, -height_m)
     width = 0.15 * float(np.linalg.norm(np.diff(plant.stations, axis=0), axis=-1).sum())
@@ -56,11 +60,14 @@ def base_compliance(mechanism: Mechanism, plant: Plant, *, size: float, across: 
 def axis_wobble(
     plant: Plant, stops: Stops, *, joint: int, size: float, shift_m: float, cycles: int, phase: float
 ) -> list[Setting]:
-    """Return the settings of a joint whose turning ring wobbles.
+    """Return the settings, at each stop, of a joint whose axis wobbles as it turns.
 
-    The ring rests on three pads; its track has ``cycles`` waves a turn over two of them. ``size``
-    [rad] is roughly the tilt of the plane through the pads when one of them is on a crest; the ring
-    also shifts by up to ``shift_m`` sideways.
+    Its ring rests on three pads; the ring's track has waves, which raise it at two of them.
+
+    joint : number of the joint, from 1
+    size : tilt of the ring, about, with one pad on a crest [rad]
+    shift_m : largest displacement across the axis [m]
+    cycles : waves per turn of the joint; phase : their phase at zero reading [rad]
     """
     pads = np.array([0.0, 2.0, 4.2])
     track = cycles * (cause.link_angles(plant, stops.q)[:, [joint - 1]] - pads) + phase
@@ -75,13 +82,17 @@ def axis_wobble(
 
 @acts("settings")
 def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: float) -> list[Setting]:
-    """Return the settings of links that lengthen by ``size`` [1/K].
+    """Return the settings, at each stop, of links that lengthen with their temperature.
 
     The cores of the first links are the last to become warm; the tool stays cooler.
+
+    size : coefficient of thermal expansion [1/K]
+    lag_minutes : time constant of the lag of link 3 behind the surface [min]
     """
     n = plant.n
 
     def longer(warmth: Array, length: Array) -> Array:
+        """Return the elongation at each stop, (n, 3) [m], of a length (3,) [m] that warms [K]."""
         return np.outer(size * warmth, length)
 
     warm = [cause.warmth_inside(stops, lag_minutes * max(1.6 - 0.2 * i, 0.2)) for i in range(n + 1)]
@@ -105,9 +116,10 @@ def thermal_growth(plant: Plant, stops: Stops, *, size: float, lag_minutes: floa
 
 @acts("built")
 def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: Vector) -> Mechanism:
-    """Return the mechanism with a payload that is heavier than declared by the share ``size``.
+    """Return the mechanism with a payload that is not as declared.
 
-    shift_m : displacement of its mass centre in the flange's frame, shape (3,)
+    size : relative error of its mass; shift_m : displacement of its mass centre in the frame of the
+        last link, shape (3,) [m]
     """
     body = mechanism.body("payload")
     shifted = replace(body, place=slide(np.array(shift_m)) @ body.place)
@@ -116,9 +128,13 @@ def payload_error(mechanism: Mechanism, plant: Plant, *, size: float, shift_m: V
 
 @acts("settings")
 def thermal_bend(plant: Plant, stops: Stops, *, size: float, towards: float, lag_minutes: float) -> list[Setting]:
-    """Return the settings of a column that is warmed from one side; not a listed effect.
+    """Return the settings, at each stop, of a column that is warmed from one side; not listed.
 
-    It leans by ``size`` [rad/K] towards the direction ``towards`` [rad].
+    It leans by the temperature difference between its surface and its core.
+
+    size : lean per temperature difference [rad/K]
+    towards : direction of the axis about which it leans, in the base's xy plane [rad]
+    lag_minutes : time constant of the core's lag [min]
     """
     lean = np.array([np.cos(towards), np.sin(towards), 0.0])
     difference = stops.warmth_K - cause.warmth_inside(stops, lag_minutes)
@@ -133,7 +149,9 @@ def thermal_bend(plant: Plant, stops: Stops, *, size: float, towards: float, lag
 def bearing_play(mechanism: Mechanism, plant: Plant, *, joint: int, size: float) -> Mechanism:
     """Return the mechanism with a worn bearing of a joint; not a listed effect.
 
-    Its ring drops by up to ``size`` [m] across its axis, between stops.
+    Its ring drops across its axis, between hard stops.
+
+    joint : number of the joint, from 1; size : largest displacement along x and along y [m]
     """
     weight = plant.weight * (plant.mass[joint - 1 :].sum() + plant.payload_kg)
     k = 0.1 * weight / size
@@ -146,9 +164,11 @@ def bearing_play(mechanism: Mechanism, plant: Plant, *, joint: int, size: float)
 def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, towards: float) -> Mechanism:
     """Return the mechanism with a link that has a crack; not a listed effect.
 
-    The crack opens under load from one side and closes under load from the other. ``size`` [rad] is
-    how far it opens if all beyond hung at full stretch; ``towards`` [rad] is its place around the
-    beam.
+    The crack opens under load from one side and closes under load from the other.
+
+    link : number of the link, from 1
+    size : angle by which it opens if all beyond were stretched out horizontally [rad]
+    towards : direction of its axis around the link [rad]
     """
     length = length_of(plant, link)
     _, across, aside = cause.beam_axes(length)
@@ -161,8 +181,10 @@ def cracked_link(mechanism: Mechanism, plant: Plant, *, link: int, size: float, 
 def loose_anchor(mechanism: Mechanism, plant: Plant, *, size: float, towards: float) -> Mechanism:
     """Return the mechanism with a pedestal of which one anchor is loose; not a listed effect.
 
-    It tips by +-``size`` [rad] about the line of the other anchors, in the direction ``towards``
-    [rad].
+    It tips about the line of the other anchors, between hard stops.
+
+    size : largest angle to either side [rad]
+    towards : direction of that line in the base's xy plane [rad]
     """
     moment = 0.3 * stretched_moments(plant, 0)[1]
     axis = (float(np.cos(towards)), float(np.sin(towards)), 0.0)
@@ -174,7 +196,9 @@ def loose_anchor(mechanism: Mechanism, plant: Plant, *, size: float, towards: fl
 def loose_flange(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     """Return the mechanism with loose bolts of the flange; not a listed effect.
 
-    The payload tips the tool by up to ``size`` [rad] about each axis of the flange.
+    The payload tips the tool about the flange's x and y axes, between hard stops.
+
+    size : largest angle about each axis [rad]
     """
     moment = plant.weight * plant.payload_kg * float(np.linalg.norm(plant.payload_com))
     hinges = springs("flange", 0.3 * moment / size, size, "xy")
@@ -185,8 +209,11 @@ def loose_flange(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanis
 def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -> Mechanism:
     """Return the mechanism with a tool plate that slips on the flange; not a listed effect.
 
-    It slips within its bolt holes (+-``size`` [m]) once its weight overcomes the friction, and
-    stays there until it slips again. ``grip`` is the friction over the payload's weight.
+    It slips within its bolt holes once its weight overcomes the friction, and stays there until it
+    slips again.
+
+    size : largest displacement along x and along y [m]
+    grip : friction divided by the payload's weight
     """
     weight = plant.weight * plant.payload_kg
     k = weight / size
@@ -200,9 +227,11 @@ def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -
 def loose_cargo(mechanism: Mechanism, plant: Plant, *, size: float) -> Mechanism:
     """Return the mechanism with a payload that is loose in its crate; not a listed effect.
 
-    It slides against the lowest walls. ``size`` [rad] is the windup of joint 5 by half the crate's
-    clearance: the slide is ``size`` times the joint's stiffness over the payload's weight. A pad
-    holds it in the middle until a tenth of its weight pushes.
+    It slides against the lowest walls, from a pad that holds it in the middle up to a tenth of its
+    weight. The largest displacement is `size` times the stiffness of joint 5 (of the last one, if
+    there are fewer) over the payload's weight.
+
+    size : deflection of that joint by the largest displacement [rad]
     """
     weight = plant.weight * plant.payload_kg
     way = size * float(plant.stiffness[min(4, plant.n - 1)]) / weight

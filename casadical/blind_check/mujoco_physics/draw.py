@@ -11,9 +11,9 @@ from casadical.core.basics import InputError
 
 # Mean time between two poses of a campaign [s].
 SECONDS_A_POSE = 30.0
-# Effects that are visible only in joints with torque.
+# Names of effects that are visible only in joints that carry a torque.
 _EFFECTS_UNDER_LOAD = ("backlash", "nonlinear_stiffness", "rubber_coupling")
-# Effects that any revolute joint may have.
+# Names of effects that any revolute joint may have.
 _EFFECTS_OF_ANY_JOINT = (
     *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
     *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
@@ -22,9 +22,10 @@ _EFFECTS_OF_ANY_JOINT = (
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
-    """Return one effect by its name, with random joint and sizes.
+    """Return a hidden effect of this name with a random joint and random sizes.
 
-    poses : number of poses of the campaign, by which times are drawn
+    plant : robot as built; effect : name in `LISTED` or `UNLISTED`
+    poses : number of poses of the campaign, which determines its duration
     Raises InputError for an unknown name.
     """
     if effect not in {**LISTED, **UNLISTED}:
@@ -42,9 +43,9 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int 
 
 
 def impossible(plant: Plant) -> dict[str, str]:
-    """Return effects that a robot cannot have, and why not.
+    """Return the names of effects that a robot cannot have, each with the reason.
 
-    For a six-axis robot with payload on its feet there is none.
+    There are none for a six-axis robot with payload that stands upright.
     """
     n, last, down = plant.n, range(plant.n - 2, plant.n + 1), plant.base[:3, :3].T @ plant.gravity / plant.weight
     bar, arm = plant.four_bar, plant.centres[2] - plant.centres[1] if n > 2 else np.zeros(3)
@@ -73,7 +74,7 @@ def impossible(plant: Plant) -> dict[str, str]:
 
 
 def _links(plant: Plant) -> list[int]:
-    """Return links that may bend or crack: 2 and 3, if they have length and carry weight."""
+    """Return the numbers of links that may bend or crack: 2 and 3, if long and loaded enough."""
     least = 1e-3 * stretched_moments(plant, 0)[1]
     long = [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
     return [k for k in long if stretched_moments(plant, k)[0] > least]
@@ -82,9 +83,14 @@ def _links(plant: Plant) -> list[int]:
 def _size(
     plant: Plant, effect: str, joint: int | None, usual: float, rng: np.random.Generator, lasts_s: float
 ) -> dict[str, Any]:
-    """Return all sizes of an effect; they are ``usual`` times those of most robots."""
+    """Return random sizes of an effect by name [SI].
+
+    joint : its joint, from 1, or None; usual : factor on the sizes that most robots have
+    lasts_s : duration of the campaign [s]
+    """
 
     def between(low: float, high: float) -> float:
+        """Return a random number, uniform between two limits."""
         return float(rng.uniform(low, high))
 
     sign, angle = float(rng.choice([-1.0, 1.0])), between(0, 2 * np.pi)

@@ -21,17 +21,18 @@ from casadical.core.basics import ConvergenceError, optional
 
 # Time step of the integrator [s].
 TIME_STEP_S = 0.02
-# MuJoCo's solimp parameters for constraints that are as hard as possible at every violation.
+# MuJoCo's parameters `solimp` of constraints that are as hard as possible at every violation.
 HARDEST_IMPEDANCE = "0.9999 0.9999 0.001 0.5 2"
 
 
 def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> str:
-    """Return the mechanism in MuJoCo's XML; its world is the measuring frame.
+    """Return the mechanism as text in MuJoCo's XML; its world is the measuring frame.
 
     The loop is an equality constraint between sites, motors are the rest positions of joint springs
-    (``qpos_spring`` and ``tendon_lengthspring``, which the model keeps at ``ref``). The body
-    ``tracker`` stands at the world's origin, and a sensor gives the site ``reflector`` in its
-    frame.
+    (`qpos_spring` and `tendon_lengthspring`, which the model keeps at `ref`). The body `tracker` is
+    at the world's origin, and a sensor gives the site `reflector` in its frame.
+
+    gravity : in the measuring frame, shape (3,) [m/s^2]
     """
     stiff = f"{2 * TIME_STEP_S!r} 1"
     # The solver's tolerance is in units of the mean inertia, which is large here, so any tolerance
@@ -70,17 +71,17 @@ def mjcf(mechanism: Mechanism, gravity: Sequence[float] = (0.0, 0.0, -9.81)) -> 
 
 
 def numbers(*values: float) -> str:
-    """Return numbers as MJCF writes them, exact to the last bit."""
+    """Return numbers as the text of an MJCF attribute, exact to the last bit."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def quaternion(R: Array) -> Array:
-    """Return the unit quaternion (4,), scalar first, of the rotation matrix ``R`` (3, 3)."""
+    """Return the unit quaternion of a rotation matrix R, (3, 3), shape (4,), scalar first."""
     return np.roll(Rotation.from_matrix(R).as_quat(canonical=True), 1)
 
 
 def _body(parent: ET.Element, body: Body) -> ET.Element:
-    """Add a body with its joints and sites to the XML, and return its element."""
+    """Add a body with its mass, inertia, joints and sites to its parent's XML; return it."""
     place = {"pos": numbers(*body.place[:3, 3]), "quat": numbers(*quaternion(body.place[:3, :3]))}
     node = ET.SubElement(parent, "body", {"name": body.name, **place})
     mass = max(body.mass, 1e-6) if body.joints else body.mass  # the engine moves no body without mass
@@ -124,8 +125,8 @@ class Setting:
 
     kind : shift or turn of a body, in its parent's frame and before its joints; mark: shift of a
         named point in its body's frame
-    name : of the body or point
-    value : shape (3,) [m] or [rad]
+    name : name of the body or point
+    value : displacement [m] or rotation vector [rad], shape (3,)
     """
 
     kind: Literal["shift", "turn", "mark"]
@@ -135,12 +136,12 @@ class Setting:
 
 @dataclass(frozen=True)
 class Stop:
-    """State of the robot at one pose.
+    """Input of the equilibrium at one pose.
 
-    motors : where they stop, shape (joints,) [rad or m]
-    approach : -1 or 1, from which side they come, shape (joints,)
-    start : coordinates of joints at which the search for the equilibrium starts
-    payload_kg : declared
+    motors : coordinates at which the motors stop, shape (joints,) [rad or m]
+    approach : direction of each motor's last motion, -1 or 1, shape (joints,)
+    start : coordinate of each joint, by name, at which the search for the equilibrium starts
+    payload_kg : declared mass of the payload [kg]
     settings : deviations from the built mechanism
     """
 
@@ -154,7 +155,7 @@ class Stop:
 class Engine:
     """A mechanism, effects included, compiled by MuJoCo, that is brought to rest at poses.
 
-    gravity : in the measuring frame [m/s^2]
+    gravity : in the measuring frame, shape (3,) [m/s^2]
     Raises InputError: MuJoCo is missing.
     """
 
@@ -180,7 +181,7 @@ class Engine:
         self._built = {name: getattr(m, name).copy() for name in names}
 
     def rest(self, stop: Stop) -> Array:
-        """Return the reflector's position as the tracker sees it in equilibrium, shape (3,) [m].
+        """Return the reflector's position in equilibrium, as the tracker sees it, shape (3,) [m].
 
         Raises ConvergenceError: no rest within some thousand steps.
         """
@@ -194,7 +195,7 @@ class Engine:
         return np.array(self.data.sensor("measured").data)
 
     def coordinate(self, joint: str) -> float:
-        """Return the current coordinate of a joint."""
+        """Return the current coordinate of a joint, by its name [rad or m]."""
         return float(self.data.qpos[self._row[joint]])
 
     def _arrange(self, stop: Stop) -> None:
@@ -216,7 +217,7 @@ class Engine:
         d.qpos[self._keeps] = kept
 
     def _set(self, setting: Setting) -> None:
-        """Apply one setting to the model."""
+        """Apply one setting to the compiled model, in addition to those before."""
         m = self.model
         if setting.kind == "mark":
             m.site_pos[m.site(setting.name).id] += setting.value
@@ -230,7 +231,7 @@ class Engine:
                 self.mujoco.mju_mulQuat(m.body_quat[m.body(setting.name).id], quat, before)
 
     def _drive(self, motors: Array) -> None:
-        """Set the rest positions of the joint springs."""
+        """Set the rest positions of the joint springs to the motors' coordinates, (joints,)."""
         for row, motor in self._motors:
             self.model.qpos_spring[row] = motors[motor]
         for shaft, motor, slack in self._shafts:
@@ -254,9 +255,11 @@ class Engine:
         self._until_still(creep=2e-7)  # what friction holds creeps in the engine
 
     def _until_still(self, creep: float = 2e-9) -> None:
-        """Step until nothing moves faster than ``creep`` [rad/s or m/s].
+        """Step until no coordinate moves faster than `creep` [rad/s or m/s].
 
-        The remaining way is about a tenth of that number [rad or m].
+        The remaining motion is about a tenth of that number [rad or m].
+
+        Raises ConvergenceError: it still moves after 1500 steps.
         """
         for _ in range(0, 1500, 10):
             self.mujoco.mj_step(self.model, self.data, 10)

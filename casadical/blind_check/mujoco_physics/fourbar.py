@@ -10,9 +10,14 @@ from casadical.core.basics import InputError
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A closed loop in the plane of the link before, from its axis.
+    """A closed four-bar loop at n poses, in the plane of the link before the driven joint.
 
-    crank_end, coupler_end, pivot : points, shape (n, 2) [m]
+    The origin is on the axis of the joint before the driven one, the first coordinate along that
+    link's x axis.
+
+    crank_end : joint between crank and coupler, shape (n, 2) [m]
+    coupler_end : joint between coupler and rocker, shape (n, 2) [m]
+    pivot : the driven joint's axis, shape (2,) [m]
     passive : angle of the driven link, shape (n,) [rad]
     """
 
@@ -23,7 +28,7 @@ class ClosedLoop:
 
     @property
     def lever(self) -> Array:
-        """The crank torque for a unit torque on the driven link, shape (n,).
+        """The ratio of the crank's torque to that on the driven link in equilibrium, shape (n,).
 
         It follows from the coupler's force, which is along the coupler.
         """
@@ -32,9 +37,9 @@ class ClosedLoop:
 
 
 def pivot(plant: Plant) -> Array:
-    """Return the driven joint in the plane of the link before, shape (2,) [m].
+    """Return the driven joint's axis in the plane of the link before it, shape (2,) [m].
 
-    It is seen from that link's axis and x axis.
+    The origin is on the axis of that link's joint, the first coordinate along its x axis.
     """
     k = _bar(plant).driven - 1
     R, p = plant.home[k - 1, :3, :3], plant.home[k, :3, 3] - plant.home[k - 1, :3, 3]
@@ -44,31 +49,35 @@ def pivot(plant: Plant) -> Array:
 def crank_end(bar: FourBar, crank: Array) -> Array:
     """Return the end of the crank in the plane of the link before, shape (n, 2) [m].
 
-    crank : shape (n,) as of `crank_angle` [rad]
+    crank : angle of the crank as of `crank_angle`, shape (n,) [rad]
     """
     angle = crank + bar.crank_zero_rad
     return bar.crank_m * np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
 def crank_angle(plant: Plant, angles: Array) -> Array:
-    """Return the angle of the crank in the link before, (n,) [rad], at motor angles (n, joints)."""
+    """Return the angle of the crank relative to the link before the driven joint, shape (n,) [rad].
+
+    angles : coordinates of the motors, shape (n, joints) [rad or m]
+    """
     k = _bar(plant).driven - 1
     return np.asarray(angles[:, k] - angles[:, k - 1])
 
 
 def crank_distance(plant: Plant, q: Array) -> Array:
-    """Return the distance of the crank's end from the driven joint, shape (n,) [m].
+    """Return the distance of the crank's end from the driven joint's axis, shape (n,) [m].
 
-    q : readings, shape (n, joints) [rad]"""
+    q : readings, shape (n, joints) [rad or m]
+    """
     bar = _bar(plant)
     return np.asarray(np.linalg.norm(crank_end(bar, crank_angle(plant, q)) - pivot(plant), axis=-1))
 
 
 def unfolded(plant: Plant) -> tuple[float, float] | None:
-    """Return limits of the crank distance [m] that keep the loop away from its singular poses.
+    """Return lower and upper limit of `crank_distance` [m] that avoid singular poses of the loop.
 
-    They are a quarter of the rocker away from the folded and the stretched loop; None without a
-    loop.
+    They are a quarter of the rocker's length away from the folded and the stretched loop. None is
+    returned for a robot without a loop.
     """
     bar = plant.four_bar
     if bar is None:
@@ -78,8 +87,9 @@ def unfolded(plant: Plant) -> tuple[float, float] | None:
 
 
 def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
-    """Return the loop, not crossed, at crank angles (n,) [rad].
+    """Return the four-bar loop, closed without crossing, at n crank angles.
 
+    crank : angle of the crank as of `crank_angle`, shape (n,) [rad]
     Raises InputError at the first pose where it cannot be closed.
     """
     bar, P, C = _bar(plant), pivot(plant), crank_end(_bar(plant), crank)
@@ -109,5 +119,5 @@ def _bar(plant: Plant) -> FourBar:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Return the cross product of plane vectors."""
+    """Return the cross product of plane vectors, shape (...); a, b : shape (..., 2)."""
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]

@@ -15,10 +15,11 @@ from casadical.core.basics import InputError
 
 
 def _by_name(*kinds: Kind) -> dict[str, Kind]:
+    """Return kinds of causes by their names."""
     return {kind.name: kind for kind in kinds}
 
 
-# Effects that the diagnosis knows, by name.
+# Effects on the list of those that the diagnosis knows, by name.
 LISTED: Mapping[str, Kind] = _by_name(
     drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale,
     drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth,
@@ -38,7 +39,7 @@ UNLISTED: Mapping[str, Kind] = _by_name(
 
 
 def sizes_in_words(sizes: Mapping[str, Any]) -> str:
-    """Return the sizes of an effect as text."""
+    """Return the sizes of an effect as text, "NAME VALUE, .." [SI]."""
     return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
 
 
@@ -46,9 +47,9 @@ def sizes_in_words(sizes: Mapping[str, Any]) -> str:
 class Hidden:
     """One hidden effect.
 
-    effect : its name
-    joint : of the effect, 1-based; None if it belongs to none
-    size : its sizes by name [SI]
+    effect : name of the effect, in `LISTED` or `UNLISTED`
+    joint : number of its joint, from 1; None if it belongs to none
+    size : its sizes by name [SI], the keyword arguments of its function
     """
 
     effect: str
@@ -62,13 +63,14 @@ class Hidden:
 
     @property
     def label(self) -> str:
-        """The name, or name@joint."""
+        """The label of the effect: EFFECT, or EFFECT@JOINT."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 
 def cause(hidden: Hidden, joints: int = 6) -> Cause:
     """Return the cause by which a hidden effect acts in the engine.
 
+    joints : number of the robot's joints
     Raises InputError when its name, joint or sizes are not those of an effect.
     """
     kind = {**LISTED, **UNLISTED}.get(hidden.effect)
@@ -90,7 +92,8 @@ def cause(hidden: Hidden, joints: int = 6) -> Cause:
 def causes(hidden: Sequence[Hidden | Cause], joints: int = 6) -> list[Cause]:
     """Return the causes by which hidden effects act in the engine, in the order of building.
 
-    A `Cause` that is no effect by name, but written for one campaign, is taken unchanged.
+    hidden : effects by name, or causes, which are taken unchanged
+    joints : number of the robot's joints
     """
     acting = (h if isinstance(h, Cause) else cause(h, joints) for h in hidden)
     return sorted(acting, key=lambda c: c.kind.name == "joint_coupling")

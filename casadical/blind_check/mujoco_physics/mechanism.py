@@ -24,17 +24,20 @@ class Joint:
 
     The joints of one body act in their order, the first at the parent.
 
-    name : unique in the mechanism
-    kind, axis, at : hinge or slide, its direction and a point on it [m], in the body's frame
-    ref : coordinate at which the body is at its ``place`` [rad or m]
-    stiffness, hardening : spring torque ``stiffness x + hardening x^3`` [N m, N] at the deflection
-        ``x`` from its rest
-    motor : 1-based number of the motor whose angle is the spring's rest; None: the rest is 0
-    friction, rubbing : dry friction [N m, N], and its increase per unit of the spring's torque
-    limits : coordinates of hard stops, or None
-    inertia, damping : of the joint itself (a rotor behind its gear) [kg m^2, kg] and [N m s/rad, N
-        s/m]
-    keeps : whether the coordinate at one pose is where the motion to the next begins
+    name : name, unique in the mechanism
+    kind : hinge or slide
+    axis : unit vector of its axis in the body's frame
+    at : a point on its axis in the body's frame [m]
+    ref : coordinate at which the body is at its `place` [rad or m]
+    stiffness, hardening : k and h of the spring's torque k x + h x^3 [N m, or N of a slide] at the
+        deflection x from its rest
+    motor : number, from 1, of the motor whose coordinate is the spring's rest; None: the rest is 0
+    friction : dry friction without load [N m or N]
+    rubbing : increase of the friction per unit of the spring's torque
+    limits : coordinates of the hard stops [rad or m]; None: there are none
+    inertia : inertia of the joint itself, as of a rotor behind its gear [kg m^2 or kg]
+    damping : viscous damping of the joint [N m s/rad or N s/m]
+    keeps : whether the coordinate at one pose is that at which the motion to the next one begins
     """
 
     name: str
@@ -57,13 +60,14 @@ class Joint:
 class Body:
     """A rigid body; without joints it is fixed to its parent.
 
-    name, parent : of the body
-    place : in its parent, shape (4, 4) [m]
-    joints : by which it moves
-    mass : [kg]
+    name : name of the body
+    parent : name of its parent
+    place : pose in the parent's frame with all joints at their `ref`, shape (4, 4) [m]
+    joints : joints by which it moves in its parent
+    mass : mass [kg]
     com : mass centre in the body's frame, shape (3,) [m]
-    gyration : radius of gyration about the mass centre [m]
-    marks : named points in the body's frame, shape (3,) [m]
+    gyration : radius of gyration about the mass centre, the same for all axes [m]
+    marks : points in the body's frame by name, shape (3,) [m]
     """
 
     name: str
@@ -78,10 +82,11 @@ class Body:
 
 @dataclass(frozen=True)
 class Cord:
-    """A spring between two named points.
+    """A spring between two named points of bodies.
 
-    There is no force while its length is within ``rest`` [m]; beyond, the stiffness is
-    ``stiffness`` [N/m].
+    name : name of the spring; first, second : names of the points
+    stiffness : stiffness outside of `rest` [N/m]
+    rest : lower and upper length between which there is no force [m]
     """
 
     name: str
@@ -93,9 +98,15 @@ class Cord:
 
 @dataclass(frozen=True)
 class Shaft:
-    """A torsion spring or dry friction on a weighted sum of joint coordinates.
+    """A torsion spring, dry friction and damping on a weighted sum of joint coordinates.
 
-    The spring's rest is the angle of ``motor``; there is no torque within ``slack`` [rad] of it.
+    name : name of the shaft
+    joints : weight of each joint's coordinate by the joint's name
+    stiffness : stiffness of the spring [N m/rad]
+    motor : number, from 1, of the motor whose angle is the spring's rest; None: the sum of the
+        joints' `ref` is
+    slack : deflection from the rest up to which there is no torque [rad]
+    friction : dry friction [N m]; damping : viscous damping [N m s/rad]
     """
 
     name: str
@@ -111,12 +122,12 @@ class Shaft:
 class Mechanism:
     """Bodies, parents before their children, and what connects them apart from their joints.
 
-    bodies : of the mechanism
-    loop : two named points that form a ball joint, which closes a chain of bodies
+    bodies : bodies, parents before their children
+    loop : names of two points that form a ball joint, which closes a chain of bodies; None: none
     cords : springs between two bodies
-    shafts : couplings between joints
+    shafts : springs and friction on sums of joint coordinates
     travels : whether the equilibrium depends on the motion before it, as with friction and play
-    payload_factor : true over declared mass of the payload
+    payload_factor : true mass of the payload divided by the declared one
     """
 
     bodies: tuple[Body, ...]
@@ -149,9 +160,11 @@ class Mechanism:
         return self.with_body(replace(body, joints=tuple(j for some in kept for j in some)))
 
     def with_body_after(self, name: str, new: Body) -> Self:
-        """Return the mechanism with ``new`` between the body ``name`` and all that it carried.
+        """Return the mechanism with a new body between a body and all its children.
 
-        Nothing is moved by that.
+        The children keep their poses; the parent of `new` becomes the body.
+
+        name : name of the body; new : new body, with its place in the body's frame
         """
         bodies: list[Body] = []
         for body in self.bodies:

@@ -23,14 +23,18 @@ Array: TypeAlias = NDArray[np.float64]
 
 
 def rotation(rotvec: Array) -> Array:
-    """Return rotation matrices (..., 3, 3) about ``rotvec`` (..., 3) by its length [rad]."""
+    """Return the matrices, shape (..., 3, 3), of rotation vectors, shape (..., 3) [rad]."""
     shape = np.shape(rotvec)
     R = Rotation.from_rotvec(np.reshape(rotvec, (-1, 3))).as_matrix()
     return np.asarray(R.reshape(*shape[:-1], 3, 3))
 
 
 def motion(rotvec: Array, shift: Array, about: Array) -> Array:
-    """Return motions (..., 4, 4): a rotation by ``rotvec`` [rad] about a point, a shift [m]."""
+    """Return transforms, shape (..., 4, 4) [m]: a rotation about a point, then a displacement.
+
+    rotvec : rotation vectors, shape (..., 3) [rad]
+    shift : displacements, shape (..., 3) [m]; about : the points, shape (..., 3) [m]
+    """
     R = rotation(rotvec)
     G = np.zeros((*R.shape[:-2], 4, 4))
     G[..., :3, :3] = R
@@ -40,30 +44,32 @@ def motion(rotvec: Array, shift: Array, about: Array) -> Array:
 
 
 def turn(axis: Array, point: Array, angle: Array) -> Array:
-    """Return motions (n, 4, 4) by ``angle`` (n,) [rad] about a line.
+    """Return the transforms of rotations about a line, shape (n, 4, 4) [m].
 
-    axis : unit vector; point : on the line [m]"""
+    axis : unit vector of the line, shape (3,); point : a point on it, shape (3,) [m]
+    angle : angles of rotation, shape (n,) [rad]
+    """
     rotvec = np.asarray(angle, float)[..., None] * axis
     return motion(rotvec, np.zeros(3), point)
 
 
 def slide(shift: Array) -> Array:
-    """Return motions (..., 4, 4) that only shift, by ``shift`` (..., 3) [m]."""
+    """Return the transforms of displacements, shape (..., 4, 4); shift : shape (..., 3) [m]."""
     return motion(np.zeros_like(np.asarray(shift, float)), shift, np.zeros(3))
 
 
 def move(G: Array, x: Array) -> Array:
-    """Return the points ``x`` (..., 3) after the motions ``G`` (..., 4, 4)."""
+    """Return points x, shape (..., 3) [m], moved by transforms G, shape (..., 4, 4)."""
     return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], x) + G[..., :3, 3])
 
 
 def rotated(G: Array, v: Array) -> Array:
-    """Return the directions ``v`` (..., 3) after the motions ``G``."""
+    """Return directions v, shape (..., 3), rotated by transforms G, shape (..., 4, 4)."""
     return np.asarray(np.einsum("...ij,...j->...i", G[..., :3, :3], v))
 
 
 def back(G: Array, v: Array) -> Array:
-    """Return the directions ``v`` (..., 3) before the motions ``G`` (the inverse rotation)."""
+    """Return directions v, shape (..., 3), rotated by the inverse of transforms G, (..., 4, 4)."""
     return np.asarray(np.einsum("...ji,...j->...i", G[..., :3, :3], v))
 
 
@@ -78,11 +84,11 @@ def random_vector(rng: np.random.Generator, length: float) -> tuple[float, float
 class FourBar:
     """A planar loop that drives a joint: ground bar (the link before it), crank, coupler, rocker.
 
-    crank_m, coupler_m, rocker_m : lengths [m]
-    crank_zero_rad : added to the reading of the driven joint [rad]
-    passive_offset_rad : added to the rocker's direction in the link before, which gives the angle
-        of the driven link [rad]
-    driven : joint that it drives, 1-based; its crank turns about the axis of the joint before
+    crank_m, coupler_m, rocker_m : lengths of the bars [m]
+    crank_zero_rad : angle that is added to the crank's coordinate to give its direction [rad]
+    passive_offset_rad : angle that is added to the rocker's direction in the link before to give
+        the angle of the driven link [rad]
+    driven : number of the driven joint, from 1; its crank turns about the axis of the joint before
     """
 
     crank_m: float
@@ -97,22 +103,22 @@ class FourBar:
 class Plant(Shown):
     """A robot of n axes, described at zero readings, in SI units.
 
-    name : of the robot
-    home : frame of every link in the robot's base at zero readings, shape (n, 4, 4) [m]; joint i
-        turns about its z axis, or slides along it
-    reflector : in the last frame, shape (3,) [m]
-    mass : of the links, shape (n,) [kg]
-    com : mass centres in the link frames, shape (n, 3) [m]
-    payload_kg : declared payload [kg]
-    payload_com : its mass centre in the last frame, shape (3,) [m]
-    stiffness : of the actuated joints, shape (n,) [N m/rad or N/m]; for a joint driven by a
-        four-bar, of the crank
-    ranges : joint ranges, shape (n, 2) [rad or m]
-    base : the robot's base in the measuring frame, shape (4, 4) [m]
-    four_bar : loop that drives a joint; None without one
-    payload_factor : true mass of the payload over the declared one
-    slides : prismatic joints, 1-based
-    gravity : in the measuring frame, shape (3,) [m/s^2]
+    name : name of the robot
+    home : pose of every link in the base frame at zero readings, shape (n, 4, 4) [m]; joint i turns
+        about the z axis of link i, or slides along it
+    reflector : reflector in the last link's frame, shape (3,) [m]
+    mass : masses of the links, shape (n,) [kg]
+    com : mass centres in the links' frames, shape (n, 3) [m]
+    payload_kg : declared mass of the payload [kg]
+    payload_com : mass centre of the payload in the last link's frame, shape (3,) [m]
+    stiffness : stiffness of the actuated joints, shape (n,) [N m/rad or N/m]; that of the crank for
+        a joint that a four-bar drives
+    ranges : lower and upper reading of each joint, shape (n, 2) [rad or m]
+    base : pose of the base in the measuring frame, shape (4, 4) [m]
+    four_bar : loop that drives a joint; None: there is none
+    payload_factor : true mass of the payload divided by the declared one
+    slides : numbers of the prismatic joints, from 1
+    gravity : acceleration of gravity in the measuring frame, shape (3,) [m/s^2]
     """
 
     line: ClassVar[str] = " {{ it.name | repr }} of {{ it.home | length }} joints"
@@ -184,12 +190,12 @@ class Plant(Shown):
 
     @property
     def turning(self) -> list[int]:
-        """The revolute joints, 1-based."""
+        """The numbers of the revolute joints, from 1."""
         return [j for j in range(1, self.n + 1) if j not in self.slides]
 
     @property
     def weight(self) -> float:
-        """The magnitude of gravity [m/s^2]."""
+        """The magnitude of the acceleration of gravity [m/s^2]."""
         return float(np.hypot(np.hypot(self.gravity[0], self.gravity[1]), self.gravity[2]))
 
     @property
@@ -203,17 +209,18 @@ class Plant(Shown):
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
-        """Return points of a link's frame in the robot's base at zero readings, shape (..., 3) [m].
+        """Return points of a link in the base frame at zero readings, shape (..., 3) [m].
 
-        link : 1-based; x : in the link's frame, shape (..., 3) [m]
+        link : number of the link, from 1; x : the points in its frame, shape (..., 3) [m]
         """
         return np.asarray(x @ self.home[link - 1, :3, :3].T + self.home[link - 1, :3, 3])
 
     @property
     def stations(self) -> Array:
-        """The ends of the links at zero readings, shape (n + 2, 3) [m].
+        """The ends of the links in the base frame at zero readings, shape (n + 2, 3) [m].
 
-        They are the base's origin, the joint centres and the reflector."""
+        They are the base's origin, the origins of the links' frames and the reflector.
+        """
         return np.vstack([np.zeros(3), self.centres, self.at_home(self.n, self.reflector)])
 
     @property
@@ -241,11 +248,12 @@ def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]])
 
 
 def _radians(degrees: Any) -> float:
+    """Return an angle [rad] that a file has in degrees."""
     return float(np.deg2rad(float(degrees)))
 
 
 def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
-    """Return an array of a mapping after a check of its shape. Raises InputError."""
+    """Return the array at a key of a mapping after a check of its shape. Raises InputError."""
     table = np.array(robot[key], float)
     if table.shape != shape or not np.isfinite(table).all():
         raise InputError(f"robot: {key} has shape {table.shape}; it must be finite numbers of shape {shape}")
@@ -281,10 +289,10 @@ def perturb(
 ) -> Plant:
     """Return the robot with random building errors: all six of every link.
 
-    seed : of all errors
+    seed : seed of all errors
     length_mm, angle_mrad : standard deviation of each coordinate [mm] and angle [mrad] of a link's
-        error, and of lengths of bars
-    base : greatest shift [m] and rotation [deg] of the robot's base in the measuring frame
+        error; also those of the bars' lengths and of the crank's zero
+    base : largest displacement [m] and rotation [deg] of the robot's base in the measuring frame
     tool_mm : standard deviation of each coordinate of the reflector's error [mm]
     stiffness_spread : standard deviation of the logarithm of the joint stiffnesses
     building : which errors it has; by default all but those of the masses
@@ -312,9 +320,10 @@ def perturb(
 
 
 def home_with_errors(plant: Plant, wrong: Array) -> Array:
-    """Return the frames at zero readings if each link has an error at its end.
+    """Return the links' poses at zero readings in the base frame with errors, shape (n, 4, 4) [m].
 
-    wrong : errors in the links' own axes, shape (n, 4, 4)"""
+    wrong : transform of each link's frame by its error, in its own axes, shape (n, 4, 4) [m]
+    """
     before, frame, frames = np.eye(4), np.eye(4), []
     for nominal, error in zip(plant.home, wrong, strict=True):
         frame = frame @ np.linalg.solve(before, nominal) @ error
@@ -324,6 +333,6 @@ def home_with_errors(plant: Plant, wrong: Array) -> Array:
 
 
 def _in_ball(rng: np.random.Generator) -> Array:
-    """Return a random point, uniformly distributed in the unit ball."""
+    """Return a random point, uniformly distributed in the unit ball, shape (3,)."""
     direction = rng.standard_normal(3)
     return np.asarray(direction / np.linalg.norm(direction) * rng.random() ** (1 / 3))

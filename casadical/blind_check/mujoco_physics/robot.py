@@ -44,11 +44,11 @@ def mechanism(plant: Plant) -> Mechanism:
 
 
 def start(plant: Plant, angles: Array) -> dict[str, float]:
-    """Return joint coordinates at which the search for the equilibrium starts.
+    """Return joint coordinates by joint name at which the search for the equilibrium starts.
 
-    angles : of the motors, shape (joints,) [rad or m]
+    The small joints of effects are left out; they start at zero.
 
-    The small joints of effects are left out.
+    angles : coordinates of the motors, shape (joints,) [rad or m]
     """
     first = {f"joint{i + 1}": float(angles[i]) for i in range(plant.n)}
     if plant.four_bar is not None:
@@ -58,11 +58,14 @@ def start(plant: Plant, angles: Array) -> dict[str, float]:
 
 
 def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **more: object) -> Joint:
-    """Return a joint on a spring that comes to rest in ``SETTLING_TIME_S``, whatever its stiffness.
+    """Return a joint on a spring that comes to rest in `SETTLING_TIME_S`, whatever its stiffness.
 
-    Its inertia and damping are chosen for that; they do not change the equilibrium. For a spring
-    that hardens they are those of the stiffness ``inertia_of``, between its softest and its
-    hardest.
+    Its inertia and damping are chosen for that; they do not change the equilibrium.
+
+    stiffness : stiffness of the spring [N m/rad or N/m]
+    inertia_of : stiffness for which inertia and damping are chosen, between the softest and the
+        hardest of a spring that hardens; None: `stiffness`
+    more : further fields of the `Joint`
     """
     k = float(stiffness if inertia_of is None else inertia_of)
     joint = Joint(name, stiffness=float(stiffness), inertia=k * SETTLING_TIME_S**2, damping=2 * k * SETTLING_TIME_S)
@@ -70,21 +73,29 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
 
 
 def springs(name: str, stiffness: float, limit: float, axes: str, **more: Any) -> tuple[Joint, ...]:
-    """Return a joint on a spring for each of the axes ("xy", say), within +-limit [rad or m].
+    """Return a joint on a spring along each of some axes, named NAME_x and so on.
 
-    more : as of `spring`
+    stiffness : [N m/rad or N/m]; limit : hard stops of each joint are at +-limit [rad or m]
+    axes : letters of the axes, such as "xy"; more : as of `spring`
     """
     limits, along = (-limit, limit), {"x": X, "y": Y, "z": Z}
     return tuple(spring(f"{name}_{c}", stiffness, axis=along[c], limits=limits, **more) for c in axes)
 
 
 def free(name: str, like: float, **more: object) -> Joint:
-    """Return a joint without a spring, with an inertia for springs of stiffness ``like``."""
+    """Return a joint without a spring, with a tenth of the inertia of a spring joint.
+
+    like : stiffness of that spring joint [N m/rad or N/m]; more : further fields of the `Joint`
+    """
     return replace(Joint(name, inertia=0.1 * float(like) * SETTLING_TIME_S**2), **more)  # type: ignore[arg-type]
 
 
 def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) -> Mechanism:
-    """Return the mechanism with crank and coupler of a four-bar."""
+    """Return the mechanism with crank and coupler of a four-bar added.
+
+    middle : middle of the joint ranges, shape (joints,) [rad or m], at which joints have their
+        reference
+    """
     d = bar.driven
     k, before = plant.stiffness[d - 1], np.eye(4) if d == 2 else plant.home[d - 3]
     axis = np.linalg.solve(before, plant.home[d - 2])
@@ -105,7 +116,10 @@ def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) 
 
 
 def _coupler(plant: Plant, angles: Array) -> float:
-    """Return the angle of the coupler in the crank [rad]."""
+    """Return the angle of the coupler relative to the crank [rad], from -pi to pi.
+
+    angles : coordinates of the motors, shape (joints,) [rad or m]
+    """
     crank = crank_angle(plant, angles[None])
     loop = close_loop(plant, crank)
     x, y = (loop.coupler_end - loop.crank_end)[0]
@@ -113,6 +127,9 @@ def _coupler(plant: Plant, angles: Array) -> float:
 
 
 def _moved(place: Array, joint: Joint) -> Array:
-    """Return the place of a body when its joint is at its reference."""
+    """Return the pose of a body in its parent with its joint at its reference, shape (4, 4) [m].
+
+    place : pose with the joint at zero, shape (4, 4) [m]
+    """
     up, by = np.array([0.0, 0.0, 1.0]), np.array(joint.ref)
     return np.asarray(place @ (slide(joint.ref * up) if joint.kind == "slide" else turn(up, np.zeros(3), by)))

@@ -16,10 +16,10 @@ class Stops:
     """The circumstances of n poses at which the robot has stopped.
 
     q : readings, shape (n, joints) [rad or m]
-    time_s : since the start, shape (n,) [s]
+    time_s : time since the start of the campaign, shape (n,) [s]
     warmth_K : temperature of the arm's surface above that at time 0, shape (n,) [K]
-    payload_kg : declared, shape (n,) [kg]
-    approach : -1 or 1, each joint's last motion before it stopped, shape (n, joints)
+    payload_kg : declared mass of the payload, shape (n,) [kg]
+    approach : direction of each joint's last motion before it stopped, -1 or 1, shape (n, joints)
     """
 
     q: Array
@@ -32,7 +32,10 @@ class Stops:
         return len(self.q)
 
     def warmth_after(self, lag_minutes: float) -> Array:
-        """Return the temperature rise of a part that lags behind the surface, shape (n,) [K]."""
+        """Return the temperature rise of a part that lags behind the surface, shape (n,) [K].
+
+        lag_minutes : time constant of the lag [min]
+        """
         steps = np.diff(self.time_s, prepend=0.0)
         share = -np.expm1(-steps / (60.0 * lag_minutes))
         part, followed = 0.0, np.empty(len(self))
@@ -43,13 +46,13 @@ class Stops:
 
     @property
     def progress(self) -> Array:
-        """The share of the campaign that is over, shape (n,), from 0 to 1."""
+        """The index of each stop divided by that of the last one, 0 to 1, shape (n,)."""
         return np.arange(len(self)) / max(len(self) - 1, 1)
 
 
 @dataclass(frozen=True)
 class Warmup:
-    """Warm-up of the arm.
+    """Exponential warm-up of the arm.
 
     start_degC : temperature at the start [degC]
     rise_K : temperature rise in the end [K]
@@ -70,9 +73,10 @@ class Warmup:
 def draw_poses(
     plant: Plant, n: int, rng: np.random.Generator, ranges: Array, crank_distance_m: tuple[float, float] | None
 ) -> Array:
-    """Return random readings, shape (n, joints) [rad or m], uniform in ``ranges`` (joints, 2).
+    """Return n random readings, uniform within joint ranges, shape (n, joints) [rad or m].
 
-    crank_distance_m : limits within which the four-bar stays [m]
+    ranges : lower and upper readings, shape (joints, 2) [rad or m]
+    crank_distance_m : limits of the four-bar's `crank_distance` [m]; None: none
     Raises InputError when hardly any pose in the ranges keeps the limits.
     """
     kept = np.empty((0, plant.n))
@@ -96,10 +100,15 @@ def draw_stops(
     warmup: Warmup,
     approach: Literal["chance", "motion"] = "chance",
 ) -> Stops:
-    """Return random circumstances of the readings ``q`` (n, joints) [rad or m].
+    """Return the stops at given readings, with random circumstances.
 
-    A pose takes 20 to 40 s; payloads come in blocks; approaches are random, or follow from the
-    order of poses.
+    A pose takes 20 to 40 s; payloads come in blocks.
+
+    q : readings, shape (n, joints) [rad or m]
+    seeds : seeds of the times and of the approaches
+    payload_states : declared masses of the payload that alternate [kg]
+    approach : "chance" for random directions of approach, "motion" for those of the joints' motions
+        from pose to pose
     """
     n = len(q)
     time = np.cumsum(np.round(np.random.default_rng(seeds[0]).uniform(20.0, 40.0, n), 1))
@@ -112,9 +121,9 @@ def draw_stops(
 
 
 def in_column(joint: int, values: Array, joints: int = 6) -> Array:
-    """Return zeros, shape (n, joints), with ``values`` (n,) in the column of a joint.
+    """Return zeros, shape (n, joints), with `values`, shape (n,), in the column of one joint.
 
-    joint : 1-based
+    joint : number of the joint, from 1; joints : number of all joints
     """
     columns = np.zeros((len(values), joints))
     columns[:, joint - 1] = values

@@ -23,22 +23,25 @@ TRUE_COLUMNS = ["x_true_mm", "y_true_mm", "z_true_mm"]
 
 
 def approaches(joints: int) -> list[str]:
-    """Return the names of the columns of approach directions."""
+    """Return the names of the columns of approach directions: approach1 and so on."""
     return [f"approach{j}" for j in range(1, joints + 1)]
 
 
 def readings(plant: Plant) -> list[str]:
-    """Return the names of the columns of readings."""
+    """Return the names of the columns of readings: q1_deg, or q1_mm of a prismatic joint."""
     return [f"q{j}_mm" if j in plant.slides else f"q{j}_deg" for j in range(1, plant.n + 1)]
 
 
 def _per_joint(plant: Plant, turns: Array, slides: Array) -> Array:
-    """Return values for revolute joints from one array and for prismatic ones from the other."""
+    """Return values of revolute joints from `turns` and of prismatic ones from `slides`.
+
+    All have the shape (..., joints).
+    """
     return np.where([j in plant.slides for j in range(1, plant.n + 1)], slides, turns)
 
 
 def in_si(plant: Plant, shown: Array) -> Array:
-    """Return readings (n, joints), given in [deg or mm], in [rad or m]."""
+    """Return readings in [rad or m]; shown : readings in [deg or mm]; shape (..., joints) both."""
     return _per_joint(plant, np.deg2rad(shown), 1e-3 * shown)
 
 
@@ -48,18 +51,19 @@ class Options(TypedDict, total=False):
     noise_mm : standard deviation of each measured coordinate [mm]; default 0.02
     repeatability_urad : standard deviation of each joint about its reading [urad, or um of a
         prismatic joint]; default 5
-    payload_states : declared payloads [kg], in alternating blocks; default: none, and the plant's
-    warmup : the arm's temperature; default: 7 K in some 35 minutes
-    approach : direction of each joint's last motion: random, or with ``"motion"`` by the order of
-        the poses
+    payload_states : declared masses of the payload [kg], in alternating blocks; default: 0 and the
+        plant's
+    warmup : warm-up of the arm; default: 7 K with a time constant of 35 minutes
+    approach : direction of each joint's last motion: random, or with "motion" by the order of the
+        poses
     q_deg : readings that are taken instead of random ones, shape (n, joints) [deg or mm]
     given : columns time_s, temperature_degC, payload_kg, approach1 .. that are taken instead of
         random ones
     ranges_deg : ranges of random readings, shape (joints, 2) [deg or mm]; None: the plant's
-    crank_distance_m : limits of the loop's crank distance [m]; None: a quarter of the rocker away
-        from the singular poses
-    truth : whether to add x_true_mm, y_true_mm, z_true_mm: without noise, joints exactly repeated,
-        and the instrument without errors
+    crank_distance_m : limits of the four-bar's crank distance [m]; None: a quarter of the rocker
+        away from the singular poses
+    truth : whether the columns x_true_mm, y_true_mm, z_true_mm are added: without noise, joints
+        exactly repeated, and the instrument without errors
     """
 
     noise_mm: float
@@ -84,17 +88,17 @@ def simulate(
 ) -> pd.DataFrame:
     """Return the table of n simulated measured poses, rounded like a real one.
 
-    The same seed gives the same table. Poses, circumstances and noise do not depend on the effects,
-    so that the same campaign can be simulated without them.
+    Its columns are pose, time_s, temperature_degC, payload_kg, approach1 .., readings and measured
+    positions in the measuring frame. The same seed gives the same table. Poses, circumstances and
+    noise do not depend on the effects, so that the same campaign can be simulated without them.
 
-    Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
-
-    plant : the robot as built
+    plant : robot as built
     positions : function that returns the reflector's positions, shape (n, 3) [m], at n stops with
         errors of the joints, shape (n, joints) [rad or m]
-    instruments : effects that act on the measured positions
+    instruments : causes, of which those of the instrument act on the measured positions
     n : number of poses
-    seed : of all random draws
+    seed : seed of all random draws
+    Raises InputError where an argument is not usable, or no pose keeps the loop's limits.
     """
     warmup = options.get("warmup") or Warmup()
     noise_mm, repeatability_urad = options.get("noise_mm", 0.02), options.get("repeatability_urad", 5.0)
@@ -140,12 +144,15 @@ def simulate(
 
 
 def with_given(stops: Stops, given: pd.DataFrame, warmup: Warmup) -> Stops:
-    """Return the stops with the circumstances that a table has.
+    """Return the stops with those circumstances that a table has in place of their own.
 
-    A temperature that the table lacks follows from its times.
+    A temperature that the table lacks follows from the times by the warm-up.
+
+    given : table with some of the columns time_s, temperature_degC, payload_kg, approach1, ..
     """
 
     def column(name: str, drawn: Array) -> Array:
+        """Return a column of the table, or what was drawn where it has none, shape (n,)."""
         return given[name].to_numpy(float) if name in given else drawn
 
     time = column("time_s", stops.time_s)
