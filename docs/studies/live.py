@@ -1,9 +1,8 @@
 """A calibration beside the instrument, `casadical measure`: its answers, the slips that it says, what a kill loses.
 
-    python docs/studies/live.py [times] [slips] [poses] [kills] > docs/studies/live.txt
+    python docs/studies/live.py [times] [slips] [kills] > docs/studies/live.txt
 
-The rules by which readings are judged were committed before this study was run; 84 sessions of other seeds, and five
-robots for the order of the poses, were used to write them. "Real" is the UR10's tracker series C and the FR3's camera;
+The rules by which readings are judged were committed before this study was run. "Real" is the UR10's tracker series C;
 everything else is made up by the package's own model: a robot that departs from its file (lengths .3 mm, angles .5
 mrad, compliance), noise of .02 mm a coordinate.
 """
@@ -17,16 +16,13 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from casadical import read_measurements, read_problem
+from casadical import read_problem
 from casadical.core.basics import Array
-from casadical.core.transforms import from_rpy
 from casadical.identification.accuracy import predicted
-from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import draw, expected, one_turn
 from casadical.pose_selection.workspace import Workspace
 from casadical.project.live import LiveSession
@@ -45,7 +41,7 @@ KINDS = tuple(NAMES)
 SESSIONS, FRESH = 43, 100  # of each kind, and the number of the first
 SEEN = 1e-3  # a slip that moves the point by less [m] is none
 CLEAN, READINGS = 12, 60
-KILLS, TURNED = 200, 10
+KILLS = 200
 
 
 @contextmanager
@@ -176,46 +172,6 @@ def _warnings(live: LiveSession, q: Array, y: Array) -> int:
     return len(ever)
 
 
-def poses() -> None:
-    """Full poses: readings that are doubted in real tables, and orientations turned in one of them."""
-    print(
-        f"\nFull poses, real, the first {READINGS} rows of the tables: doubted as they are; then one row a session is"
-    )
-    print("given another orientation (its inverse, or turned by 1 to 10 degrees): said at once, others doubted")
-    for robot in ("ur10", "fr3_camera"):
-        problem = read_problem(ROOT / "problems" / robot)
-        table = problem.folder / problem.tables[0]["file"]
-        m = read_measurements(table, problem.robot.n)[np.arange(READINGS)]
-        doubted = _doubted(robot, m)
-        rng, said, others = np.random.default_rng(95), 0, 0
-        for k in range(TURNED):
-            at = int(rng.integers(10, READINGS))
-            while at + 1 in doubted:
-                at = int(rng.integers(10, READINGS))
-            R = m.orientation.copy()
-            turn = rng.normal(size=3)
-            turn *= np.deg2rad(rng.uniform(1, 10)) / np.linalg.norm(turn)
-            R[at] = R[at].T if k % 2 else R[at] @ from_rpy(turn)
-            found = _doubted(robot, replace(m[np.arange(at + 1)], orientation=R[: at + 1]))
-            said, others = said + (at + 1 in found), others + len(found - {at + 1} - doubted)
-        numbers = ", ".join(map(str, sorted(doubted)))
-        print(
-            f"{robot:11} doubted: {len(doubted)} ({numbers}); turned: {said} of {TURNED}, others {others}", flush=True
-        )
-
-
-def _doubted(robot: str, m: Measurements) -> set[int]:
-    """Numbers of the readings that are doubted at the end."""
-    with session(robot) as live:
-        (live.folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\n')
-        units = live.robot.reading_units
-        head = (*units, "x_mm", "y_mm", "z_mm", *(f"R{i}{j}" for i in range(3) for j in range(3)))
-        for k in range(len(m)):
-            values = [*m.q[k] / list(units.values()), *(1e3 * m.position[k]), *m.orientation[k].ravel()]
-            live.take(Row(head, (), tuple(f"{v:.9f}" for v in values), "study"), judge=k > 5)
-        return {r["number"] for r in live.state()["readings"] if r["state"] != "good"}
-
-
 def _one_slip(kind: str, robot: str, rng: np.random.Generator) -> dict[str, int]:
     """One session with one slip: whether it was said, when, and by its name."""
     with session(robot) as live:
@@ -301,6 +257,6 @@ def _child(folder: Path, table: Path, writer: int) -> None:
 
 
 if __name__ == "__main__":
-    every = {f.__name__: f for f in (times, slips, poses, kills)}
+    every = {f.__name__: f for f in (times, slips, kills)}
     for name in sys.argv[1:] or every:
         every[name]()

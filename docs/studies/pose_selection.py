@@ -1,6 +1,6 @@
 """OMP_NUM_THREADS=1 python docs/studies/pose_selection.py [PART...] > docs/studies/pose_selection.txt
 
-Parts: errors, formula, campaigns, room, forecast (all of them), and robots: hh800, kr210, ur10e (all of them).
+Parts: errors, formula, campaigns (all of them), and robots: hh800, kr210, ur10e (all of them).
 
 Chosen poses against random ones, for three robots and 30, 50, 100 poses: the held-out error over simulated campaigns,
 the standard errors predicted and realised, and what no choice of poses could better. Campaigns come from the
@@ -20,12 +20,11 @@ from casadical import identify, read_robot
 from casadical.blind_check.mujoco_physics import campaign, perturb
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.measurements.reading import from_table
-from casadical.pose_selection import Noise, Workspace, forecast
+from casadical.pose_selection import Noise, Workspace
 from casadical.pose_selection.candidates import draw, expected
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import noise_covariance, scaled_jacobian
 from casadical.pose_selection.pose_search import select_poses
-from casadical.pose_selection.workspace import Box, Tracker
 
 HERE = Path(__file__).parent
 PROBLEMS = HERE.parents[1] / "problems"
@@ -52,10 +51,6 @@ CAMPAIGNS_HEAD = f"""
 Held-out rms error [mm], {CAMPAIGNS} real robots, each measured once at random and at chosen poses.
 'less': what V gains, with its standard error; 'mean': the same of the mean error; 'wins': campaigns in
 which V is better.
-
-robot     n  random  V       less             mean   wins"""
-ROOM_HEAD = """
-The same in a room that lets only a part be measured (tracker, floor, wall), accurate everywhere:
 
 robot     n  random  V       less             mean   wins"""
 
@@ -178,20 +173,6 @@ def accuracy_of(selection, q):
     return replace(selection, m=expected(selection.robot, q, {}, "random")).accuracy
 
 
-def in_a_room(name, robot, plant):
-    """Half the joint-1 range is all that the tracker sees; the robot is to be accurate everywhere."""
-    reach = robot.reach
-    room = Workspace(
-        floor=-0.1 * reach, boxes=(Box(np.array([-2.0, -2.0, -0.2]) * reach, np.array([-0.3, 2.0, 1.0]) * reach),),
-        tracker=Tracker(np.array([2.5, 0.0, 0.4]) * reach, np.array([0.0, 0.0, 0.3]) * reach, np.deg2rad(20)),
-    )  # fmt: skip
-    everywhere = draw(robot, 300, Workspace(), np.random.default_rng(6))
-    for n in SIZES:
-        chosen = select_poses(robot, room, n, task=everywhere, noise=NOISE)
-        errors, wins = compare(robot, plant, chosen.q, room)
-        print(f"{name:6s} {n:4d}  {said(errors)}  {wins:4.0%}", flush=True)
-
-
 def by_chance_alone(count):
     """Range of realised over true standard errors that REPETITIONS campaigns give by chance: in 95 of 100 studies all
     of so many parameters are within (a realised variance is a chi-square; Bonferroni, which asks no independence)."""
@@ -237,18 +218,10 @@ def main() -> None:
             measure(name, robot, plant_of(robot))
 
 
-def ahead(name, robot, _plant):
-    seen = forecast(robot, 100, noise=NOISE)
-    at = [f"{n}: {1e3 * np.interp(n, seen.poses, seen.error):.4f}" for n in (20, 30, 40, 60, 100)]
-    print(f"{name:6s}  {', '.join(at)}; ten more gain under 10 % from {seen.stop()} poses on")
-
-
 PARTS = {
     "errors": (ERRORS_HEAD, standard_errors),
     "formula": (FORMULA_HEAD, by_formula),
     "campaigns": (CAMPAIGNS_HEAD, campaigns),
-    "room": (ROOM_HEAD, in_a_room),
-    "forecast": ("\nForecast: expected error [mm] against poses, the best ones next", ahead),
 }
 
 if __name__ == "__main__":
