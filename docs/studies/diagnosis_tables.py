@@ -33,7 +33,6 @@ def tables() -> dict[str, str]:
     return {
         "standard": _effects(standard),
         "extended": _effects(rare),
-        "physics": _physics([*standard, *rare]),
         "thresholds": _thresholds(),
     }
 
@@ -48,10 +47,17 @@ def _by_name(candidates: list[Candidate]) -> dict[str, Candidate]:
 
 
 def _effects(candidates: list[Candidate]) -> str:
-    lines = ["| effect | signature | one sigma of its parameters | columns it needs |", "|---|---|---|---|"]
+    """Return a list of the effects: what the data show, the physics, sizes, columns, and what it is confused with."""
+    lines = []
     for name, c in sorted(_by_name(candidates).items()):
+        effect = c.variants[0][0]
         joint = "@joint" if c.joint is not None and name != "gravity_compensator" else ""
-        lines.append(f"| `{name}{joint}` | {signature_of(name)} | {_sizes(c)} | {_columns(c)} |")
+        needs = f" Needs {columns}." if (columns := _columns(c)) else ""
+        shown = signature_of(name)
+        lines.append(
+            f"- **`{name}{joint}`**: {shown}. {effect.physics} *Sizes*: {_sizes(c)}.{needs} "
+            f"*Confused with* {effect.confused_with}."
+        )
     return "\n".join(lines)
 
 
@@ -87,15 +93,7 @@ def _columns(c: Candidate) -> str:
             words.add("order")
         else:
             words.add(column)
-    return ", ".join(sorted(words)) or "-"
-
-
-def _physics(candidates: list[Candidate]) -> str:
-    lines = []
-    for name, c in sorted(_by_name(candidates).items()):
-        effect = c.variants[0][0]
-        lines.append(f"- `{name}`: {effect.physics} Confused with {effect.confused_with}.")
-    return "\n".join(lines)
+    return ", ".join(sorted(words))
 
 
 def _thresholds() -> str:
