@@ -24,6 +24,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 from casadical.robot.urdf import new_urdf
 
+# Names of the formats to which a robot can be converted, as of `export model --to`.
 MODEL_FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
 
 
@@ -32,9 +33,10 @@ class RobotModel(Result):
     """A robot in the file format of another program.
 
     text : content of the file
-    lines : sentences on what the file holds besides the geometry, what it omits and what that costs
+    lines : sentences on what the file holds besides the geometry, what it omits and the position
+        error without it
     figures : the same as plain data
-    about : the robot, in words
+    about : robot in words, such as its name and number of joints
     """
 
     line: ClassVar[str] = " of {{ it.about or 'a robot' }}, {{ it.text.splitlines() | length }} lines"
@@ -56,9 +58,10 @@ class RobotModel(Result):
 
 
 def form_of(word: str | None, out: Path) -> str:
-    """Return the export format that is requested, or that the ending of the file `out` implies.
+    """Return the name of the requested format, or of that which a file's suffix implies.
 
-    Raises InputError: the format is unknown, or the ending implies none.
+    word : requested format; None: none; out : path of the file
+    Raises InputError: the format is unknown, or the suffix implies none.
     """
     endings = {".xml": "mjcf", ".urdf": "urdf", ".json": "actuators", ".xacro": "xacro"}
     endings |= {".yaml": "ur", ".yml": "ur"}
@@ -86,7 +89,7 @@ def robot_model(
 ) -> RobotModel:
     """Return a calibrated robot in the file format of another program, with what the format omits.
 
-    source : a robot file, taken as it is, or a problem folder, which is calibrated
+    source : robot file, whose values are taken, or problem folder, which is calibrated
     form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur,
         standard_dh, modified_dh, xacro
     nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
@@ -146,7 +149,7 @@ def robot_model(
 
 
 def calibrated(folder: Path) -> Calibration:
-    """Calibrate the problem in a folder with the last of its methods.
+    """Return the calibration of a problem folder by the last of its methods.
 
     Raises InputError, ConvergenceError.
     """
@@ -159,9 +162,11 @@ def robot_to_write(
 ) -> Robot:
     """Return the robot to be exported, from a robot file, a problem folder or a diagnosed campaign.
 
-    Without a campaign a robot file is read and a problem folder is calibrated; with a campaign CSV
-    the robot is calibrated and diagnosed from it, and has the causes found as effects.
+    Without a campaign a robot file is read and a problem folder is calibrated; with a campaign the
+    robot is calibrated and diagnosed from it, and has the causes found as effects.
 
+    source : robot file or problem folder; campaign : CSV of measured poses
+    effects : as of `casadical diagnose`
     Raises InputError, ConvergenceError.
     """
     if campaign is None:
@@ -184,6 +189,7 @@ def _into_users(
 
     nominal : robot file from before the calibration, needed where source is a robot file
     into : the user's MJCF file; joints : names of its joints, separated by commas
+    springs : whether springs are added to the compliant joints; robot : calibrated robot
     Raises InputError.
     """
     if source.is_file() and nominal is None and campaign is None:
@@ -202,7 +208,7 @@ def _into_users(
 
 
 def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> RobotModel:
-    """Return the robot as a URDF: geometry and masses, with the mean errors of what is omitted.
+    """Return the robot as a URDF (geometry and masses), with the position errors of what it omits.
 
     The user's own URDF is updated where the problem names one; otherwise a new one is written.
     Raises InputError.

@@ -15,13 +15,15 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.project.calibration import Calibration
 
-SAMPLED_POSES = 1000  # random poses over which the position error of an omission is averaged
+# Number of random poses over which the position error of an omission is averaged.
+SAMPLED_POSES = 1000
 
 
 def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out: bool) -> tuple[str, ...]:
-    """Return one line per omitted effect, with the position error that the omission causes.
+    """Return a sentence on each omitted effect, with the position error that the omission causes.
 
-    target : the format that is written, in words, for the error message
+    omissions : effects that the format cannot represent, with reasons
+    target : name of the format, for the error message
     leave_out : whether effects may be omitted. Effects of the measurement may always be omitted, as
         they are no property of the robot
 
@@ -51,11 +53,11 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
 
 
 def rigid_omissions(robot: Robot) -> tuple[str, ...]:
-    """Return lines on what a file that holds only the rigid geometry omits; none for a rigid robot.
+    """Return sentences on what a file that holds only the rigid geometry omits.
 
-    The lines name the joint compliances and effects, the position error [mm] without all of them,
-    and the effects whose position error is unknown. Effects of the measurement are named, but cause
-    no error of the robot.
+    They name the joint compliances and effects, the position error [mm] without all of them, and
+    the effects whose position error is unknown. Effects of the measurement are named, but cause no
+    error of the robot. There are none for a rigid robot without effects.
     """
     soft = ", ".join(str(i) for i, j in enumerate(robot.joints, 1) if j.compliance)
     names = [*([f"compliance of joints {soft}"] if soft else []), *(e.label for e in robot.effects)]
@@ -73,7 +75,8 @@ def rigid_omissions(robot: Robot) -> tuple[str, ...]:
 def distance_from_rigid(robot: Robot) -> tuple[float, float]:
     """Return mean and maximum distance [m] of the robot's point from that of its rigid geometry.
 
-    Both are evaluated over the learnt range, as in `displacement_without`, without effects of the measurement.
+    They are taken over random poses as in `displacement_without`. Effects of the measurement do not
+    count.
     """
     robot = robot.with_only(e for e in robot.effects if not e.of_measurement)
     q, w = _poses(robot)
@@ -85,8 +88,9 @@ def distance_from_rigid(robot: Robot) -> tuple[float, float]:
 def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
     """Return mean position errors [mm] at measured poses: nominal, rigid calibrated, whole model.
 
-    The poses are those of the set `report`, which the fit has not seen, or else those of the
-    identification; key `set` says which. Base and tool of the nominal robot are fitted.
+    The keys are nominal_mm, geometry_mm and model_mm, `set` and `poses`. The poses are those of the
+    set "report", which the fit has not seen, or else those of "identify"; `set` is its name and
+    `poses` their number. Base and tool of the nominal robot are fitted.
     """
     identified, sets = calibration.identification, calibration.problem.sets
     name = "report" if "report" in sets else "identify"
@@ -96,12 +100,12 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
     return {"set": name, "poses": len(mean["model"]), **figures}
 
 
-# Sentence for an effect whose condition has no range in the robot file; its name follows.
+# Sentence on an effect whose condition has no range in the robot file; its name follows.
 _UNKNOWN_LOSS = "what would be lost is not known, for the robot file gives no range of"
 
 
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:
-    """Return the first condition of the effects without a range in the robot file, or "".
+    """Return the name of the effects' first condition without a range in the robot file, or "".
 
     Approach directions, progress and payload need no range; see `_drawn`.
     """
@@ -116,6 +120,8 @@ def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[flo
     Readings and conditions are drawn uniformly from the range on which the robot was learnt. Where
     it is unknown, they are drawn from the joint limits, both approach directions, the whole
     progress, and the declared value of every other condition.
+
+    parameters : names of the parameters
     """
     q, w = _poses(robot)
     without = robot.parameters.values.copy()
@@ -125,9 +131,12 @@ def displacement_without(robot: Robot, parameters: Collection[str]) -> tuple[flo
 
 
 def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float]:
-    """Return mean and maximum distance [m] between the robot's point and `other`, shape (3, poses).
+    """Return mean and maximum distance [m] between the robot's measured point and other points.
 
     Poses at which a closed loop (four-bar) cannot close are excluded.
+
+    q : readings, shape (poses, n) [rad or m]; w : conditions, shape (poses, m)
+    other : the other points in the measuring frame, shape (3, poses) [m]
     """
     p, margin = robot.model.evaluate(("p", "margin"), q, w, robot.parameters.values)
     closed = (margin.reshape(-1, SAMPLED_POSES) > MIN_LOOP_MARGIN).all(axis=0)
@@ -136,7 +145,10 @@ def _apart(robot: Robot, q: Array, w: Array, other: Array) -> tuple[float, float
 
 
 def _poses(robot: Robot) -> tuple[Array, Array]:
-    """Return random readings q (k, n) [rad or m] and conditions w (k, m) in the learnt range."""
+    """Return random readings, (k, n) [rad or m], and conditions, (k, m), in the learnt ranges.
+
+    k is `SAMPLED_POSES`; the seed is fixed.
+    """
     rng = np.random.default_rng(0)
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     lower, upper = ranges.T if len(ranges) else robot.limits
@@ -147,10 +159,12 @@ def _poses(robot: Robot) -> tuple[Array, Array]:
 
 
 def _drawn(robot: Robot, column: int, rng: np.random.Generator) -> Array:
-    """Return random values of one condition column, shape (poses,), in its own unit.
+    """Return random values of one condition, shape (poses,), in its own unit.
 
     The range is the robot file's; otherwise -1 or 1 for an approach direction, 0 to 1 for progress,
     and the declared value for the rest.
+
+    column : index of the condition in `robot.conditions`
     """
     name, declared = robot.conditions[column], robot.declared[column]
     usual = (-1.0, 1.0) if name.startswith("approach") else (0.0, 1.0) if name == "progress" else (declared, declared)

@@ -14,12 +14,15 @@ from casadical.export.c.products import Command, Product
 from casadical.export.c.reference import StepState, correct, forward, network, step
 from casadical.export.c.tape_program import TapeProgram
 
-FILES_SCHEMA = 1  # version number of the exported files' format
+# Version number of the exported files' format.
+FILES_SCHEMA = 1
+# Template of the definitions of a command in the header.
 _COMMAND_DEFINES = """
 /* Largest correction of a joint [rad or m], and its largest change in one call of @name@_step */
 #define @NAME@_DELTA_LIMIT @delta_decimal@
 #define @NAME@_CHANGE_LIMIT @change_decimal@
 """
+# Template of the description of a command's statuses in the header.
 _COMMAND_STATUSES = """\
  *   RATE_LIMITED   the correction is on its way, as fast as it may change
  *   NOT_CONVERGED  more than @tolerance_mm@ mm remained before the last step; the correction is the best so far
@@ -85,7 +88,7 @@ def _casadis_own(program: TapeProgram) -> str:
 
 
 def _values(program: TapeProgram) -> dict[str, str]:
-    """Return the placeholders that every C template may use, by name."""
+    """Return values of the placeholders that every C template may use, by key."""
     real, command, network = program.real, program.command, program.network
     double = real == "double"
     # values of FLT_EVAL_METHOD at which arithmetic in this type is not evaluated in a wider one
@@ -125,7 +128,10 @@ def _values(program: TapeProgram) -> dict[str, str]:
 
 
 def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
-    """Return the placeholders of a joint-command correction: array sizes, limits, texts."""
+    """Return values of the placeholders of a joint-command correction, by key.
+
+    They are array sizes, limits and texts.
+    """
     limits, real, n, prepared = command.limits, program.real, program.n, prepared_size(command)
     n_p = pose_size(command)
     pose = "position p [m]" if n_p == 3 else "position p[0..2] [m], then the columns of the rotation matrix"
@@ -187,11 +193,15 @@ def _notes(notes: tuple[str, ...]) -> str:
     return "".join(f" *{line}\n" for line in lines) + " *\n" if notes else ""
 
 
-_VECTOR_SEED = 20201  # random seed of the test vectors, fixed so that exports are reproducible
+# Random seed of the test vectors, fixed so that exports are reproducible.
+_VECTOR_SEED = 20201
 
 
 def inside(program: TapeProgram, count: int, seed: int = _VECTOR_SEED) -> Array:
-    """Return random joint readings inside the box [rad or m], shape (count, n)."""
+    """Return random joint readings in the product's box, shape (count, n) [rad or m].
+
+    They are of the real type.
+    """
     lower, upper = program.product.lower, program.product.upper
     return np.random.default_rng(seed).uniform(lower, upper, (count, program.n)).astype(NUMPY_TYPE[program.real])
 
@@ -232,7 +242,10 @@ def comparison_inputs(program: TapeProgram, count: int) -> Array:
 
 
 def functions(program: TapeProgram) -> dict[str, Any]:
-    """Return the exported functions of joint readings by name, each as its NumPy reference."""
+    """Return the NumPy reference of each exported function of joint readings, by its name.
+
+    It takes the program and readings, and returns values and statuses; see `reference`.
+    """
     exported: dict[str, Any] = {} if program.network is None else {program.network.key: network}
     return exported | ({"forward": forward, "correct": correct} if program.command is not None else {})
 

@@ -18,15 +18,15 @@ from casadi import SX
 
 from casadical.export.c.products import Command
 
-# Length [m] that converts an orientation error [rad] to the scale of a position error.
+# Length that converts an orientation error [rad] to the scale of a position error [m].
 ORIENTATION_LENGTH_M = 0.3
 
 
 def prepare(command: Command) -> casadi.Function:
-    """Return the function that prepares a correction: q -> prepared, all numbers in one vector.
+    """Return the CasADi function that prepares a correction: q[n] -> prepared, one vector.
 
-    They are the nominal pose, the factored Jacobian (see `_Step.factored`), the weakness, and the
-    calibrated pose, all at the commanded joints q, shape (n,) [rad or m].
+    It has the nominal pose, the factored Jacobian (see `_Step.factored`), the weakness, and the
+    calibrated pose, all at the commanded joints q [rad or m].
     """
     q = SX.sym("q", len(command.lower))
     step = _step(command)
@@ -41,15 +41,15 @@ def prepare(command: Command) -> casadi.Function:
 
 
 def prepared_size(command: Command) -> int:
-    """Return how many numbers `prepare` gives before the calibrated pose."""
+    """Return the number of entries of `prepare`'s output before the calibrated pose."""
     return pose_size(command) + _step(command).size + 1
 
 
 def advance(command: Command) -> casadi.Function:
-    """Return the function of one step: (prepared, calibrated pose) -> moved.
+    """Return the CasADi function of one step: (prepared, calibrated pose) -> moved[n + 1].
 
-    moved : joint step, shape (n,) [rad or m], and as its last entry the squared error before it
-        [m^2]
+    `moved` is the joint step, shape (n,) [rad or m], and as its last entry the squared error before
+    it [m^2]; `prepared` is the output of `prepare` before its calibrated pose.
     """
     size, step = pose_size(command), _step(command)
     prepared, now = SX.sym("prepared", prepared_size(command)), SX.sym("now", size)
@@ -59,7 +59,7 @@ def advance(command: Command) -> casadi.Function:
 
 
 def residual_size(command: Command) -> int:
-    """Return the size of the residual: 3 for positions, 6 for poses."""
+    """Return the number of residuals: 3 for positions, 6 for poses."""
     return 3 if command.calibrated.numel_out(0) == 3 and command.calibrated.n_out() == 1 else 6
 
 
@@ -77,9 +77,10 @@ def _step(command: Command) -> "_Step":
 
 
 class _Step:
-    """Damped least-squares step of m residuals and n joints that moves `reached` of 3 directions.
+    """Damped least-squares step of m residuals and n joints.
 
     damping : lambda^2 [m^2/rad^2]
+    reached : number of directions, of 3, in which the joints move the tool
     """
 
     def __init__(self, n: int, m: int, damping: float, reached: int) -> None:
@@ -87,11 +88,11 @@ class _Step:
 
     @property
     def size(self) -> int:
-        """Return how many numbers `factored` gives: J, L below its diagonal, inverted pivots."""
+        """Return the length of `factored`'s vector: J, L below its diagonal, inverted pivots."""
         return self.m * self.n + _factor_size(self.m)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
-        """Return J (m, n) with its factors as one vector, and the weakness [rad^2/m^2].
+        """Return a Jacobian J, (m, n), and its factors as one vector, and the weakness [rad^2/m^2].
 
         The weakness is the trace of (J J^T + lambda^2 I)^-1 without unreachable directions: about 1
         / (smallest singular value)^2 near a singular pose.
@@ -128,11 +129,14 @@ class _PositionFirst(_Step):
 
     @property
     def size(self) -> int:
-        """Return how many numbers `factored` gives: J, two factors of 3 rows, and P (J_o P)^T."""
+        """Return the length of `factored`'s vector: J, two factors of 3 rows, and P (J_o P)^T."""
         return (self.m + 3) * self.n + 2 * _factor_size(3)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
-        """Return J (6, n) with the factors of both problems as one vector, and the weakness."""
+        """Return J, (6, n), with the factors of both problems as one vector, and the weakness.
+
+        The weakness is the sum of those of position and orientation [rad^2/m^2].
+        """
         Jp, Jo = J[:3, :], J[3:, :]
         L, inverse = self._factors(Jp)
         G = self._projected(Jp, L, inverse, Jo.T).T
@@ -156,13 +160,16 @@ class _PositionFirst(_Step):
 
     @staticmethod
     def _projected(Jp: SX, L: SX, inverse: SX, v: SX) -> SX:
-        """Return P v, shape (n, 3): joint motions v projected onto those that keep the position."""
+        """Return P v, shape (n, 3): joint motions v projected onto those that keep the position.
+
+        Jp : Jacobian of the position, (3, n); L, inverse : its factors, see `_factored`
+        """
         y = casadi.horzcat(*[_solved(L, inverse, casadi.mtimes(Jp, v[:, k])) for k in range(v.shape[1])])
         return v - casadi.mtimes(Jp.T, y)
 
 
 def _flat(function: casadi.Function, q: SX) -> SX:
-    """Return all outputs of a function of q as one column, matrices column by column."""
+    """Return all outputs of a function at joints q as one column, matrices column by column."""
     return casadi.vertcat(*[casadi.vec(out) for out in function.call([q])])
 
 
@@ -180,7 +187,10 @@ def residual(target: SX, now: SX) -> SX:
 
 
 def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
-    """Return the Jacobian of minus the residual by the function's joints, at joints `at`."""
+    """Return the Jacobian of minus the residual, (m, n), by the joints of a pose function.
+
+    It is taken at joints `at`, shape (n,), and is that of the pose in the residual's scale.
+    """
     x, fixed = SX.sym("x", len(command.lower)), SX.sym("fixed", pose_size(command))
     now = _flat(function, x)
     slope = casadi.jacobian(-residual(fixed, now), x)
@@ -188,7 +198,10 @@ def _slope(command: Command, function: casadi.Function, at: SX) -> SX:
 
 
 def _factored(A: SX, floor: float) -> tuple[SX, SX]:
-    """Return unit lower L and the inverted pivots of A = L D L^T, no pivot below `floor`."""
+    """Return unit lower triangular L and inverted pivots of A = L D L^T, (m, m) and (m,).
+
+    floor : smallest pivot
+    """
     m = A.shape[0]
     L, d, inverse = SX.eye(m), SX.zeros(m), SX.zeros(m)
     for j in range(m):
@@ -232,7 +245,7 @@ def _below(m: int) -> list[tuple[int, int]]:
 
 
 def _factor_size(m: int) -> int:
-    """Return how many numbers `_packed` gives for m rows."""
+    """Return the length of `_packed`'s vector for m rows."""
     return m * (m - 1) // 2 + m
 
 

@@ -46,10 +46,15 @@ class Coefficients:
     largest: float
 
 
-ANGLE_LIMIT = 1024.0  # largest angle [rad] that sincos reduces exactly
-EXP_LIMIT = 43.0  # largest argument of exp
-TAN_PI_8 = 0.41421356  # ratio from which atan2 reduces by pi/4; any value near tan(pi/8) is right
-# Quadratic polynomial for sqrt(m) on [1, 4), accurate to 0.7 per cent; Heron's steps refine it.
+# Largest absolute angle that sincos reduces exactly [rad].
+ANGLE_LIMIT = 1024.0
+# Largest absolute argument of exp; larger ones are clipped to it.
+EXP_LIMIT = 43.0
+# Smallest ratio of the smaller to the larger coordinate at which atan2 subtracts pi/4; any value
+# near tan(pi/8) is right.
+TAN_PI_8 = 0.41421356
+# Coefficients, lowest first, of a quadratic polynomial for sqrt(m) on [1, 4), which is accurate to
+# 0.7 per cent; Heron's steps refine it.
 SQRT_GUESS = (0.5375, 0.4905, -0.0305)
 
 _FLOAT_COEFFICIENTS = Coefficients(  # constants of the elementary functions in float (binary32)
@@ -120,16 +125,18 @@ _DOUBLE_COEFFICIENTS = Coefficients(  # constants of the elementary functions in
     smallest=float(np.finfo(np.float64).tiny),
     largest=float(np.finfo(np.float64).max),
 )
-# Constants of the elementary functions by the name of the real type.
+# Constants of the elementary functions, by the name of the real type.
 COEFFICIENTS: dict[str, Coefficients] = {"float": _FLOAT_COEFFICIENTS, "double": _DOUBLE_COEFFICIENTS}
-# NumPy types by the name of the real type.
+# NumPy type of numbers, by the name of the real type.
 NUMPY_TYPE: dict[str, Any] = {"float": np.float32, "double": np.float64}
 
 
 def turn_parts(c: Coefficients, points: int) -> tuple[float, float, float]:
-    """Return samples per radian of a table, and the sample spacing [rad] split in two parts.
+    """Return a table's samples per radian, and the sample spacing [rad] split in two parts.
 
-    points : samples per turn, a power of two. The two parts add up to the spacing, as in `half_pi`.
+    The two parts add up to the spacing, as in `Coefficients.half_pi`.
+
+    c : constants of the real type; points : samples per turn, a power of two
     """
     high, low = (4 / points * part for part in c.half_pi)
     return points / 4 * c.two_over_pi, high, low
@@ -147,25 +154,26 @@ def literal(value: float, real: Real) -> str:
 # Largest interpolation error of a table, in the unit of the function's outputs. For a joint angle
 # it is 0.05 urad: 0.05 um at 1 m, and less than the last bit of an angle of 1 rad in float.
 MAX_TABLE_ERROR = 5e-8
-# Samples per turn that are tried in this order. Powers of two let a bit mask reduce the index;
-# with more samples the index would not be exact in float.
+# Numbers of samples per turn that are tried, in this order. Powers of two let a bit mask reduce the
+# index; with more samples the index would not be exact in float.
 TABLE_SIZES = (64, 128, 256, 512, 1024, 2048)
-# Largest angle [rad] of a table lookup: up to here the angle is reduced exactly, by multiples of
-# the sample spacing in two parts.
+# Largest absolute angle of a table lookup [rad]: up to it the angle is reduced exactly, by
+# multiples of the sample spacing in two parts.
 TABLE_LIMIT = 128.0
-# Whole turns that are added to an angle so that its index is positive: the conversion to an
+# Number of turns that are added to an angle so that its index is positive: the conversion to an
 # integer, which truncates, then rounds down.
 ADDED_TURNS = 32
-_HARMONIC_SAMPLES = 8192  # samples per turn from which the harmonics of a function are computed
+# Number of samples per turn from which the harmonics of a function are computed.
+_HARMONIC_SAMPLES = 8192
 
 
 def spline_table(samples: Array) -> tuple[float, ...]:
-    """Return coefficients / 6 of the periodic cubic spline through N samples, shape (N + 3,).
-
-    samples : values at equally spaced angles of one turn, shape (N,)
+    """Return coefficients / 6 of the periodic cubic spline through N samples, N + 3 numbers.
 
     Between sample i and the next one, at t from 0 to 1, the spline is the sum of entries i to i + 3
-    times the cubic B-spline basis functions of t times six.
+    times six times the cubic B-spline basis functions of t.
+
+    samples : values at equally spaced angles of one turn, shape (N,)
     """
     angles = 2 * np.pi * np.fft.rfftfreq(len(samples))
     c = np.fft.irfft(np.fft.rfft(samples) / (2 / 3 + np.cos(angles) / 3), len(samples)) / 6
@@ -174,9 +182,11 @@ def spline_table(samples: Array) -> tuple[float, ...]:
 
 @lru_cache
 def spline_errors(points: int) -> Array:
-    """Return the largest error of a spline through unit harmonics of order 1, 2, .., shape (4096,).
+    """Return the largest error of a spline through a unit harmonic of each order, shape (4096,).
 
-    points : samples per turn
+    The orders are 1, 2, .. 4096.
+
+    points : samples of the spline per turn
     """
     angle = 2 * np.pi * np.arange(1, _HARMONIC_SAMPLES // 2 + 1) / points
     t = np.linspace(-0.01, 1.01, 52)[:, None]  # rounding may place t a hundredth outside its cell
@@ -186,10 +196,12 @@ def spline_errors(points: int) -> Array:
 
 
 def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], float]]:
-    """Return for each output of q[n] -> y[n] its spline table and the bound of the table's error.
+    """Return (spline table, bound of its error) for each output of a function q[n] -> y[n].
 
-    A constant output has a table of one number. Raises InputError: an output is not a periodic
-    function of its own angle alone, has no finite value, or changes too fast for the largest table.
+    The bound is in the unit of y. A constant output has a table of one number.
+
+    Raises InputError: an output is not a function of its own angle alone with period 2 pi, has no
+    finite value, or changes too fast for the largest table.
     """
     n = function.numel_in(0)
     if (function.n_in(), function.n_out(), function.numel_out(0)) != (1, 1, n):
@@ -213,7 +225,11 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
 
 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
-    """Return the smallest table of one output that is accurate enough, and its error bound."""
+    """Return the smallest spline table of one output that is accurate enough, and its error bound.
+
+    output : index of the output; samples : its values over one turn
+    Raises InputError: none is.
+    """
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _HARMONIC_SAMPLES
     bound = np.inf
     for points in TABLE_SIZES:

@@ -22,7 +22,7 @@ _INFIX_OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
-    """Return the text of a template by its name."""
+    """Return the text of a template by its name: a short one, or a file's."""
     return _short()[name] if name in _short() else _read(name)
 
 
@@ -37,18 +37,19 @@ def _short() -> dict[str, str]:
 
 
 def _read(file: str) -> str:
+    """Return the text of a file in the folder of templates."""
     return (files("casadical.export.c") / "templates" / file).read_text(encoding="utf-8")
 
 
 def filled(text: str, values: dict[str, str]) -> str:
-    """Return a template with every @key@ replaced; a key without a value raises KeyError."""
+    """Return a template with every @key@ replaced by its value; without one KeyError is raised."""
     return re.sub(r"@([\w:.\-]+)@", lambda match: values[match.group(1)], text)
 
 
 def elementary_functions(tapes: list[Tape], name: str, real: Real) -> str:
     """Return C text of the static elementary functions and tables that the tapes call, each once.
 
-    name : prefix of the exported C functions
+    name : prefix of the exported C functions; real : type of numbers
     """
     nodes = [node for tape in tapes for node in tape.nodes]
     values = constants(real) | {"name": name, "real": f"{name}_real"}
@@ -79,7 +80,10 @@ def table_name(table: tuple[float, ...]) -> str:
 def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
     """Return C text of the static function PREFIX_NAME that evaluates a tape.
 
-    The C function returns 1, or 0 where an argument violated a guard.
+    The C function takes arrays of inputs and outputs, and returns 1, or 0 where an argument
+    violated a guard.
+
+    prefix : prefix of the exported C functions; real : type of numbers
     """
     real_name = f"{prefix}_real"
     names = []
@@ -99,7 +103,10 @@ def kernel(tape: Tape, prefix: str, name: str, real: Real) -> str:
 
 
 def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str:
-    """Return the C statement of operation k; a : texts of its arguments."""
+    """Return the C statement that sets the result of node k of a tape.
+
+    a : C texts of its arguments; prefix, real : as of `kernel`
+    """
     if node.op == "sincos":
         return f"{prefix}_real v{k}[2];\n{prefix}_sincos({a[0]}, v{k});"
     text = _expression(node, a, prefix, real)
@@ -111,7 +118,7 @@ def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str
 
 
 def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
-    """Return the C expression of an operation; a : texts of its arguments."""
+    """Return the C expression of a node's result; a : C texts of its arguments."""
     zero, one = literal(0.0, real), literal(1.0, real)
     if node.op in _INFIX_OPERATORS:
         return f"{a[0]} {_INFIX_OPERATORS[node.op]} {a[1]}"
@@ -140,7 +147,10 @@ def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
 
 
 def constants(real: Real, write: Callable[[float, Real], str] = literal) -> dict[str, str]:
-    """Return every number that the templates of elementary functions use, written by `write`."""
+    """Return the text of every number that the templates of elementary functions use, by its key.
+
+    write : function that writes a number of the real type as text, by default a C literal
+    """
     c = COEFFICIENTS[real]
     numbers = {"tan_pi_8": coefficients.TAN_PI_8, "exp_limit": coefficients.EXP_LIMIT}
     for key, (high, low) in (("half_pi", c.half_pi), ("ln2", c.ln2)):

@@ -53,8 +53,10 @@ class Shape(BaseModel):
     """Name, real type, joints and output sizes of an export, as needed to call it.
 
     name : prefix of its C functions
-    joints : number of joints; units : of their readings, all rad if empty
-    outputs : number of outputs of each function
+    real : type of its numbers, "float" or "double"
+    joints : number of joints
+    outputs : number of outputs of each function by its name
+    units : "rad" or "m" of each joint's reading; empty: all rad
     """
 
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True)
@@ -77,7 +79,12 @@ class Shape(BaseModel):
 
 
 class Manifest(BaseModel):
-    """Those entries of an export's manifest.json that are read back."""
+    """Those entries of an export's manifest.json that are read back.
+
+    kernel : name, type and sizes of the C
+    files : SHA-256 of each file by its name
+    figures : accuracy figures of the export by name, see `write.accuracy`
+    """
 
     model_config = ConfigDict(strict=True, extra="ignore", frozen=True, allow_inf_nan=False)
 
@@ -115,16 +122,16 @@ class Kernel:
         self._library = ctypes.CDLL(str(library))
 
     def rows(self, function: str, q: Array) -> tuple[Array, Array]:
-        """Call a function for each row of joints.
+        """Return values, shape (k, outputs), and status, shape (k,), of a function at k readings.
 
-        function : ``network``, ``curves``, ``forward`` or ``correct``, as the export has it
+        The values are of network a position correction [mm], of curves true angles less readings
+        [rad], of correct corrections to add to the joints [rad or m], of forward the calibrated
+        position [m], with the rotation's columns where the export has them. The status is a
+        `casadical.export.Status`.
+
+        function : "network", "curves", "forward" or "correct", as the export has it
         q : joint readings, shape (k, n) [rad or m], converted to the kernel's real type
-
-        Returns values, shape (k, outputs), and status, shape (k,), a `casadical.export.Status`: of
-        network [mm], of curves what each joint turns beyond its reading and of correct its
-        correction [rad or m], of forward the calibrated position [m], with the rotation where the
-        export has it. Raises InputError: the export has no such function, or q another number of
-        joints.
+        Raises InputError: the export has no such function, or q another number of joints.
         """
         shape = self.shape
         if function not in shape.outputs:
@@ -147,11 +154,12 @@ class Kernel:
     correct = partialmethod(rows, "correct")
 
     def steps(self, q: Array, enable: Array) -> tuple[Array, Array]:
-        """Call the C's ``step`` in consecutive cycles, starting without a correction.
+        """Return corrections, (k, n) [rad or m], and status, (k,), of k calls of the C's `step`.
 
-        q : readings, shape (k, n) [rad or m]; enable : whether the correction is on, shape (k,)
+        They are consecutive controller cycles, starting without a correction.
 
-        Returns corrections, shape (k, n) [rad or m], and status, shape (k,).
+        q : commanded joints, shape (k, n) [rad or m]
+        enable : whether the correction is on in each cycle, shape (k,)
         """
         table = np.ascontiguousarray(q, NUMPY_TYPE[self.shape.real])
         on = np.ascontiguousarray(enable, np.uint32)
@@ -184,9 +192,12 @@ def rows_source(shape: Shape) -> str:
 def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, flags: tuple[str, ...] = ()) -> Kernel:
     """Compile an export's sources and the loops over rows into a new shared library, and load it.
 
-    Raises CasadicalError: the compiler reports an error or a warning (its output is in the
-    message), does not end, or its library cannot be loaded. The library is loaded in a separate
-    process first.
+    The library is loaded in a separate process first.
+
+    sources : C files of the export; folder : folder of the library
+    flags : additional flags of the compiler
+    Raises CasadicalError: the compiler reports an error or, by its flags, a warning (its output is
+    in the message), does not end, or its library cannot be loaded.
     """
     how = hashlib.sha256(" ".join(flags).encode()).hexdigest()[:8]
     library = folder / f"{shape.name}_{Path(compiler.command).name}_{how}.so"
@@ -207,9 +218,9 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
 
 
 def load(export: str | Path, *, trust: bool = False) -> Kernel:
-    """Compile the C of an export folder and load it.
+    """Compile the C of an export folder, load it, and return its functions for arrays.
 
-    export : folder that ``write_c`` wrote
+    export : folder that `write_c` wrote
     trust : whether the C of a folder that this user did not export on this machine is compiled and
         run too
     Raises InputError: the folder has no manifest, is not trusted, or a source is not the one that
@@ -255,7 +266,10 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
 
 
 def remember(manifest: bytes) -> None:
-    """Record in the user's private folder that an export with this manifest was written here."""
+    """Record in the user's private folder that an export with this manifest was written here.
+
+    manifest : content of its manifest.json
+    """
     folder = private_folder("exports")
     if folder is not None:
         with suppress(InputError):  # without the record `correct` asks for --trust

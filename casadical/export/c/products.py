@@ -13,7 +13,7 @@ from casadical.core.basics import Array, InputError
 class Limits:
     """Limits of a joint-command correction, and thresholds of the statuses that it reports.
 
-    delta_rad : largest correction of a joint [rad, of a linear joint m]
+    delta_rad : largest correction of a joint [rad or m]
     step_rad : largest change of a joint in one least-squares step [rad or m]
     rate_rad_s : rate at which a correction may change [rad/s or m/s]
     cycle_s : cycle time of the controller [s]
@@ -57,7 +57,11 @@ class Limits:
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Return the limits as the C compares with them: per cycle, some of them squared."""
+        """Return the limits as the C compares with them, by name.
+
+        They are delta, step and change per cycle [rad or m], ramp (gain per cycle), tolerance2 (its
+        square [m^2]) and weakness (largest value of a pose that is not singular [rad^2/m^2]).
+        """
         return {
             "delta": self.delta_rad,
             "step": self.step_rad,
@@ -70,9 +74,10 @@ class Limits:
 
 @dataclass(frozen=True)
 class NetworkFunction:
-    """A network q[n] [rad or m] -> dp[m] [mm] with the box of joint readings it was trained in.
+    """A network q[n] [rad or m] -> dp[m] [mm] with the ranges of readings it was trained in.
 
-    lower, upper : ends of the box, shape (n,) [rad or m]
+    function : CasADi function of the network; dp is added to computed positions
+    lower, upper : lower and upper ends of these ranges, shape (n,) [rad or m]
     units : "rad" or "m" of each joint's reading; default: all rad
     key, out, unit, title : names of the exported function and of its result, the result's unit, and
         a title in words
@@ -118,9 +123,8 @@ class Command:
     nominal, calibrated : q[n] -> p[3] [m], or q[n] -> (p[3], R[3x3]) for position and orientation,
         both in the robot's own base frame; the calibrated one is the whole model of the real robot
         (closed loops, compliance, network)
-    lower : Array, shape (n,) [rad or m]: lower ends of the box of joint readings that are
-        corrected; `command_of` takes the robot's limits, not the range that was measured
-    upper : Array, shape (n,) [rad or m]: upper ends of the box
+    lower, upper : lower and upper ends of the box of joint readings that are corrected, shape (n,)
+        [rad or m]; `command_of` takes the robot's limits, not the range that was measured
     jacobian_of : function like ``calibrated`` whose Jacobian the chord steps take; None:
         ``calibrated`` itself. The chain without compliance and network costs a third
     jacobian_at : joints at which this Jacobian is taken, as a function of q; None: q
@@ -163,12 +167,14 @@ class Command:
             raise InputError(f"the network has {len(self.network.lower)} joints and the robot {n}; both must be equal")
 
 
-Product = NetworkFunction | Command  # whatever can be exported as C
+# Type of what can be exported as C.
+Product = NetworkFunction | Command
 
 
 def _checked_box(product: Any) -> None:
-    """Check the box and units of a product and set them as float arrays and a complete tuple.
+    """Check the box and units of a product, and replace them by float arrays and a complete tuple.
 
+    product : `NetworkFunction` or `Command`
     Raises InputError.
     """
     lower, upper = (np.array(b, float).ravel() for b in (product.lower, product.upper))
@@ -185,9 +191,11 @@ def _checked_box(product: Any) -> None:
 
 
 def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...] | None) -> int:
-    """Return the number of outputs of a function after checking its numbers of inputs and outputs.
+    """Return a function's number of outputs after checking its numbers of inputs and outputs.
 
-    sizes : numbers of outputs that are allowed; None: any. Raises InputError.
+    n : number of joints, which its inputs must be
+    sizes : numbers of outputs that are allowed; None: any but 0
+    Raises InputError.
     """
     n_in = sum(function.numel_in(i) for i in range(function.n_in()))
     n_out = sum(function.numel_out(i) for i in range(function.n_out()))
@@ -202,9 +210,11 @@ def _checked_signature(function: casadi.Function, n: int, sizes: tuple[int, ...]
 
 
 def mapped(function: casadi.Function, q: Array) -> Array:
-    """Return a function's outputs for each row of q (k, n) [rad or m], shape (k, outputs).
+    """Return a CasADi function's outputs at k readings, shape (k, outputs).
 
-    Matrices are written column by column.
+    Outputs that are matrices are appended column by column.
+
+    q : readings, shape (k, n) [rad or m]
     """
     out = function.map(len(q)).call([casadi.DM(q.T)])
     columns = [np.array(o).reshape(o.shape[0], -1, len(q), order="F") for o in out]

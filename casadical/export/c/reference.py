@@ -21,7 +21,10 @@ from casadical.export.c.tape_program import TapeProgram
 
 
 class NumpyFunctions:
-    """Elementary functions of one real type on arrays, with each rounding as in the C."""
+    """Elementary functions of one real type on arrays, with each rounding as in the C.
+
+    T : NumPy type of numbers; c : constants of the real type
+    """
 
     def __init__(self, real: coefficients.Real) -> None:
         self.T = coefficients.NUMPY_TYPE[real]
@@ -48,7 +51,10 @@ class NumpyFunctions:
         return np.where(q & 2, -sin, sin), np.where((q + 1) & 2, -cos, cos)
 
     def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
-        """Return the value of a spline table at angles x [rad], |x| up to `TABLE_LIMIT`."""
+        """Return the value of a spline table, see `spline_table`, at angles x [rad].
+
+        |x| is up to `TABLE_LIMIT`.
+        """
         T, points = self.T, len(table) - 3
         c, offset = np.array(table).astype(T), T(coefficients.ADDED_TURNS * points)
         per_radian, high, low = (T(v) for v in coefficients.turn_parts(self.c, points))
@@ -81,7 +87,7 @@ class NumpyFunctions:
         return np.asarray(np.where(a < 0, -value, value))
 
     def exp(self, a: Array) -> Array:
-        """Return exp(a), with |a| limited to `EXP_LIMIT`."""
+        """Return exp(a), with a clipped to +-`EXP_LIMIT`."""
         x = np.where(a < 0, -a, a)
         t, r, R = self._reduced(np.where(x < self.T(coefficients.EXP_LIMIT), x, self.T(coefficients.EXP_LIMIT)))
         up, down = t * (R + r), R - r
@@ -105,7 +111,7 @@ class NumpyFunctions:
         return np.asarray(np.where(x < T(self.c.smallest), T(0), s * y))
 
     def atan2(self, y: Array, x: Array) -> Array:
-        """Return the angle [rad] of the points (x, y)."""
+        """Return the angle [rad] of the points (x, y) from the x axis, from -pi to pi."""
         T, c = self.T, self.c
         ax, ay = np.where(x < 0, -x, x), np.where(y < 0, -y, y)
         steep = ay > ax
@@ -122,7 +128,10 @@ class NumpyFunctions:
 
 
 def _simple(T: Any) -> dict[str, Callable[..., Any]]:
-    """Return the operations of a tape that are one NumPy expression, by name."""
+    """Return the function of each operation that is one NumPy expression, by the operation's name.
+
+    T : NumPy type of numbers
+    """
     one, zero = T(1), T(0)
     return {
         "add": lambda a, b: a + b,
@@ -142,12 +151,12 @@ def _simple(T: Any) -> dict[str, Callable[..., Any]]:
 
 
 def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
-    """Evaluate a tape on many inputs in the arithmetic of the exported C.
+    """Return the outputs of a tape, (k, n_out), at k inputs, and a mask of valid ones, (k,).
 
-    inputs : array, shape (k, n_in), already of the real type
+    The arithmetic is that of the exported C. The mask is false where a guard of the tape was
+    violated (no real root, argument out of range).
 
-    Returns the outputs, shape (k, n_out), and a boolean array, shape (k,), false where a guard of
-    the tape was violated (no real root, argument out of range).
+    inputs : shape (k, n_in), of the real type already
     """
     size = 4096  # rows at once, which keeps the values of a long tape in the cache
     starts = range(0, max(len(inputs), 1), size)
@@ -204,10 +213,10 @@ class Status(IntEnum):
 
 
 def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Array]:
-    """Return inputs clipped to a box, and OK, CLAMPED or NOT_FINITE for each row.
+    """Return readings clipped to a box, (k, n), and status OK, CLAMPED or NOT_FINITE of each, (k,).
 
-    q : shape (k, n); box : its lower and upper ends, each of shape (n,)
-    share : see `TapeProgram.box_share`
+    q : readings, shape (k, n) [rad or m]; box : lower and upper ends, each of shape (n,)
+    share : as of `TapeProgram.box_share`
     """
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
@@ -223,25 +232,32 @@ def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Arra
 
 
 def network(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Return the outputs of network or curves, shape (k, m), and status, shape (k,), at joints q.
+    """Return the outputs of network or curves, shape (k, m), and status, shape (k,), at readings q.
 
-    q : shape (k, n) [rad or m]; outputs in mm of a network, in rad of curves
+    Outputs are position corrections of a network [mm], true angles less readings of curves [rad].
+
+    q : shape (k, n) [rad or m]
     """
     assert program.network is not None
     return _values(program, q, program.network.key, "network")
 
 
 def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Return the calibrated tool pose at joints q (k, n) [rad or m], and status, shape (k,).
+    """Return the calibrated tool pose, shape (k, 3 or 12), and status, shape (k,), at readings q.
 
-    Pose : position [m], and for poses the columns of the rotation, shape (k, 3 or 12), in the
-        robot's own base frame
+    The pose is the position [m] and, where the program has it, the columns of the rotation, in the
+    robot's own base frame.
+
+    q : shape (k, n) [rad or m]
     """
     return _values(program, q, "forward", "reach")
 
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
-    """Return outputs and status of a tape at joints clipped to the box of this name."""
+    """Return outputs and status of a tape at readings q, which are clipped to a box.
+
+    tape, box : names of the tape and of the box
+    """
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes[box], program.box_share)
     values, fine = run(program.tapes[tape], x, program.real)
@@ -251,7 +267,7 @@ def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array,
 
 
 def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
-    """Return joint corrections dq, shape (k, n) [rad or m], and status, shape (k,).
+    """Return corrections to add to commanded joints, (k, n) [rad or m], and status, shape (k,).
 
     q : commanded joints, shape (k, n) [rad or m]
     """
@@ -266,7 +282,7 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
-    """Return rows of v scaled so that no entry exceeds `limit`, and which rows were scaled."""
+    """Return rows of v, (k, n), scaled so that no |entry| exceeds `limit`, and which were, (k,)."""
     largest = np.zeros(len(v), v.dtype)
     for i in range(v.shape[1]):
         magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
@@ -278,7 +294,7 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    """Return corrections dq (k, n) and status (k,) at joints x inside the box; see `chord`."""
+    """Return corrections, (k, n) [rad or m], and status, (k,), at joints x within the box."""
     T, real, numbers = NUMPY_TYPE[program.real], program.real, command.limits.numbers
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)
@@ -309,10 +325,10 @@ def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Arr
 
 @dataclass
 class StepState:
-    """State of the exported step function: last correction dq [rad or m] and gain.
+    """State of the exported step function between two controller cycles.
 
-    dq : Array, shape (n,) [rad or m]
-    gain : share of the correction that is switched on, 0 to 1
+    dq : last correction, shape (n,) [rad or m]
+    gain : factor of the correction while it is switched on or off, 0 to 1
     """
 
     dq: Array
@@ -328,7 +344,7 @@ class StepState:
 def step(program: TapeProgram, state: StepState, q: Array, enable: bool) -> tuple[Array, Status]:
     """Return the correction of one controller cycle, shape (n,) [rad or m], and its status.
 
-    state : is changed as the C changes its own
+    state : state of the last cycle, which is changed in place
     q : commanded joints, shape (n,) [rad or m]; enable : whether the correction is on
     """
     assert program.command is not None

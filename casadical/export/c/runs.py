@@ -14,20 +14,25 @@ from casadical.export.c.coefficients import NUMPY_TYPE, Real
 from casadical.export.c.tape import COMMUTATIVE_OPERATIONS, Node, Tape
 from casadical.export.c.tape_program import TapeProgram
 
-RESULT_PLACES = {"sincos": 2}  # number of places that an operation's results take; default 1
-_TAPE_ORDER = ("forward", "prepare", "advance")  # order of the tapes; network or curves follow
+# Number of places in the array of values that an operation's results take, if not 1.
+RESULT_PLACES = {"sincos": 2}
+# Names of the tapes in their order; network or curves follow.
+_TAPE_ORDER = ("forward", "prepare", "advance")
 
 
 class Plan:
     """The array of values of a program, and the runs of operations that fill it.
 
-    constants : the first values, which the first run sets
-    places : first place of the inputs and of the outputs (`KEY_out`) of each tape
-    operations, starts : operation and first place of each run; the last entry of `starts` is the
-        number of values
-    first, second : for each place, the places of the operation's arguments; 0 where there is none
-    spans : first and last run of each tape
-    tables : spline tables of `periodic`, whose second argument is a table's index
+    program : program whose tapes are rearranged
+    constants : first values of the array, which the first run sets
+    places : first place in the array of the joints (`joints`, `at`) and of each tape's outputs
+        (`KEY_out`)
+    operations : name of the operation of each run
+    starts : first place of the results of each run; the last entry is the number of values
+    first, second : places of the operation's arguments, for each place of a result; 0 where there
+        is none
+    spans : index of the first and the last run of each tape
+    tables : spline tables of `periodic`, whose second argument is the index of a table
     """
 
     def __init__(self, program: TapeProgram) -> None:
@@ -57,7 +62,7 @@ class Plan:
         return self.starts[-1]
 
     def _add(self, key: str, tape: Tape) -> None:
-        """Append the runs of one tape."""
+        """Append the runs of one tape; key : its name."""
         inputs = self.places[{"forward": "at", "advance": "prepare_out"}.get(key, "joints")]
         place: dict[int, int] = {}
         for k, node in enumerate(tape.nodes):
@@ -97,7 +102,12 @@ class Plan:
                 place[k] = place[node.args[0]] + (node.op == "cos")
 
     def _batch(self, tape: Tape, op: str, batch: list[int], place: dict[int, int], used: Counter[int]) -> None:
-        """Append independent operations, those with the same first argument next to each other."""
+        """Append independent operations of one kind, sorted by their first arguments.
+
+        batch : node indices of the operations
+        place : places of the tape's nodes by their index, to which the results' are added
+        used : number of uses of each node
+        """
         pairs = []
         for k in batch:
             args = tape.nodes[k].args
@@ -111,7 +121,12 @@ class Plan:
                 place[k] = place[node.args[0]] + (node.op == "cos")
 
     def _second(self, node: Node, args: tuple[int, ...], place: dict[int, int]) -> int:
-        """Return a node's second argument: a place, a guard's constant, a table's index, or 0."""
+        """Return the number of a node's second argument, or 0 if it has none.
+
+        It is a place, that of a guard's constant, or the index of a table.
+
+        args : node indices of its arguments; place : places of the nodes
+        """
         if node.op.startswith("guard"):
             return self.constant_places[_word(node.value, self.real)]
         if node.op == "periodic":
@@ -119,7 +134,7 @@ class Plan:
         return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
-        """Append one operation and return its place."""
+        """Append one operation with arguments at these places, and return its result's place."""
         width = RESULT_PLACES.get(op, 1)
         self.first += [first] * width
         self.second += [second] * width
@@ -132,7 +147,7 @@ class Plan:
 
 
 def _order(key: str) -> int:
-    """Return the position of a tape in the order of `_TAPES`, for sorting."""
+    """Return the position of a tape in `_TAPE_ORDER` by its name, for sorting."""
     return _TAPE_ORDER.index(key) if key in _TAPE_ORDER else len(_TAPE_ORDER)
 
 
@@ -142,14 +157,16 @@ def _word(value: float, real: Real) -> str:
 
 
 def _numbers(node: Node) -> tuple[float, ...]:
-    """Return the number that a constant or a guard needs in the array of values, if any."""
+    """Return the number of a constant or a guard in a tuple of one; empty for other nodes."""
     return (node.value,) if node.op == "const" or node.op.startswith("guard") else ()
 
 
 def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[list[int]]]]:
-    """Yield operations with batches of their nodes, each time the operation with most ready nodes.
+    """Yield (operation, batches of node indices) for the runs of a tape, in order of evaluation.
 
-    placed : nodes that have a place already
+    Each run is of the operation with the most nodes whose arguments are complete.
+
+    placed : indices of nodes that have a place already
     """
     there = frozenset(placed)
     users: list[list[int]] = [[] for _ in tape.nodes]

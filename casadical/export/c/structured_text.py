@@ -18,13 +18,14 @@ from casadical.export.c.reference import correct, network
 from casadical.export.c.runs import RESULT_PLACES, Plan
 from casadical.export.c.tape_program import TapeProgram, operations
 
-_LINE_LENGTH = 118  # largest number of characters of a line
-# Statement of a guard: replaces a value that violates it, and clears `fine`.
+# Largest number of characters of a line of structured text.
+_LINE_LENGTH = 118
+# Template of a guard's statements: they replace a value that violates it, and clear `fine`.
 _GUARD_STATEMENT = """\
 v[k] := v[first[k]];
 IF NOT (v[k] {} v[second[k]]) THEN fine := FALSE; v[k] := v[second[k]]; END_IF;
 """
-# Statements of operations that need no template of their own.
+# Statement of each operation that needs no template of its own, by its name.
 _SIMPLE_STATEMENTS = {
     "add": "v[k] := v[first[k]] + v[second[k]];",
     "sub": "v[k] := v[first[k]] - v[second[k]];",
@@ -75,10 +76,11 @@ def number(value: float, real: Real) -> str:
 
 
 def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
-    """Return the placeholders that every structured-text template may use."""
+    """Return the values of placeholders that every structured-text template may use, by key."""
     cost = operations(program).text()
 
     def operand(value: float, real: Real) -> str:
+        """Return a number as a literal, in brackets if it is negative."""
         text = number(value, real)
         return f"({text})" if text.startswith("-") else text
 
@@ -99,7 +101,10 @@ def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
 
 
 def _array(name: str, kind: str, entries: Iterable[str]) -> str:
-    """Return the declaration of an array with initial values, equal neighbours counted."""
+    """Return the declaration of an array with initial values, equal neighbours as REPEAT(VALUE).
+
+    kind : data type; entries : text of each value
+    """
     counted = [list(same) for _, same in groupby(entries)]
     size = sum(map(len, counted))
     words = (min(f"{len(same)}({same[0]})", ",".join(same), key=len) for same in counted)
@@ -113,6 +118,7 @@ def _laid_out(text: str) -> str:
     """
 
     def in_line(found: re.Match[str]) -> str:
+        """Return a section in one line if it is short enough, else unchanged."""
         line = f"{found[1]}{found[2]} {found[3]} {end}"
         short = len(line) <= _LINE_LENGTH and "ARRAY" not in found[3].partition(":=")[2]
         return line if short else found[0]
@@ -138,7 +144,10 @@ def _list(values: Iterable[float], real: Real) -> str:
 
 
 def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
-    """Return the function block that evaluates the operations, with a CASE branch for each kind."""
+    """Return the function block that evaluates the operations, with a CASE branch for each kind.
+
+    values : values of common placeholders by key
+    """
     kinds = list(dict.fromkeys(plan.operations))
     arrays, scalars = dict[str, None](), dict[str, dict[str, None]]()
     cases = ""
@@ -169,7 +178,7 @@ def _values_block(plan: Plan, values: dict[str, str], real: Real) -> str:
 
 
 def tables_of(plan: Plan, real: Real) -> dict[str, str]:
-    """Return the placeholders of the spline tables of `periodic`, all tables in one array."""
+    """Return values of the placeholders of `periodic`, by key: all spline tables in one array."""
     points = [len(table) - 3 for table in plan.tables]
     begins = [sum(map(len, plan.tables[:i])) for i in range(len(plan.tables))]
     parts = [turn_parts(COEFFICIENTS[real], count) for count in points]
@@ -186,7 +195,7 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
 
 
 def _box(program: TapeProgram, key: str) -> dict[str, str]:
-    """Return the placeholder with the declarations of a joint box."""
+    """Return the value of the placeholder `box`: declarations of a joint box; key : its purpose."""
     kind, text = "REAL" if program.real == "float" else "LREAL", ""
     for name, side in zip(("lower", "upper"), program.boxes[key], strict=True):
         text += _array(name, kind, (number(float(v), program.real) for v in side))
@@ -194,12 +203,15 @@ def _box(program: TapeProgram, key: str) -> dict[str, str]:
 
 
 def _span(plan: Plan, key: str, name: str) -> dict[str, str]:
-    """Return the placeholders NAME_from and NAME_to: first and last run of a tape."""
+    """Return values of the placeholders NAME_from and NAME_to: first and last run of a tape.
+
+    key : name of the tape
+    """
     return {f"{name}_from": str(plan.spans[key][0]), f"{name}_to": str(plan.spans[key][1])}
 
 
 def _command(program: TapeProgram, command: Command, plan: Plan) -> dict[str, str]:
-    """Return the placeholders of the joint-command correction."""
+    """Return values of the placeholders of the joint-command correction, by key."""
     limits, prepared = command.limits, prepared_size(command)
     integers = {
         "at": plan.places["at"],

@@ -18,7 +18,7 @@ from casadical.core.basics import InputError
 from casadical.core.sx_instructions import SxInstructions
 from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
 
-# CasADi operations that the tape has as well, with their names there.
+# Name on the tape of each CasADi operation that the tape has as well.
 _EQUAL_OPERATIONS = {
     name: name for name in ("add", "sub", "mul", "div", "neg", "atan2", "fabs", "fmin", "fmax", "lt", "le")
 }
@@ -29,10 +29,12 @@ COMMUTATIVE_OPERATIONS = {"add", "mul"}
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """One operation: its name, its arguments' node indices, and a number.
+    """One operation of a tape.
 
+    op : name of the operation
+    args : node indices of its arguments
     value : of a constant its value, of an input its index, of a guard its limit, of `periodic`
-        the bound of its table's error
+        the bound of its table's error; else 0
     table : spline coefficients of `periodic` (see `spline_table`)
     """
 
@@ -44,7 +46,12 @@ class Node:
 
 @dataclass(frozen=True)
 class Tape:
-    """Scalar real operations in order of evaluation; outputs : node indices of the results."""
+    """A function as scalar real operations in single-assignment form.
+
+    nodes : operations in order of evaluation
+    n_in : number of inputs
+    outputs : node indices of the results
+    """
 
     nodes: tuple[Node, ...]
     n_in: int
@@ -147,7 +154,7 @@ class _Builder:
         return self.add("mul", self.constant(-0.5 if negate else 0.5), k)
 
 
-# CasADi operations that the tape expresses by others, with their guards.
+# Function that adds a CasADi operation as others of the tape, guards included, by CasADi's name.
 _COMPOSED_OPERATIONS: dict[str, Callable[..., int]] = {
     "sq": lambda b, x: b.add("mul", x, x),
     "twice": lambda b, x: b.add("add", x, x),
@@ -227,7 +234,9 @@ def tape_of(function: casadi.Function) -> Tape:
 
 
 def _call(builder: _Builder, function: casadi.Function) -> Callable[[list[int]], list[int]]:
-    """Return what replaces the call of a function: a table for each of its outputs.
+    """Return the function that replaces the call of a function: a table for each of its outputs.
+
+    It takes node indices of the arguments and returns those of the results.
 
     Raises InputError: more than one function is called, or it cannot be a table.
     """

@@ -18,8 +18,9 @@ from casadical.export.c.coefficients import COEFFICIENTS, NUMPY_TYPE, Real
 from casadical.export.c.products import Command, NetworkFunction, Product
 from casadical.export.c.tape import Node, Tape, tape_of
 
-Interval = tuple[float, float]  # lower and upper bound of a value
-# interval of a value without bounds
+# Type of lower and upper bound of a value.
+Interval = tuple[float, float]
+# Interval of a value without bounds.
 _REAL_LINE: Interval = (-math.inf, math.inf)
 
 
@@ -36,7 +37,7 @@ def _magnitude(a: Interval) -> Interval:
     return (0.0 if a[0] <= 0.0 <= a[1] else min(abs(a[0]), abs(a[1]))), max(abs(a[0]), abs(a[1]))
 
 
-# Intervals of the operations' results, from those of their arguments.
+# Function from the intervals of an operation's arguments to that of its result, by its name.
 _INTERVAL_RULES: dict[str, Callable[..., Interval]] = {
     "add": lambda a, b: (a[0] + b[0], a[1] + b[1]),
     "sub": lambda a, b: (a[0] - b[1], a[1] - b[0]),
@@ -58,7 +59,7 @@ _INTERVAL_RULES: dict[str, Callable[..., Interval]] = {
     "sin": lambda _a: (-1.0, 1.0),
     "cos": lambda _a: (-1.0, 1.0),
 }
-# Operations whose result is not rounded, so that their intervals need no widening.
+# Names of operations whose result is not rounded, so that their intervals need no widening.
 _EXACT_OPERATIONS = {
     "input",
     "const",
@@ -77,7 +78,10 @@ _EXACT_OPERATIONS = {
 
 
 def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) -> Interval:
-    """Return the interval of an operation's result, before widening for rounding."""
+    """Return the interval of a node's result, before it is widened for rounding.
+
+    args : intervals of its arguments; box : intervals of the tape's inputs
+    """
     if node.op == "input":
         return box[int(node.value)]
     if node.op == "const":
@@ -109,9 +113,11 @@ def _widened(interval: Interval, real: Real) -> Interval:
 
 
 def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
-    """Return an interval for every node of a tape, for inputs between `lower` and `upper` (n_in,).
+    """Return bounds of the result of every node of a tape, for inputs within a box.
 
-    The bounds hold for the arithmetic of the real type as well, not only for real numbers.
+    They hold in the arithmetic of the real type as well, not only for real numbers.
+
+    lower, upper : ends of the box of inputs, shape (n_in,)
     """
     intervals: list[Interval] = []
     box = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
@@ -123,7 +129,10 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
 
 
 def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) -> Tape:
-    """Return the tape without the guards that no input of the box can violate."""
+    """Return the tape without the guards that no input within a box can violate.
+
+    lower, upper : ends of the box of inputs, shape (n_in,)
+    """
     intervals = bounds(tape, lower, upper, real)
     place: list[int] = []
     nodes: list[Node] = []
@@ -143,8 +152,11 @@ def without_needless_guards(tape: Tape, lower: Array, upper: Array, real: Real) 
 class TapeProgram:
     """A product with its tapes, ready to be written in any target language.
 
-    tapes : `network` or `curves`; of a command also `forward`, `prepare` and `advance`
-    network_bounds : bounds of each of the network's outputs [its unit], over all inputs
+    product : network, curves or command
+    real : type of numbers, "float" or "double"
+    tapes : tapes by name: "network" or "curves"; of a command also "forward", "prepare", "advance"
+    network_bounds : lower and upper bound of each output of network or curves over its box, in its
+        unit
     name : prefix of functions and files, a C identifier
     model_sha256, data_sha256 : hashes of the model and the data that it was made from
     """
@@ -195,24 +207,27 @@ class TapeProgram:
 
 @dataclass(frozen=True)
 class Operations:
-    """Numbers of operations of each kind in one call; they are the same in every call."""
+    """Numbers of operations in one call of an exported function; they are the same in every call.
 
-    of: str  # name of the function that is called
+    of : name of the function; count : number of operations by kind
+    """
+
+    of: str
     count: dict[str, int]
 
     def text(self) -> str:
-        """Return the numbers of operations as a sentence."""
+        """Return the numbers of operations as a sentence, the most frequent kind first."""
         words = [f"{self.count[kind]} {kind}" for kind in sorted(self.count, key=lambda k: -self.count[k])]
         return f"Operations of {self.of}, the same in every call: {', '.join(words)}."
 
 
-# Kinds of operations by which `operations` counts; whatever is not here is a choice.
+# Kind under which `operations` counts each operation of a tape; others count as "choices".
 _OPERATION_KINDS = {"add": "additions", "sub": "additions", "mul": "multiplications", "div": "divisions"}
 _OPERATION_KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2", "periodic")}
 
 
 def operations(program: TapeProgram) -> Operations:
-    """Count the operations of one correction, or of the network or the curves alone."""
+    """Return the numbers of operations of one correction, or of the network or the curves alone."""
     key = program.network.key if program.network is not None else ""
     calls = {key: 1}
     if program.command is not None:
@@ -233,12 +248,16 @@ def tape_program(
     model_sha256: str = "not given",
     data_sha256: str = "not given",
 ) -> TapeProgram:
-    """Return a product's tapes in a real type, without the guards that its box makes needless."""
+    """Return a product's tapes for a real type, without the guards that its box makes needless.
+
+    name, model_sha256, data_sha256 : as of `TapeProgram`
+    """
     tapes: dict[str, Tape] = {}
     network = product if isinstance(product, NetworkFunction) else product.network
     network_bounds: list[Interval] = []
 
     def rounded(bound: Array) -> Array:
+        """Return numbers rounded to the real type, as doubles."""
         return bound.astype(NUMPY_TYPE[real]).astype(np.float64)
 
     if network is not None:

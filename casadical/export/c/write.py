@@ -31,7 +31,7 @@ from casadical.export.c.reference import Status
 from casadical.export.c.structured_text import structured_text
 from casadical.export.c.tape_program import Operations, TapeProgram, operations, tape_program
 
-# Functions that write the files of a program, by target language.
+# Function that returns the texts of a program's files by file name, by target language.
 CONTROLLER_LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
     "c": c_files,
     "structured_text": lambda program: {f"{program.name}.st": structured_text(program)},
@@ -40,13 +40,20 @@ CONTROLLER_LANGUAGES: dict[str, Callable[[TapeProgram], dict[str, str]]] = {
 
 @dataclass(frozen=True)
 class Comparison:
-    """Comparison of one function of the C, built by one compiler, with the NumPy reference."""
+    """Comparison of one function of the C, built by one compiler, with the NumPy reference.
+
+    function : name of the function
+    compiler : version text of the compiler
+    vectors : number of vectors of joint readings
+    outputs : number of numbers that were compared
+    different : number of outputs and statuses whose bits differ
+    """
 
     function: str
     compiler: str
     vectors: int
     outputs: int
-    different: int  # number of outputs and statuses whose bits differ
+    different: int
 
     def __str__(self) -> str:
         verdict = "identical bits" if self.different == 0 else f"{self.different} DIFFERENT"
@@ -64,10 +71,12 @@ def shape_of(program: TapeProgram) -> Shape:
 def compared(
     program: TapeProgram, files: Mapping[str, bytes], installed: list[Compiler], count: int
 ) -> list[Comparison]:
-    """Compile the files with each compiler and compare every function on `count` joint vectors.
+    """Return comparisons of the compiled files with the reference, one per function and compiler.
 
-    files : contents by file name. The self-test counts as one vector. Without a compiler nothing is
-        compared.
+    The self-test counts as a function with one vector. There are none without a compiler.
+
+    files : contents by file name; installed : compilers
+    count : number of vectors of joint readings
     """
     if not installed:
         return []
@@ -99,12 +108,14 @@ def _bits(values: Array) -> Array:
 
 
 def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
-    """Return figures on the accuracy of this model: the reference against CasADi's doubles.
+    """Return figures on a program's accuracy by name: its reference against CasADi's doubles.
 
-    They are the largest errors of the network [um], of the joints' curves [urad] and of the forward
-    kinematics [um]. For curves: the remaining error if a controller commands q - curves(q) once
-    [urad], and if it does so twice, q - curves(q - curves(q)). For commands see `_of_command`. For
-    tables: their bytes and the bound of their error, before rounding [urad].
+    network_error_um, curves_error_urad and forward_error_um are largest errors at random readings.
+    rest_once_urad and rest_twice_urad are the remaining error if a controller commands q -
+    curves(q), and q - curves(q - curves(q)). table_bytes and table_error_urad_at_most are the size
+    of the tables and the bound of their error before rounding. For commands see `_of_command`.
+
+    count : number of random readings within the box
     """
     q = inside(program, count)
     figures: dict[str, float] = {}
@@ -137,13 +148,16 @@ def accuracy(program: TapeProgram, count: int = 10_000) -> dict[str, float]:
 
 
 def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[str, float]:
-    """Return figures of a correction dq at readings q, each shape (k, n) [rad or m].
+    """Return figures of corrections dq at readings q by name, each of shape (k, n) [rad or m].
 
-    They are the tool's mean error before it [um], the error that remains at poses with status OK
-    [um] (for poses also of the orientation [urad]), the share of poses with status OK, and the
-    share that converged. Readings at which the model has no value (a four-bar that cannot close)
-    count as not OK but are excluded from the share that converged; so are, where the orientation is
-    corrected, singular poses, whose share is given.
+    They are the tool's mean error before the correction (start_error_um_mean), median and worst of
+    the remaining error at poses with status OK (rest_um_.., for poses also rest_urad_..), and the
+    shares of poses with status OK (share_ok), that converged (share_converged) and, for poses, that
+    are singular (share_singular). Readings at which the model has no value (a four-bar that cannot
+    close) count as not OK, but do not count for the share that converged; nor do singular poses
+    where the orientation is corrected.
+
+    status : status of each reading, shape (k,)
     """
     has_value, fine = status != Status.NOT_FINITE, status == Status.OK
     wanted, real = mapped(command.nominal, q), command.calibrated
@@ -168,8 +182,8 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     return figures
 
 
-# Smallest share of poses in the joint box, among those at which the model has a value, at which a
-# correction must converge to count as verified.
+# Smallest share of poses in the joint box at which a correction must converge to count as verified;
+# poses at which the model has no value do not count.
 MIN_SHARE_CONVERGED = 0.9
 
 
@@ -177,12 +191,12 @@ MIN_SHARE_CONVERGED = 0.9
 class Export(Result):
     """A C export that was written to a folder.
 
-    folder : where it was written
+    folder : folder to which it was written
     written : names of its files
-    comparisons : of the compiled C with the reference, one per function and compiler
-    figures : accuracy figures of this model, see `accuracy`
+    comparisons : comparisons of the compiled C with the reference, one per function and compiler
+    figures : accuracy figures of this model by name, see `accuracy`
     operations : numbers of operations of one call
-    about : what it was made from and what it omits, in words
+    about : sentences on what it was made from and what it omits
     """
 
     kept_as: ClassVar[str] = "export"
@@ -199,12 +213,15 @@ class Export(Result):
 
     @property
     def verified(self) -> bool:
-        """Return whether compiled C gave the reference's bits and the correction converges."""
+        """Return whether the C was compiled and compared, and the correction `converges`."""
         return bool(self.comparisons) and self.converges
 
     @property
     def converges(self) -> bool:
-        """Return whether the correction has status OK at `MIN_SHARE_CONVERGED` of the poses."""
+        """Return whether the correction converges at `MIN_SHARE_CONVERGED` of the poses or more.
+
+        It is True for a network and for curves.
+        """
         return self.figures.get("share_converged", 1.0) >= MIN_SHARE_CONVERGED
 
     def blocks(self) -> list[Block]:
@@ -227,16 +244,17 @@ def write_c(
 ) -> Export:
     """Write a network, curves or a command as C99, with everything that an integrator needs.
 
-    product : a network, curves or a command
-    folder : made when missing; what is in it already stays
+    product : network, curves or command
+    folder : folder of the files, made when missing; other files in it stay
     name : prefix of the C functions and files: a lower-case C identifier of at most 24 characters
-    real : type of its numbers
-    model_sha256 : hash of the model, for the header
-    data_sha256 : hash of the data, for the header
-    languages : which to write besides the C, by name; default: all (`structured_text`)
-    vectors : joint vectors on which the compiled C is compared with the reference
-    overwrite : replace files that this function did not write, or that were changed since
-    also : further files that appear with them or not at all, from what this function gives back
+    real : type of its numbers, "float" or "double"
+    model_sha256 : SHA-256 of the model, for the header
+    data_sha256 : SHA-256 of the data, for the header
+    languages : names of languages that are written besides the C; None: all (`structured_text`)
+    vectors : number of joint vectors on which the compiled C is compared with the reference
+    overwrite : whether files are replaced that no export wrote, or that were changed since
+    also : function that returns, from the export, texts of additional files by path, which are
+        written together with it or not at all
     Raises InputError: a name, type or function cannot be used, or a file is in the way;
         CasadicalError: the C does not compile without warnings, or gives other bits than the
         reference; nothing was written.
@@ -284,6 +302,7 @@ def write_c(
 def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -> None:
     """Check that no existing file would be overwritten that no export wrote or that was changed.
 
+    names : names of the files to write; overwrite : whether such files may be overwritten
     Raises InputError.
     """
     if folder.exists() and not folder.is_dir():
@@ -308,7 +327,10 @@ def _check_nothing_in_the_way(folder: Path, names: list[str], overwrite: bool) -
 
 
 def _manifest(program: TapeProgram, blobs: Mapping[str, bytes], made: Export) -> bytes:
-    """Return the content of manifest.json: hashes, comparisons, figures and limits."""
+    """Return the content of manifest.json: hashes, comparisons, figures and limits.
+
+    blobs : content of each other file by its name
+    """
     alone = None if program.command else program.network
     content = {
         "written_by": "casadical",

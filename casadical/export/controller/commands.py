@@ -34,7 +34,8 @@ from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-Tool = Literal["shared", "own"]  # whether both robots have one tool, see `Sources.tool`
+# Whether both robots have one tool or each its own, see `Sources.tool`.
+Tool = Literal["shared", "own"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +89,13 @@ def export_c(
 ) -> Export:
     """Write the C of a correction, a network or curves from robot files, compiled and compared.
 
-    sources : files, not objects
-    folder : where the C is written
+    sources : robot files and compensator file
+    folder : folder in which the C is written
     what : `command`, the correction of commands; `network` or `curves`, the compensator or the
         joints' error curves alone
-    steps : as of `command_of`; correct : position or pose; limits : values that replace the
-        defaults of `Limits`
+    steps : as of `command_of`
+    correct : "position" or "pose", what a command corrects
+    limits : values that replace the defaults of `Limits`, by name
     name : prefix of the C functions; None: from the robot's name
     real, languages, overwrite, also : as of `write_c`
     Returns the export, whose `about` says in words what was made and omitted
@@ -212,8 +214,11 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
 def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
     """Return real and nominal robot in their own base frame, and the rotation into it, (3, 3).
 
-    The rotation is from the measuring frame. The real robot has the effects that a controller can
-    evaluate, the nominal one is rigid and without effects. Raises InputError.
+    The rotation is from the measuring frame into the base frame. The real robot is the calibrated
+    one with the effects that a controller can evaluate, the nominal one is rigid and without
+    effects.
+
+    Raises InputError.
     """
     if sources.nominal is None:
         raise InputError(
@@ -270,8 +275,8 @@ def curves_of(sources: Sources) -> CurveFunction:
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
     """Return the robot in its own base frame, and the rotation from the measuring frame, (3, 3).
 
-    A first row with six numbers, which is the base, is replaced by the nominal robot's. Gravity
-    keeps its direction relative to the arm.
+    Its base is the identity. A first row with six numbers, which is the base, is replaced by the
+    nominal robot's. Gravity keeps its direction relative to the arm.
     """
     turn = robot.base.T[:3, :3].T
     gravity = turn @ robot.gravity if robot.gravity_frame == "measuring" else robot.gravity
@@ -289,7 +294,7 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """Return a sentence on the joint readings from which the robot was learnt, if known."""
+    """Return a tuple of one sentence on the joint ranges of the calibration; empty if unknown."""
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
@@ -301,7 +306,7 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
 
 
 def robot_of(source: Path | Robot) -> Robot:
-    """Return the robot itself, or the one that a file describes. Raises InputError."""
+    """Return a robot unchanged, or the robot that a file describes. Raises InputError."""
     return source if isinstance(source, Robot) else read_robot(source)
 
 
@@ -313,11 +318,13 @@ def _source_name(source: Path | Robot | Compensator | None) -> str:
 
 
 def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
-    """Return the real robot with the effects that a controller can evaluate, and its omissions.
+    """Return the calibrated robot with the effects that a controller can evaluate, and omissions.
 
-    A controller knows joints and payload only; effects that have further conditions are omitted
-    with a line each, and so are effects of the measurement. Raises InputError that says what would
-    be lost, unless `leave_out` is given or only effects of the measurement are omitted.
+    The omissions are a sentence on each effect of the measurement and on each that has other
+    conditions than joints and payload, the only ones that a controller knows.
+
+    Raises InputError that states the position error without them, unless `leave_out` is set or only
+    effects of the measurement are omitted.
     """
     robot = _with_payload(robot_of(sources.robot), sources.payload_kg)
     omissions = [o for e in robot.effects if (o := _omission_of(e))]
@@ -335,10 +342,10 @@ def _omission_of(effect: Effect) -> Omission | None:
 
 
 def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
-    """Return the robot with another mass on its flange [kg], at the declared centre of mass.
+    """Return the robot with another payload mass, at the declared centre of mass.
 
-    payload_kg : None leaves it as declared. Raises InputError: a mass that is not allowed, or no
-        declared payload.
+    payload_kg : mass of the payload [kg]; None: as declared
+    Raises InputError: a mass that is not allowed, or no declared payload.
     """
     if payload_kg is None:
         return robot
@@ -390,8 +397,9 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
 
 
 def _network(sources: Sources, joints: int) -> NetworkFunction | None:
-    """Return the network in the box of its training; None without one, or if it was refused.
+    """Return the compensator's network with its training ranges; None without one, or if refused.
 
+    joints : number of the robot's joints
     Raises InputError: it is of another number of joints or outputs.
     """
     if sources.compensator is None:
@@ -410,20 +418,20 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
 
 
 def prefix_of(name: str) -> str:
-    """Return a C prefix made of a robot's name: lower case, at most 24 characters."""
+    """Return a prefix of C functions made of a robot's name: lower case, at most 24 characters."""
     words = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
     return (words if words[:1].isalpha() else f"robot_{words}")[:24].rstrip("_")
 
 
 def wants_pose(word: str) -> bool:
-    """Return whether --correct asks for the orientation too. Raises InputError for another word."""
+    """Return whether the option --correct is "pose". Raises InputError if it is no known word."""
     if word not in ("position", "pose"):
         raise InputError(f"--correct {word}: not known; allowed: position, pose")
     return word == "pose"
 
 
 def poses_of(robot: Robot) -> str:
-    """Return a sentence on what --correct pose corrects of this arm."""
+    """Return a sentence on the directions that the option --correct pose corrects of this robot."""
     moved, turned = freedom_of(robot)
     if (moved, turned) == (3, 3):
         return "position and orientation are corrected, by the least change of the joints"

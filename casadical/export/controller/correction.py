@@ -17,9 +17,10 @@ from casadical.export.c.reference import Status
 from casadical.export.c.reference import correct as reference_correct
 from casadical.export.c.tape_program import tape_program
 
-CORRECTED_STATUSES = (Status.OK.name, "POSITION_ONLY")  # statuses of corrected targets
+# Statuses of targets that are corrected.
+CORRECTED_STATUSES = (Status.OK.name, "POSITION_ONLY")
 
-# Why a target with this status is not corrected.
+# Reason, in words, why a target with this status is not corrected.
 STATUS_MEANINGS = {
     Status.CLAMPED.name: "outside the joint ranges of the model",
     "LEAVES_BOX": "the corrected targets would be outside the joint ranges of the model",
@@ -35,11 +36,12 @@ class Corrector:
     """A function that corrects joint targets: the compiled C of an export, or a model.
 
     joints : number of joints
-    correct : q, shape (k, joints) [rad or m] -> corrections of the same shape, and status, shape
-        (k,)
-    position : q -> calibrated tool positions [m] in the robot's own base frame, shape (k, 3)
+    correct : function of joint targets, shape (k, joints) [rad or m], that returns corrections to
+        add, of the same shape and unit, and a `Status` of each target, shape (k,)
+    position : function of joint targets that returns the calibrated tool's positions in the robot's
+        own base frame, shape (k, 3) [m]
     fallback : corrector of the position alone, for targets whose pose cannot be corrected; None:
-        these targets stay as they are
+        these targets remain unchanged
     units : "rad" or "m" of each joint's reading; empty: all rad
     """
 
@@ -53,7 +55,8 @@ class Corrector:
 def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
     """Return the corrector that calls the C in an export folder, which is compiled here.
 
-    trust : as of `load`. Raises InputError.
+    trust : whether the C of a folder that was not exported here is compiled and run, as of `load`
+    Raises InputError.
     """
     try:
         kernel = load(folder, trust=trust)
@@ -78,9 +81,9 @@ def kernel_corrector(folder: Path, *, trust: bool = False) -> Corrector:
 
 
 def model_corrector(command: Command, fallback: Corrector | None = None) -> Corrector:
-    """Return the corrector that evaluates the NumPy reference: the bits of the double C.
+    """Return the corrector that evaluates a command in NumPy, with the bits of the exported C.
 
-    command : what is corrected
+    command : correction of joint commands, evaluated in double
     fallback : as of `Corrector`
 
     Examples
@@ -102,9 +105,11 @@ def model_corrector(command: Command, fallback: Corrector | None = None) -> Corr
 
 
 def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return corrected joints, shape (k, n) [rad or m], and the name of each target's status.
+    """Return corrected joint targets, shape (k, n) [rad or m], and the name of each one's status.
 
-    q : joint targets, shape (k, n) [rad or m]; those without one of `CORRECTED_STATUSES` stay
+    Targets whose status is none of `CORRECTED_STATUSES` are returned unchanged.
+
+    q : joint targets, shape (k, n) [rad or m]
     """
     dq, status = corrector.correct(q)
     names = [Status(int(s)).name for s in status]
@@ -121,6 +126,9 @@ def corrected_joints(corrector: Corrector, q: Array) -> tuple[Array, tuple[str, 
 
 
 def position_only(status: tuple[str, ...]) -> str:
-    """Return a remark on how many of the corrected targets are corrected in position only."""
+    """Return a remark on the number of targets corrected in position only; "" if there are none.
+
+    status : name of each target's status
+    """
     count = status.count("POSITION_ONLY")
     return f" ({count} in position only, near poses in which the orientation cannot be corrected)" if count else ""

@@ -17,18 +17,19 @@ from casadical.export.omission import rigid_omissions
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
-# Links of a UR robot in the order of its joints, as its driver names them.
+# Names that the UR driver gives to a robot's links, in the order of the joints.
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 # Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
 _UR_TWISTS_RAD = np.deg2rad([0, 90, 0, 0, 90, -90])
-# Largest sine of the angle between two axes, or distance [m], at which they count as parallel, or
-# as coincident, so that their common normal is not unique.
+# Largest sine of the angle between two axes at which they count as parallel, and largest distance
+# [m] at which parallel ones count as coincident, so that their common normal is not unique.
 _PARALLEL_TOLERANCE = 1e-9
 
 
 def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, tuple[str, ...]]:
-    """Return the text of a robot in a driver's format, and lines on what the format omits.
+    """Return the text of a robot's kinematics in a driver's format, and sentences on what it omits.
 
+    sources : calibrated and nominal robot
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV),
         or `xacro`
     checksum : of the controller's own calibration, for `ur`: the driver compares it
@@ -48,9 +49,11 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
 def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
     """Return a robot's geometry as standard DH table: base (4, 4), rows (n, 4), tool (4, 4).
 
-    Each row is theta, d, a, alpha of Rz(theta) Tz(d) Tx(a) Rx(alpha) [rad, m].
+    Each row is theta, d, a, alpha of Rz(theta) Tz(d) Tx(a) Rx(alpha) [rad, m]; base and tool are
+    transforms [m] before the first and after the last row.
 
-    like : angles theta [rad], shape (n,), which decide the directions of the common normals
+    like : angles theta near which those of the rows are chosen, shape (n,) [rad]: they decide the
+        directions of the common normals
 
     The common normals are exact, as in manufacturers' calibrations: nearly parallel axes have a
     large d, and its opposite in a later row. Base and last row take what four numbers per joint
@@ -72,10 +75,11 @@ def standard_dh(robot: Robot, like: Array) -> tuple[Array, Array, Array]:
 
 
 def standard_row(at: Array, following: Array, like: float) -> tuple[float, float, float, float]:
-    """Return theta, d, a, alpha [rad, m] from the frame `at`, whose z is an axis, to the next axis.
+    """Return the standard DH row theta, d, a, alpha [rad, m] from one joint axis to the next.
 
-    following : frame (4, 4) [m] whose z is the next axis; like : angle theta [rad] whose half-turn
-        the result takes
+    at : frame whose z axis is the first axis, shape (4, 4) [m]
+    following : frame whose z axis is the next one, in the same base, shape (4, 4) [m]
+    like : angle theta [rad]; of the two possible ones the nearer to it is taken
     """
     local = np.array(inverse(at)) @ following
     z, p = local[:3, 2], local[:3, 3]
@@ -101,7 +105,10 @@ def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array
 
 
 def _aligned(R: Array, z: Array) -> Array:
-    """Return the rotation near R whose third axis is z, its first axis projected from that of R."""
+    """Return the rotation near R, (3, 3), whose third axis is the unit vector z, (3,).
+
+    Its first axis is that of R projected perpendicular to z.
+    """
     x = R[:, 0] - (R[:, 0] @ z) * z
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
@@ -133,7 +140,10 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
 
 
 def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
-    """Return a CSV of the standard DH table [deg, mm] with its changes from the nominal one."""
+    """Return the CSV text of the standard DH table [deg, mm] with differences from the nominal one.
+
+    Rows for base and tool follow those of the joints.
+    """
     like = standard_dh(nominal, np.zeros(nominal.n))[1][:, 0]
     base, rows, tool = standard_dh(real, like)
     before = standard_dh(nominal, like)[1]
@@ -148,14 +158,17 @@ def _standard_table(real: Robot, nominal: Robot, _: str) -> str:
 
 
 def _modified_table(real: Robot, _nominal: Robot, _: str) -> str:
-    """Return a CSV of the modified DH table."""
+    """Return the CSV text of the real robot's modified DH table."""
     rows = modified_dh(real)
     texts = [["" if v is None else f"{v:.12f}" if isinstance(v, float) else str(v) for v in r.values()] for r in rows]
     return csv_text([list(rows[0]), *texts])
 
 
 def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
-    """Return xacro properties with each joint's origin [m, rad] and that of the measured point."""
+    """Return the xacro text with properties of each joint's origin and of the measured point.
+
+    They are xyz [m] and rpy [rad] in the frame of the link before.
+    """
     lines = ['<?xml version="1.0"?>', '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">']
     places = [(f"joint{i}", row_matrix(joint)) for i, joint in enumerate(real.joints, 1)]
     for name, T in [*places, ("measured", real.tool.T)]:
@@ -165,7 +178,7 @@ def _xacro(real: Robot, _nominal: Robot, _: str) -> str:
     return "\n".join([*lines, "</robot>"]) + "\n"
 
 
-# Functions of the formats' texts: (real robot, nominal robot, checksum) -> text.
+# Function (real robot, nominal robot, checksum) -> text of each driver's format, by its name.
 DRIVER_FORMS: dict[str, Callable[[Robot, Robot, str], str]] = {
     "ur": _ur,
     "standard_dh": _standard_table,

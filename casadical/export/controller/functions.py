@@ -22,7 +22,7 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True)
 class GivenAngles(Effect):
-    """Effect that adds a parameter to each joint's angle: `z1`, `z2`, .. [rad].
+    """Effect that adds a parameter of its own to each joint's angle: `z1`, `z2`, .. [rad].
 
     joints : number of joints
     """
@@ -32,20 +32,21 @@ class GivenAngles(Effect):
     name = "given_angles"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return the typical size and unit of each parameter by name."""
+        """Return (typical size, SI unit) of each parameter, by its name."""
         return {f"z{joint}": (1.0, "rad") for joint in range(1, self.joints + 1)}
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the parameters as additions to the joint angles [rad]."""
+        """Return the parameters as additions to the joint angles, shape (joints,) [rad]."""
         return ca.vertcat(*[self.value(context, name) for name in self.sizes()])
 
 
 def joint_curves(robot: Robot) -> ca.Function | None:
-    """Return the function of the joints' error curves, q[n] -> dq[n] [rad]; None without curves.
+    """Return the CasADi function of the joints' error curves, q[n] -> dq[n] [rad].
 
-    dq : true angle minus reading. The function is called and not inlined, so that the C makes
-        tables of it. A joint whose coefficients are zero has the constant 0. Raises InputError for
-        a coefficient that is not finite.
+    dq is true angle less reading, 0 for a joint whose coefficients are zero. The function is called
+    and not inlined, so that the C makes tables of it. None is returned for a robot without curves.
+
+    Raises InputError for a coefficient that is not finite.
     """
     curves = [e for e in robot.effects if isinstance(e, JointErrorCurve)]
     if not curves:
@@ -66,10 +67,10 @@ def without_curves(robot: Robot) -> Robot:
 
 
 def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
-    """Return p[3] [m] and R[3x3] of the tool at readings q; error curves are a function call.
+    """Return symbolic position p[3] [m] and orientation R[3x3] of the tool at readings q[n].
 
-    The frame is that of the robot's model: the measuring frame, or its own base frame where the
-    base is the identity.
+    They are in the frame of the robot's model: the measuring frame, or the base frame where the
+    base is the identity. Error curves are a function call, see `joint_curves`.
     """
     curves = joint_curves(robot)
     values = robot.parameters.values
@@ -86,11 +87,14 @@ def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
 def tool_function(
     robot: Robot, name: str, orientation: bool, turn: Array | None = None, network: NetworkFunction | None = None
 ) -> ca.Function:
-    """Return the function NAME: q[n] [rad or m] -> p[3] [m], or -> (p[3] [m], R[3x3]).
+    """Return the CasADi function NAME: q[n] [rad or m] -> p[3] [m], or -> (p[3] [m], R[3x3]).
 
+    p and R are the tool's pose in the frame of the robot's model, as of `pose_of`.
+
+    orientation : whether R is an output
     turn : rotation from the measuring frame, in which the network was trained, into the robot's
         base frame, shape (3, 3); None: none
-    network : adds its position correction; None: none
+    network : network whose position correction is added; None: none
     """
     q = ca.SX.sym("q", robot.n)
     p, R = pose_of(robot, q)
@@ -100,7 +104,7 @@ def tool_function(
 
 
 def deflected_function(robot: Robot) -> ca.Function:
-    """Return the function q[n] -> joints with their deflections under gravity [rad or m]."""
+    """Return the CasADi function q[n] -> q + deflections under gravity, n numbers [rad or m]."""
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
     return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

@@ -23,7 +23,8 @@ from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
 from casadical.robot.robot import Robot
 
-# A pose counts as singular if the smallest singular value of its Jacobian is below this [m/rad].
+# Smallest singular value of the Jacobian, in position and scaled orientation, of a pose that is not
+# singular [m/rad].
 SINGULAR_BELOW_M_PER_RAD = 0.02
 
 
@@ -31,12 +32,12 @@ SINGULAR_BELOW_M_PER_RAD = 0.02
 class Inverse:
     """Solution of the inverse kinematics for many poses.
 
-    q : Array, shape (k, n) [rad or m]: joint readings
-    rest_m : Array, shape (k,) [m]: remaining position error
-    rest_rad : Array, shape (k,) [rad]: remaining orientation error
-    singular : Array, shape (k,): whether the pose is nearly singular: the weakest direction moves
-        the tool by less than 0.02 m/rad
-    inside : Array, shape (k,): whether every joint is in its range
+    q : joint readings, shape (k, n) [rad or m]
+    rest_m : remaining position error, shape (k,) [m]
+    rest_rad : remaining orientation error, shape (k,) [rad]; 0 where it does not count
+    singular : whether the pose is nearly singular, shape (k,): in the weakest direction the joints
+        move the tool by less than 0.02 m/rad
+    inside : whether every joint is within its limits, shape (k,)
     """
 
     q: Array
@@ -52,12 +53,10 @@ class Inverse:
 
 
 def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) -> Inverse:
-    """Return the joints that bring the tool to poses, by Newton's method from a start.
+    """Return the joints that bring the tool to k poses, by Newton's method from a start.
 
-    The model holds compliance, effects that depend on joints and declared payload only, and the
-    file's base and tool.
-
-    For a pose that cannot be reached an error remains; see `Inverse.reached`.
+    The model has compliance, effects that depend on joints and declared payload only, and the
+    file's base and tool. For a pose that cannot be reached an error remains; see `Inverse.reached`.
 
     robot : calibrated robot
     p : shape (k, 3) [m]: positions of the measured point in the measuring frame
@@ -84,15 +83,15 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
 
 
 def pose_function(robot: Robot) -> ca.Function:
-    """Return the function q[n] -> (p[3] [m], R[3x3]) of the tool, see `pose_of`."""
+    """Return the CasADi function q[n] -> (p[3] [m], R[3x3]) of the tool's pose, see `pose_of`."""
     q = ca.SX.sym("q", robot.n)
     return ca.Function("pose", [q], pose_of(robot, q))
 
 
 def freedom_of(robot: Robot) -> tuple[int, int]:
-    """Return in how many directions the joints move the tool, and about how many they rotate it.
+    """Return the numbers of directions in which joints move, and about which they rotate, the tool.
 
-    The rotations are those at a kept position; most robots have 3, 3. A direction counts where,
+    The rotations are those at a constant position; most robots have (3, 3). A direction counts if,
     somewhere in the joint limits, its singular value exceeds `SINGULAR_BELOW_M_PER_RAD`.
     """
     poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
@@ -105,7 +104,7 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
 class Newton:
     """Newton's method for a pose function q[n] -> (p[3] [m], R[3x3]).
 
-    pose : the function; oriented : whether the orientation is to be reached, too
+    pose : CasADi function of the tool's pose; oriented : whether the orientation is to be reached
     """
 
     def __init__(self, pose: ca.Function, oriented: bool = True) -> None:
@@ -113,16 +112,18 @@ class Newton:
         self._function = _residual_and_jacobian(pose, pose.numel_in(0), oriented)
 
     def solved(self, p: Array, R: Array | None, start: Array, limits: tuple[Array, Array]) -> Inverse:
-        """Return the joints that reach poses, iterated from `start`.
+        """Return the joints that reach k poses, iterated from `start`.
 
-        p : shape (k, 3) [m]; R : shape (k, 3, 3), None: positions only, in the frame of the pose
-            function
-        start : shape (k, n) [rad or m]; limits : lower and upper joint limits, each of shape (n,)
+        p : positions in the frame of the pose function, shape (k, 3) [m]
+        R : orientations there, shape (k, 3, 3); None: positions only
+        start : joints to start from, shape (k, n) [rad or m]
+        limits : lower and upper joint limits, (n,) [rad or m], which are checked but not enforced
         """
         k = len(start)
         target = np.hstack([p, np.zeros((k, 9)) if R is None else np.swapaxes(R, 1, 2).reshape(k, 9)])
 
         def off(q: Array, which: Array) -> tuple[Array, Array]:
+            """Return residuals and Jacobians of the poses of these indices at joints q."""
             return self.evaluated(q, target[which])
 
         q = solve_joints(off, start, 60, 0.4, damping=1e-15, of_error=0.1, done=1e-13)
@@ -136,18 +137,23 @@ class Newton:
         )
 
     def evaluated(self, q: Array, target: Array) -> tuple[Array, Array]:
-        """Return residuals (k, 6) [m] and Jacobians (k, 6, n) at joints q (k, n).
+        """Return residuals, (k, 6) [m], and Jacobians, (k, 6, n) [m/rad or m/m], at joints q.
 
-        target : position and columns of R, shape (k, 12)
+        The last three residuals are a rotation vector times `ORIENTATION_LENGTH_M`.
+
+        q : shape (k, n) [rad or m]; target : position and columns of R, shape (k, 12)
         """
         r, J = self._function.map(len(q))(q.T, target.T)
         return r.full().T, J.full().reshape(6, *q.shape).transpose(1, 0, 2)
 
 
 def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Function:
-    """Return the function (q[n], target[12]) -> (r[6] [m], J[6 x n]) of Newton's method.
+    """Return the CasADi function (q[n], target[12]) -> (r[6] [m], J[6 x n]) of Newton's method.
 
-    r[3:] and its Jacobian are zero if only positions count.
+    r is target less pose and J the derivative of the pose; r[3:] and its Jacobian are zero if only
+    positions count.
+
+    pose : function of the tool's pose; n : number of joints
     """
     q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
     p, R = pose(q)
@@ -160,25 +166,27 @@ def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Func
 
 
 def _turning(R: ca.SX, slope: ca.SX, i: int) -> ca.SX:
-    """Return the rotation vector by which joint i rotates the frame, per its own unit: dR R^T.
+    """Return the rotation vector per unit of joint i, from 0, by which it rotates R: dR R^T, (3,).
 
-    slope : Jacobian of the columns of R by the joints
+    slope : Jacobian of the columns of R by the joints, shape (9, n)
     """
     W = ca.mtimes(ca.reshape(slope[:, i], 3, 3), R.T)
     return 0.5 * ca.vertcat(W[2, 1] - W[1, 2], W[0, 2] - W[2, 0], W[1, 0] - W[0, 1])
 
 
-_FULL_TURN_RAD = 2 * np.pi  # one turn of a joint [rad]
+# One turn of a joint [rad].
+_FULL_TURN_RAD = 2 * np.pi
 
-Turns = Callable[[Array], tuple[int, ...]]  # how a language counts the turns of joints q (n,)
+# Type of a function that counts the turns of joints q, shape (n,) [rad], as a language does.
+Turns = Callable[[Array], tuple[int, ...]]
 
 
 @dataclass(frozen=True, eq=False)
 class Postures:
     """The nominal robot's inverse kinematics at its flange, by posture and joint turns.
 
-    nominal : the nominal robot in its own base frame, its tool being the flange
-    root : the controller's root frame in that base frame, (4, 4) [m]
+    nominal : nominal robot in its own base frame, with the controller's flange as its tool
+    root : pose of the controller's root frame in that base frame, shape (4, 4) [m]
     """
 
     nominal: Robot
@@ -191,7 +199,7 @@ class Postures:
 
     @cached_property
     def why_not(self) -> str:
-        """Return why postures are undefined for this robot; "" if they are defined."""
+        """Return as text why postures are undefined for this robot; "" if they are defined."""
         if self.nominal.n != 6 or len(self.nominal.revolute) != 6:
             return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))
@@ -204,9 +212,9 @@ class Postures:
         return ""
 
     def sides(self, q: Array) -> Array:
-        """Return whether the arm is behind, bent back, wrist negative at joints q, boolean (k, 3).
+        """Return the posture at joints q as booleans, shape (k, 3), in the order of `Posture`.
 
-        q : shape (k, 6) [rad]; see `Posture`
+        q : shape (k, 6) [rad]
         """
         x, bend, wrist, _ = self._signs.map(len(q))(q.T).full()
         return np.stack([x < 0, bend < 0, wrist < 0], axis=1)
@@ -234,7 +242,7 @@ class Postures:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """Return joint limits (lower, upper) reduced to one turn of each revolute joint."""
+        """Return joint limits (lower, upper), (n,) [rad or m], at most one turn of each joint."""
         lower, upper = self.nominal.limits
         middle = np.clip(0.0, lower, upper)
         half = np.where(self._turns, np.pi, np.inf)
@@ -242,14 +250,15 @@ class Postures:
 
     @property
     def _turns(self) -> Array:
-        """Return which joints are revolute and so can make whole turns."""
+        """Return a mask of the revolute joints, which can make whole turns, shape (n,)."""
         return np.array([j.kind == "revolute" for j in self.nominal.joints])
 
     @cached_property
     def _samples(self) -> tuple[Array, Array, Array]:
-        """Return random joints (N, n), flange poses (N, 12), and postures (N, 3).
+        """Return random joints, (N, n) [rad or m], flange poses, (N, 12), and postures, (N, 3).
 
-        Postures have shape (N, 0) where they are undefined for this robot.
+        A pose is its position [m] in the base frame and the columns of its rotation. Postures have
+        the shape (N, 0) where they are undefined for this robot.
         """
         q = np.random.default_rng(1).uniform(*self._box, (20_000, self.nominal.n))
         p, R = self._newton.pose.map(len(q))(q.T)
@@ -258,10 +267,11 @@ class Postures:
         return q[fine], T[fine], self.sides(q[fine]) if not self.why_not else np.zeros((int(fine.sum()), 0))
 
     def solutions(self, T: Array, posture: Posture, turns: Turns, wanted: tuple[int, ...]) -> Array:
-        """Return joints that bring the flange to T (4, 4) with a posture and turns, (k, n) [rad].
+        """Return all joints found that bring the flange to a pose with a posture, (k, n) [rad].
 
-        T : in the robot's own base frame; wanted : what `turns` gives for the solutions, up to
-            rounding
+        T : pose of the flange in the robot's own base frame, shape (4, 4) [m]
+        turns : function that counts the turns of joints
+        wanted : its value for the solutions, up to rounding
         """
         reached = self._reached(T, self._seeds(T, posture))
         reached = reached[(self.sides(reached) == np.array(posture)).all(axis=1)] if len(reached) else reached
@@ -272,7 +282,11 @@ class Postures:
         return np.array(different).reshape(len(different), self.nominal.n)
 
     def _seeds(self, T: Array, posture: Posture | None) -> Array:
-        """Return the 16 samples nearest to a flange pose T (4, 4), of a given posture, (16, n)."""
+        """Return the joints of the 16 samples nearest to a flange pose, shape (16, n) [rad or m].
+
+        T : pose in the base frame, shape (4, 4) [m]
+        posture : posture of the samples; None: any
+        """
         q, flange, postures = self._samples
         target = np.concatenate([T[:3, 3], T[:3, :3].T.ravel()])
         weight = np.concatenate([np.ones(3), np.full(9, 0.3)])
@@ -282,15 +296,22 @@ class Postures:
         return q[np.argsort(far)[:16]]
 
     def _reached(self, T: Array, start: Array) -> Array:
-        """Return joints that reach the pose T, found by Newton's method from starts (k, n)."""
+        """Return the joints that reach a flange pose by Newton's method, shape (r, n) [rad or m].
+
+        T : pose in the base frame, shape (4, 4) [m]; start : starts, shape (k, n) [rad or m]
+        """
         many = np.broadcast_to(T, (len(start), 4, 4))
         result = self._newton.solved(many[:, :3, 3], many[:, :3, :3], start, self._box)
         return result.q[result.reached]
 
     def nearest(self, T: Array, near: Array) -> list[Array | None]:
-        """Return for flange poses (k, 4, 4) the solution nearest to given joints (k, n), else None.
+        """Return for each flange pose the nominal robot's solution nearest to given joints.
 
-        The solutions are within the joint limits.
+        A solution has the shape (n,) [rad or m] and is within the joint limits; None stands for a
+        pose for which none was found. Distances are Euclidean, in joint values.
+
+        T : poses in the robot's own base frame, shape (k, 4, 4) [m]
+        near : joints, shape (k, n) [rad or m]
         """
         direct = self._newton.solved(T[:, :3, 3], T[:, :3, :3], near, self._box)
         nearest: list[Array | None] = []
@@ -302,9 +323,11 @@ class Postures:
         return nearest
 
     def _towards(self, arms: Array, near: Array) -> list[Array]:
-        """Return arms within the limits, with whole turns that bring each joint nearest to `near`.
+        """Return joints with whole turns added that bring each joint nearest to `near`.
 
-        arms : shape (k, n) [rad or m]; near : shape (n,)
+        Those that cannot be brought within the joint limits are dropped.
+
+        arms : solutions, shape (k, n) [rad or m]; near : shape (n,) [rad or m]
         """
         lower, upper = self.nominal.limits
         max_turns, min_turns = (
@@ -317,13 +340,17 @@ class Postures:
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _with_turns(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
-        """Return the arm q with whole turns added within the limits, where turns are `wanted`."""
+        """Return all joints q with whole turns added that are within limits and count as `wanted`.
+
+        q : shape (n,) [rad]; turns, wanted : as of `solutions`
+        """
         choices = []
         for angle, low, high in zip(q, *self.nominal.limits, strict=True):
             first = angle - _FULL_TURN_RAD * np.floor((angle - low + 1e-9) / _FULL_TURN_RAD)
             choices.append(np.arange(first, high + 1e-9, _FULL_TURN_RAD))
 
         def fits(q: Array) -> bool:
+            """Return whether the turns of joints q are counted as `wanted`, up to rounding."""
             # A joint this close to an angle at which the count changes may have either count.
             counts = zip(turns(q - 1e-4), turns(q), turns(q + 1e-4), strict=True)
             return all(turn in count for turn, count in zip(wanted, counts, strict=True))
@@ -332,17 +359,20 @@ class Postures:
 
 
 def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:
-    """Return t of the point p + t d that is nearest to another line (d and other_d of length 1)."""
+    """Return t of the point p + t d [m] of a line that is nearest to another line.
+
+    other, other_d : a point and the direction of the other line; both directions are unit vectors
+    """
     c, between = ca.dot(d, other_d), other - p
     return (ca.dot(between, d) - c * ca.dot(between, other_d)) / (1 - c * c)
 
 
 def _perpendicular_part(v: ca.SX, axis: ca.SX) -> ca.SX:
-    """Return the part of v that is perpendicular to a unit axis."""
+    """Return the part of a vector v, (3,), that is perpendicular to a unit vector."""
     return v - ca.dot(v, axis) * axis
 
 
 def about_axis(axis: ca.SX, angle: ca.SX, v: ca.DM) -> ca.SX:
-    """Return a vector rotated about a unit axis by an angle [rad] (Rodrigues)."""
+    """Return a vector v, (3,), rotated about a unit vector by an angle [rad] (Rodrigues)."""
     c, s = ca.cos(angle), ca.sin(angle)
     return c * v + s * ca.cross(axis, v) + (1 - c) * ca.dot(axis, v) * axis

@@ -30,23 +30,24 @@ from casadical.effects.base import Balancer, Drive
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-# Time constant [s] with which every spring alone comes to rest. It is arbitrary, as statics depend
-# neither on inertia nor on damping.
+# Time constant with which every spring joint alone comes to rest [s]. It is arbitrary, as statics
+# depend neither on inertia nor on damping.
 SETTLING_TIME_S = 0.02
-# Places of the two Gauss points along a link, as shares of its length.
+# Positions of the two Gauss points along a link, divided by its length.
 GAUSS_POINTS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
-AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")  # unit vectors x, y, z as MJCF text
-# Length [m] of a balancing spring's lever. It is arbitrary, as stiffness and pull scale with it.
+# Unit vectors x, y, z as the text of MJCF attributes.
+AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")
+# Length of a balancing spring's lever [m]. It is arbitrary, as stiffness and pull scale with it.
 LEVER_M = 0.3
 
 
 def numbers(*values: float) -> str:
-    """Return numbers as an MJCF attribute, separated by spaces."""
+    """Return numbers as the text of an MJCF attribute, separated by spaces, exact to the bit."""
     return " ".join(repr(float(v)) for v in values)
 
 
 def place(T: Array) -> dict[str, str]:
-    """Return the attributes pos and quat of a frame (4, 4) [m], to a picometre.
+    """Return the MJCF attributes pos and quat of a pose T, shape (4, 4) [m], rounded to 1e-12.
 
     Later digits are rounding errors.
     """
@@ -54,7 +55,7 @@ def place(T: Array) -> dict[str, str]:
 
 
 def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
-    """Add a body at the frame T (4, 4) [m] of its parent, and return it."""
+    """Add a body with the pose T, shape (4, 4) [m], in its parent's frame, and return it."""
     return ET.SubElement(parent, "body", {"name": name, **place(T)})
 
 
@@ -74,9 +75,9 @@ def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: 
 
 
 def armature_and_damping(stiffness: float) -> dict[str, str]:
-    """Return armature and damping with which a spring joint comes to rest in `SETTLING_TIME_S`.
+    """Return MJCF attributes armature and damping of a spring joint, for `SETTLING_TIME_S`.
 
-    stiffness : [N m/rad or N/m]
+    stiffness : stiffness of the spring [N m/rad or N/m]
     """
     return {"armature": numbers(stiffness * SETTLING_TIME_S**2), "damping": numbers(2 * stiffness * SETTLING_TIME_S)}
 
@@ -86,10 +87,12 @@ def add_pieces(
 ) -> tuple[ET.Element, Array]:
     """Add the pieces of a flexible link; return the last one, and the link's frame in it, (4, 4).
 
-    end : where the next joint is in the link's frame, shape (3,) [m]
-    stiffness : of the whole link about its axes [N m/rad], infinite where it is rigid
-    spread : whether the springs carry its weight distributed along it; otherwise at its centre of
-        mass
+    body : body of the link's first piece; name : name of the link
+    mass : mass properties of the link
+    end : position of the next joint in the link's frame, shape (3,) [m]
+    stiffness : stiffness of the whole link about its axes x, y, z [N m/rad]; infinite: rigid
+    spread : whether its weight bends it as distributed along the link; otherwise as at its centre
+        of mass
     """
     s1, s2 = GAUSS_POINTS
     com = np.asarray(mass.com)
@@ -113,10 +116,11 @@ def add_pieces(
 
 
 def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.Element, row: Joint) -> None:
-    """Add the sites of a balancing spring: anchors before the joint, and the lever on the link.
+    """Add the sites of a balancing spring: anchors before its joint, and the lever on its link.
 
-    before : body before the joint; behind : frame (4, 4) [m] of the link before the joint in it
-    row : the joint
+    before : body before the joint
+    behind : pose of the frame of the link before the joint in that body, shape (4, 4) [m]
+    link : body of the joint's link; row : the joint's DH row
     """
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
     T = behind @ row_matrix(replace(row, theta=0.0))
@@ -127,9 +131,11 @@ def add_sites(balancer: Balancer, before: ET.Element, behind: Array, link: ET.El
 
 
 def add_tendons(balancer: Balancer, tendons: ET.Element, actuators: ET.Element) -> None:
-    """Add a balancing spring's tendons: the spring and the pull of its preload.
+    """Add a balancing spring's tendons: the spring, and the constant pull of its preload.
 
     The pull is an actuator of constant force, whose command has no effect.
+
+    tendons, actuators : elements of the model to which they are added
     """
     name, b = f"balancer{balancer.joint}", balancer.anchor * LEVER_M
     stiffness = balancer.swing / (LEVER_M * b)
@@ -152,10 +158,11 @@ def add_loop(
 ) -> None:
     """Add the bars of a four-bar, and the driven link's passive hinge.
 
-    ends : of base and links, the body on which the next joint stands, and the link's frame in it,
-        shape (4, 4) [m]
+    ends : for the base and each link the body that carries the next joint, and the pose of the
+        link's frame in it, shape (4, 4) [m]
     links : bodies of the links by name
-    drive_joints : adds the joints of the drive to the crank
+    drive : drive of the crank
+    drive_joints : function that adds the joints of the drive to the crank
     """
     carrier, row = robot.joints[loop.carrier - 1], robot.joints[loop.driven - 1]
     d = loop.driven
@@ -176,7 +183,10 @@ def add_loop(
 
 
 def add_loop_constraints(equality: ET.Element, loop: FourBar) -> None:
-    """Add the equality constraints of a four-bar: coupler to rocker, and driven link to rocker."""
+    """Add the equality constraints of a four-bar: coupler to rocker, and driven link to rocker.
+
+    equality : element of the model to which they are added
+    """
     d = loop.driven
     ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
     ET.SubElement(

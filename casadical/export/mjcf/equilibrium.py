@@ -14,8 +14,10 @@ from casadical.core.basics import Array, ConvergenceError, InputError, optional
 from casadical.export.mjcf.mjcf import MEASURED_SITE
 from casadical.measurements.measurements import Measurements
 
-STILL_STEP = 1e-12  # largest step [rad or m] at which a solution counts as converged
-MAX_STEPS = 100  # largest number of Newton steps
+# Largest Newton step at which a solution counts as converged [rad or m].
+STILL_STEP = 1e-12
+# Largest number of Newton steps.
+MAX_STEPS = 100
 
 
 def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
@@ -23,7 +25,8 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
 
     They are those at the readings and conditions of the measurements.
 
-    xml : model as `mjcf` writes it; payload_factor : true mass of the payload over the declared one
+    xml : text of a model as `mjcf` writes it
+    payload_factor : true mass of the payload divided by the declared one
     Raises InputError: MuJoCo is not installed, or readings of another robot; ConvergenceError: a
     loop cannot close.
     """
@@ -41,7 +44,10 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
 
 
 class EngineModel:
-    """A model compiled by MuJoCo, with the indices of its drives, springs, play and loops."""
+    """A model compiled by MuJoCo that is brought to equilibrium at commands.
+
+    xml : text of a model as `mjcf` writes it
+    """
 
     def __init__(self, xml: str) -> None:
         self.mujoco: Any = load_mujoco()
@@ -69,7 +75,7 @@ class EngineModel:
         self._sides: Array | None = None
 
     def set_payload_mass(self, mass: float) -> None:
-        """Set the mass of the payload [kg]."""
+        """Set the mass of the model's payload [kg], if it has one."""
         if self._payload is not None and self.m.body_mass[self._payload] != mass:
             self.m.body_mass[self._payload] = mass
             self.mujoco.mj_setConst(self.m, self.d)
@@ -78,8 +84,8 @@ class EngineModel:
         """Return the measured point at equilibrium, shape (3,) [m], in the measuring frame.
 
         command : joint readings, shape (n,) [rad or m]
-        approach : direction from which each joint arrived, -1, 0 or 1, shape (n,). Raises
-            ConvergenceError.
+        approach : direction of each joint's last motion, -1, 0 (unknown) or 1, shape (n,)
+        Raises ConvergenceError.
         """
         d, m = self.d, self.m  # joints are hinges and slides: the indices of q, of v and of joints agree
         d.qpos[:] = 0.0
@@ -107,7 +113,10 @@ class EngineModel:
         raise ConvergenceError(f"no equilibrium after {MAX_STEPS} steps, the last one of {size:.1e} rad or m")
 
     def _force(self) -> Array:
-        """Return generalized forces, shape (nv,), with those that loops transmit to the cranks."""
+        """Return generalized forces, shape (nv,) [N m or N], including those through loops.
+
+        nv is the number of the model's coordinates.
+        """
         self.mujoco.mj_fwdPosition(self.m, self.d)
         self.mujoco.mj_fwdVelocity(self.m, self.d)
         self.mujoco.mj_fwdActuation(self.m, self.d)
@@ -119,7 +128,7 @@ class EngineModel:
         return force
 
     def _slope(self, k: int) -> float:
-        """Return the stiffness of coordinate k at its present value [N m/rad or N/m]."""
+        """Return the stiffness of coordinate k, from 0, at its present value [N m/rad or N/m]."""
         hit = self.servos[self.drives == k]
         stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
         x = self.d.qpos[k]
@@ -127,14 +136,18 @@ class EngineModel:
         return stiffness + float(self.m.jnt_stiffness[k] + 3 * cubic * x**2)
 
     def _constraints(self) -> tuple[Array, Array]:
-        """Return Jacobian and violation of the equality constraints at the present coordinates."""
+        """Return Jacobian, (c, nv), and violation, (c,), of the c equality constraints.
+
+        Both are at the present coordinates.
+        """
         self.mujoco.mj_fwdPosition(self.m, self.d)
         n = self.d.nefc
         return self.d.efc_J.reshape(n, self.m.nv).copy(), self.d.efc_pos[:n].copy()
 
     def _assemble(self, command: Array) -> None:
-        """Close the loops in their assembly mode: uncrossed at the middle of the joint ranges.
+        """Set the passive hinges so that loops close as they do, uncrossed, in mid joint range.
 
+        command : joint readings, shape (n,) [rad or m]
         Raises InputError, ConvergenceError: a loop does not close.
         """
         if self._sides is None:
@@ -153,7 +166,7 @@ class EngineModel:
         raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
 
     def _closures(self) -> Iterator[Array]:
-        """Yield starting angles of the passive hinges: those of the last pose, then random ones."""
+        """Yield starts of the passive hinges' angles: of the last pose, then random ones [rad]."""
         if self._start is not None:
             yield self._start
         rng = np.random.default_rng(0)
@@ -161,14 +174,23 @@ class EngineModel:
             yield rng.uniform(-np.pi, np.pi, len(self.free))
 
     def _close_from(self, start: Array) -> bool:
-        """Return whether the loops close from these passive hinge angles, updated in place."""
+        """Return whether the loops close from these angles of the passive hinges [rad].
+
+        The angles are replaced in place by those of the last step.
+        """
         self.d.qpos[self.free] = start
         done = self._close(gentle=True)
         start[:] = self.d.qpos[self.free]
         return done
 
     def _bars(self, free: Array) -> list[tuple[Array, Array, Array, Array]]:
-        """Return for each loop: crank, rocker, rocker's pin to crank's end, axis; each (3,)."""
+        """Return a tuple of four vectors, shape (3,), for each loop.
+
+        They are the unit vectors along crank and rocker, the vector from the rocker's pin to the
+        crank's end [m], and the unit vector of the crank's axis, in the measuring frame.
+
+        free : angles of the passive hinges [rad]
+        """
         self.d.qpos[self.free] = free
         self.mujoco.mj_kinematics(self.m, self.d)
         bars = []
@@ -179,7 +201,10 @@ class EngineModel:
         return bars
 
     def _side(self, free: Array) -> Array:
-        """Return for each loop the sign of the side of its diagonal on which the rocker is."""
+        """Return the sign, for each loop, of the side of its diagonal on which the rocker is.
+
+        free : angles of the passive hinges [rad]
+        """
         return np.array([np.sign(np.cross(along, rocker) @ axis) for _, rocker, along, axis in self._bars(free)])
 
     def _close(self, gentle: bool = False) -> bool:

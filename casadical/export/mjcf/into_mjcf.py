@@ -21,11 +21,12 @@ from casadical.robot.urdf.tree import parse_xml
 
 
 def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[str], springs: bool = False) -> str:
-    """Return the user's model with the calibrated geometry, as XML.
+    """Return the XML text of a user's model with the calibrated geometry.
 
-    The base stays where it is; the site `casadical_measured` is the measured point. Relative paths
-    of meshes stay too.
+    The base stays where it is; the site `casadical_measured` is added at the measured point.
+    Relative paths of meshes are unchanged.
 
+    nominal, calibrated : robot before and after the calibration; path : file of the user's model
     joints : names of the arm's joints in the model, from the base on
     springs : whether each compliant joint also gets a hinge `NAME_spring` on the same axis, in the
         same body
@@ -64,6 +65,7 @@ def into_mjcf(nominal: Robot, calibrated: Robot, path: Path, joints: Sequence[st
 def _element(document: minidom.Document, tag: str, name: str, source: str) -> minidom.Element:
     """Return the only element with a tag and name.
 
+    source : name of the file, for the message
     Raises InputError: there is none, or more than one.
     """
     elements = [e for e in document.getElementsByTagName(tag) if e.getAttribute("name") == name]
@@ -73,7 +75,7 @@ def _element(document: minidom.Document, tag: str, name: str, source: str) -> mi
 
 
 def _write_pose(element: minidom.Element, T: Array) -> None:
-    """Set position and orientation of an element to those of T (4, 4) [m] in its parent."""
+    """Set position and orientation of an element to a pose T in its parent, shape (4, 4) [m]."""
     for other in ("axisangle", "euler", "xyaxes", "zaxis"):
         if element.hasAttribute(other):
             element.removeAttribute(other)
@@ -82,9 +84,10 @@ def _write_pose(element: minidom.Element, T: Array) -> None:
 
 
 def _add_spring(document: minidom.Document, name: str, compliance: float, source: str) -> None:
-    """Add a spring hinge (or slide) before the joint, on the same axis.
+    """Add a spring hinge (or slide) NAME_spring before a joint, on the same axis.
 
-    compliance : of the joint [rad/(N m) or m/N]
+    name : name of the joint; source : name of the file, for messages
+    compliance : compliance of the joint [rad/(N m) or m/N]; 0: nothing is added
     """
     if not compliance:
         return
@@ -110,7 +113,10 @@ def _read(path: Path) -> Any:
 
 
 def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
-    """Return the compiled model and its data with the arm's joints at zero."""
+    """Return MuJoCo's compiled model and its data, with the arm's joints at zero.
+
+    spec : MuJoCo's specification of the model; joints : names of the arm's joints
+    """
     mujoco = load_mujoco()
     model = spec.compile()
     data = mujoco.MjData(model)
@@ -121,14 +127,19 @@ def _at_zero(spec: Any, joints: Sequence[str]) -> tuple[Any, Any]:
 
 
 def _pose(body: Any) -> Array:
-    """Return the pose of a body in the world, (4, 4) [m]."""
+    """Return the pose of one of MuJoCo's bodies in the model's world, shape (4, 4) [m]."""
     return frame(np.array(body.xmat).reshape(3, 3), np.array(body.xpos))
 
 
 def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], Array, Array, list[str]]:
-    """Return body pose (4, 4), axis (3,), point on it (3,) and body name of each joint at zero.
+    """Return poses of the joints' bodies, joint axes, points on these, and the bodies' names.
 
-    All are in the model's world [m]. Raises InputError.
+    They are a list of poses, (4, 4) [m], axes and points, (n, 3) [m], in the model's world, with
+    all joints at zero.
+
+    spec : MuJoCo's specification of the model; joints : names of the arm's n joints
+    source : name of the file, for messages
+    Raises InputError.
     """
     known = [joint.name for joint in spec.joints]
     missing = [name for name in joints if name not in known]
@@ -144,10 +155,12 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
 
 
 def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[str], source: str) -> Array:
-    """Return the pose of casadical's base in the model's world, (4, 4) [m], at which axes coincide.
+    """Return the pose of casadical's base in the model's world, (4, 4), at which axes coincide.
 
-    N : casadical's joint frames at zero; axes, points : of the model's joints, each shape (n, 3).
-        Raises InputError: the axes are not those of the nominal robot.
+    N : joint frames of the nominal robot in its base frame at zero, shape (4, 4) [m] each
+    axes, points : axes of the model's joints in its world, and points on them, shape (n, 3) [m]
+    joints : names of the joints; source : name of the file, for messages
+    Raises InputError: the axes are not those of the nominal robot.
     """
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])
@@ -172,7 +185,10 @@ def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[
 def refuse_unmoved(spec: Any, joints: Sequence[str], new: Sequence[Array], source: str) -> None:
     """Check that every body is at its target pose, which one nested in a <frame> is not.
 
-    new : target poses of the joints' bodies (4, 4) [m] in the world. Raises InputError.
+    spec : MuJoCo's specification of the changed model; joints : names of the arm's joints
+    new : target poses of the joints' bodies in the model's world, shape (4, 4) [m] each
+    source : name of the file, for messages
+    Raises InputError.
     """
     model, data = _at_zero(spec, joints)
     for name, target in zip(joints, new, strict=True):

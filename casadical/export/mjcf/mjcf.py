@@ -29,10 +29,12 @@ from casadical.export.mjcf.elements import (
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
 
-TIME_STEP_S = 0.002  # time step of the simulation [s]
-# Solver parameters of the stiffest constraints that MuJoCo allows.
+# Time step of the exported model's simulation [s].
+TIME_STEP_S = 0.002
+# MJCF attributes of the stiffest constraints that MuJoCo allows.
 HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
-MEASURED_SITE = "measured"  # name of the site at the measured point
+# Name of the model's site at the measured point.
+MEASURED_SITE = "measured"
 # First lines of the comment at the beginning of a model.
 _MODEL_COMMENT = (
     "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
@@ -45,9 +47,10 @@ _MODEL_COMMENT = (
 class MjcfExport:
     """A robot as a MuJoCo model.
 
-    text : the XML; written : how each effect is represented; omitted : effects without a
-        counterpart
-    notes : further sentences on what is omitted
+    text : XML text of the model
+    written : sentences on how each effect is represented
+    omitted : effects without a counterpart, with reasons
+    notes : sentences on what else is omitted
     """
 
     text: str
@@ -57,7 +60,7 @@ class MjcfExport:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Return sentences on what the model omits."""
+        """Return sentences on all that the model omits."""
         return (*map(str, self.omitted), *self.notes)
 
 
@@ -105,15 +108,19 @@ def xml_text(root: ET.Element) -> str:
 
 
 def describe(root: ET.Element, lines: Iterable[str], written: Iterable[str], left_out: Iterable[str]) -> None:
-    """Insert a comment that says what a model is, how each effect is represented, what it omits."""
+    """Insert a comment that says what a model is, how each effect is represented, what it omits.
+
+    root : root element of the model; lines : first lines of the comment
+    written : sentences on represented effects; left_out : sentences on what is omitted
+    """
     every = (*lines, *(f"effect {text}" for text in written), *(f"left out: {text}" for text in left_out))
     root.insert(0, ET.Comment("\n  " + "\n  ".join(line.replace("--", "- -") for line in every) + "\n"))
 
 
 def counterparts(robot: Robot) -> Counterparts:
-    """Return the simulator's counterparts of a robot's springs and effects.
+    """Return the elements of a simulator that represent a robot's springs and effects.
 
-    `left_out` names the effects that have none.
+    Its field `left_out` names the effects that cannot be represented.
     """
     drives = tuple(Drive(compliance=j.compliance or 0.0) for j in robot.joints)
     scale = robot.torque_scale
@@ -131,7 +138,7 @@ def counterparts(robot: Robot) -> Counterparts:
 
 
 def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
-    """Add the bodies of base and links to the world, and return the last one."""
+    """Add the bodies of base and links to the world element, and return the last link's."""
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
@@ -167,7 +174,10 @@ def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
 
 
 def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None:
-    """Add a drive's joints to a body: the actuated one, cubic and limited springs, and backlash."""
+    """Add a drive's joints to a body: the actuated one, cubic and limited springs, and backlash.
+
+    name : name of the actuated joint; row : the joint's DH row
+    """
     margin = 0.02 * (row.upper - row.lower)
     kind = "hinge" if row.kind == "revolute" else "slide"
     joint = ET.SubElement(
@@ -197,7 +207,7 @@ def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
 
 
 def _actuator(actuators: ET.Element, i: int, joint: Joint, drive: Drive) -> None:
-    """Add a position servo: force = kp (ctrl - gear q), so that q = ratio ctrl without load."""
+    """Add the position servo of joint i: force = kp (ctrl - gear q), so q = ratio ctrl at rest."""
     servo = ET.SubElement(actuators, "position", name=f"drive{i}", joint=f"joint{i}")
     servo.set("kp", numbers(drive.stiffness * drive.ratio**2))
     if drive.ratio != 1:

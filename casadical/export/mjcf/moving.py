@@ -27,31 +27,37 @@ from casadical.export.mjcf.mjcf import (
 )
 from casadical.robot.robot import Robot
 
-# Drive parameters without which motion cannot be simulated: attribute of `Drive` -> JSON key.
+# JSON key of each drive parameter that a simulation of motion needs, by attribute of `Drive`.
 REQUIRED_DRIVE_KEYS = {
     "kp": "stiffness",
     "damping": "damping",
     "friction": "friction",
     "rotor_inertia_at_joint": "armature",
 }
-# Further drive parameters that are exported where they are declared: attribute -> JSON key.
+# JSON key of each other drive parameter that is exported where it is declared, by attribute.
 OPTIONAL_DRIVE_KEYS = {
     "delay": "delay_s",
     "bias": "constant_torque",
     "torque_limit": "effort_limit",
     "speed_limit": "velocity_limit",
 }
-BALL_RADIUS_M = 0.005  # radius [m] of the ball at the measured point that touches a surface
+# Radius of the ball at the measured point that touches a surface [m].
+BALL_RADIUS_M = 0.005
 
 
 def has_motion_parameters(robot: Robot) -> bool:
-    """Return whether `[drive]` determines how joints move, and the robot is an open chain."""
+    """Return whether `[drive]` has all required parameters, and the robot is an open chain."""
     declared = robot.drive is not None and all(getattr(robot.drive, name) is not None for name in REQUIRED_DRIVE_KEYS)
     return declared and not robot.loops
 
 
 def moving_mjcf(robot: Robot) -> MjcfExport:
-    """Return the model of `mjcf` with drives that follow commands, and what both omit."""
+    """Return a robot's MuJoCo model whose drives follow commands, and what it omits.
+
+    It is the model of `mjcf` with servos, friction, damping, armature and inertias.
+
+    robot : robot for which `has_motion_parameters` is true
+    """
     assert robot.drive is not None
     still = mjcf(robot)
     root = ET.fromstring(still.text)
@@ -88,10 +94,11 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
 
 
 def _set_floor(root: ET.Element, height: float | None) -> None:
-    """Add the plane perpendicular to gravity that the measured point touches.
+    """Add the plane perpendicular to gravity that a ball at the measured point touches.
 
-    height : of the measured point in contact, along the upward vertical [m]; None: there is no
-        plane
+    root : root element of the model
+    height : height of the measured point in contact above the origin of the measuring frame, along
+        the vertical [m]; None: there is no plane
     """
     world, (option,) = root.find("worldbody"), root.iter("option")
     gravity = np.array([float(word) for word in str(option.get("gravity")).split()])
@@ -111,7 +118,7 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
-    """Return the actuator of joint i: force = kp (ctrl - q) - bias, ctrl being delayed."""
+    """Return the actuator of joint i, from 1: force = kp (ctrl - q) - bias, with delayed ctrl."""
     row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit", "command_filter", "delay")
     kp, bias, limit, within, delay = (float(_each(drive, name, robot)[i - 1]) for name in names)
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
@@ -130,7 +137,10 @@ def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
 
 
 def _each(drive: Drive, name: str, robot: Robot) -> Any:
-    """Return a drive parameter of every joint, shape (n,); zeros where it is not given."""
+    """Return a drive parameter of every joint, shape (n,) [SI]; zeros where it is not declared.
+
+    name : attribute of `Drive`
+    """
     value = drive.of_joints(name, robot.n)
     return np.zeros(robot.n) if value is None else value
 
@@ -152,10 +162,9 @@ def _unrepresented_drive_properties(robot: Robot) -> Iterator[str]:
 
 
 def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
-    """Return a sentence on the drive parameters that a file with damping and friction alone omits.
+    """Return a tuple of one sentence on drive parameters that a URDF omits; empty without any.
 
-    It gives the droop under gravity [mrad] and the delay [ms]; there is none without drive
-    parameters.
+    It states the largest droop under gravity [mrad] and the largest delay [ms].
     """
     if robot.drive is None or not has_motion_parameters(robot):
         return ()
@@ -167,10 +176,13 @@ def omitted_drive_parameters(robot: Robot) -> tuple[str, ...]:
 
 
 def actuators_of(robot: Robot) -> dict[str, Any]:
-    """Return the drive parameters by joint names, in SI units, for other simulators.
+    """Return the drive parameters for other simulators: JSON key, then joint name, to number [SI].
 
+    The keys are those of `REQUIRED_DRIVE_KEYS` and `OPTIONAL_DRIVE_KEYS`, and "robot" (its name).
     `stiffness` and `damping` are those of a PD law with zero target speed, stiffness (command - q)
-    - damping q'. Raises InputError: the robot has no drive parameters.
+    - damping q'.
+
+    Raises InputError: the robot has no drive parameters, or a closed loop.
     """
     if robot.drive is None or not has_motion_parameters(robot):
         lacking = [name for name in REQUIRED_DRIVE_KEYS if robot.drive is None or getattr(robot.drive, name) is None]

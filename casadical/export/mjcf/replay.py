@@ -29,7 +29,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-# Shares of the poses from which models are identified, and at which they are replayed.
+# Share of the poses from which models are identified, and of those at which they are replayed.
 REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
@@ -37,9 +37,11 @@ REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 class ReplayedModel:
     """One model in the simulator, with its distances from the measured points.
 
-    errors : distances from the measured points, shape (n,) [m]
-    apart : distances from casadical's own predictions, shape (n,) [m]
-    lacking : labels of effects that are missing in the simulator, as it has no counterpart of them
+    name : name of the model in tables
+    export : MuJoCo model of the robot
+    errors : distances of the simulated points from the measured ones, shape (n,) [m]
+    apart : distances of the simulated points from casadical's own predictions, shape (n,) [m]
+    lacking : labels of effects that the simulator cannot represent
     """
 
     name: str
@@ -65,8 +67,10 @@ class ReplayedModel:
 class Replay(Result):
     """A campaign replayed at held-out poses: nominal robot, geometry, diagnosed causes if any.
 
-    source : the measurements; robot : its name; stages : the models
-    diagnosis : the diagnosis whose causes the last model has
+    source : name of the measurements
+    robot : name of the robot
+    stages : replayed models: nominal, calibrated and, if there are causes, with these
+    diagnosis : diagnosis whose causes the last model has; None: without one
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -82,7 +86,7 @@ class Replay(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Return a row per model: errors [mm] and distance from casadical's point [um]."""
+        """Return a table with a row per model: errors [mm] and the largest of `apart` [um]."""
         rows = []
         for s in self.stages:
             a, row = s.accuracy, {"model": s.name, "n": s.accuracy.n}
@@ -100,9 +104,9 @@ class Replay(Result):
 
 
 def replay(robot: Robot, m: Measurements, name: str = "model") -> ReplayedModel:
-    """Replay measured poses with a robot's model in MuJoCo.
+    """Return the replay of measured poses with a robot's model in MuJoCo.
 
-    name : of the model in tables
+    m : measured positions; name : name of the model in tables
 
     Effects of the measurement (a frame that drifts, a reflector's offset) are not in the MuJoCo
     model: they are added to the point that MuJoCo finds.
@@ -128,10 +132,10 @@ def replay_campaign(
 ) -> Replay:
     """Identify and diagnose a robot from part of a campaign, and replay the other poses in MuJoCo.
 
-    robot : as `diagnose` takes it
-    m : the campaign
-    effects : as of `diagnose`
-    seed : random seed that selects the poses that are held out
+    robot : nominal robot, as of `diagnose`
+    m : measured positions of the campaign
+    effects : effects to consider, as of `diagnose`
+    seed : seed of the random choice of held-out poses
     show : called with a line of progress
     Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed;
         ConvergenceError: Ipopt finds no optimum, or the simulator no equilibrium.
@@ -184,6 +188,9 @@ def _stages(
     """Return the replayed models: nominal, calibrated, and `with_causes()` if there are causes.
 
     The first two are identified from `fitted`; all are replayed at `held_out`.
+
+    found : diagnosis that names the causes
+    with_causes : function that returns the robot with them
     """
     show("calibrating")
     rigid = robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0))
@@ -197,7 +204,7 @@ def _stages(
     return tuple(stages)
 
 
-# Caption of the figure.
+# Caption of the figure of `replay_figure`.
 _FIGURE_CAPTION = (
     "Nominal: the drawing, with base and tool fitted; calibrated: geometry and joint stiffness. "
     "Mean over poses that had no part in the values, with a 95 % interval, on a logarithmic axis: "
@@ -206,7 +213,7 @@ _FIGURE_CAPTION = (
 
 
 def replay_blocks(d: Diagnosis) -> Iterator[Block]:
-    """Yield sentences, figure and table of the replay, or why there is none."""
+    """Yield sentences, figure and table of a diagnosis' replay, or a sentence why there is none."""
     try:
         load_mujoco()
     except InputError:
@@ -238,7 +245,7 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 
 
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
-    """Return the models that are shown, without a last one in which all causes are lacking."""
+    """Return the models that are shown: without the last one if it lacks all causes."""
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()
     return replayed.stages[:2] if set(last.lacking) >= {e.label for e in causes} else replayed.stages
@@ -247,7 +254,7 @@ def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
 def replay_figure(replayed: Replay, floor: float) -> Figure:
     """Return the figure of each model's mean error [mm] with its interval.
 
-    floor : error of the noise alone [m]
+    floor : mean error that noise alone would cause [m]
     """
     stages, names = _shown(replayed), stage_names(replayed)
     mean, noise = [1e3 * s.accuracy.mean for s in stages], 1e3 * floor
@@ -280,7 +287,7 @@ def replay_figure(replayed: Replay, floor: float) -> Figure:
 
 
 def stage_names(replayed: Replay) -> list[str]:
-    """Return the names of the models that are shown."""
+    """Return the names in figure and table of the models that are shown."""
     stages = _shown(replayed)[2:]
     without = (f", without {' and '.join(s.lacking)}" if s.lacking else "" for s in stages)
     return ["nominal, placed", "calibrated", *(f"with {s.name}{w}" for s, w in zip(stages, without, strict=True))]

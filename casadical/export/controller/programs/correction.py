@@ -29,9 +29,9 @@ from casadical.export.controller.programs.target import Number, Target
 class ToolModels:
     """Correction and robot models for one tool.
 
-    corrector : corrects joint targets
-    nominal, real : q[n] -> (p[3] [m], R[3x3]) in the robot's own base frame; None for an export
-        folder
+    corrector : corrector of joint targets
+    nominal, real : CasADi functions q[n] -> (p[3] [m], R[3x3]) of the tool's pose in the robot's
+        own base frame, by the nominal and the calibrated robot; None for an export folder
     """
 
     corrector: Corrector
@@ -49,15 +49,14 @@ class ToolModels:
 class Cell:
     """Robots for which a program is corrected, and the frames that the program does not contain.
 
-    sources, steps, orientation : as of `command_of`
-    root : the controller's root frame in the robot file's base frame; flange : its flange in the
-        last link's frame; each (4, 4) [m]
+    sources, steps, orientation : as of `command_of`; sources None: there is an export folder
+    root : pose of the controller's root frame in the robot file's base frame, shape (4, 4) [m]
+    flange : pose of the controller's flange in the last link's frame, shape (4, 4) [m]
     nearest : whether a pose without a configuration is solved nearest to the target before it
     external_still : whether external axes carry neither the robot nor its bases
     leave_unreached : whether poses that the nominal robot does not reach remain unchanged;
         otherwise the program is refused
-    folder : the corrector of an export folder, in place of robot files; its tool is that of the
-        export
+    folder : corrector of an export folder, in place of robot files; its tool is that of the export
     _made : cache of the models of each tool
     """
 
@@ -87,9 +86,10 @@ class Cell:
         return Postures(replace(own_robots(self.sources)[1], tool=Placement(self.flange)), self.root)
 
     def with_tool(self, tool: Array | None) -> ToolModels:
-        """Return correction and models with a tool in the flange's frame, (4, 4) [m].
+        """Return correction and models for a tool.
 
-        tool : None: the robot file's tool
+        tool : pose of the tool in the controller's flange frame, shape (4, 4) [m]; None: the robot
+            file's tool
         """
         if self.folder:
             return ToolModels(self.folder)
@@ -130,13 +130,14 @@ class Cell:
 class CorrectedTarget:
     """Correction of one target: its new numbers, or the reason why it remains unchanged.
 
-    status : OK, or why it keeps its numbers; why : the same in words, where the status does not say
-        it
+    target : target as it is in the program
+    status : OK or POSITION_ONLY, or the name of the reason why it keeps its numbers
+    why : the reason in words, where the status does not state it
     texts : new text of each number, and of each word that holds the turns
-    moved_mm : distance by which the real tool is moved [mm]
-    off_mm, off_deg : distance and angle of the real tool from the nominal tool, before and after,
-        with the numbers as they are written [mm, deg]; None: unknown
-    q : joints of the target, before and after [rad or m], each shape (n,); None: unknown
+    moved_mm : distance by which the correction moves the real tool [mm]; None: unknown
+    off_mm, off_deg : distance and angle of the real tool from the nominal tool, before and after
+        the correction, with the numbers as they are written [mm, deg]; None: unknown
+    q : joints of the target before and after, shape (n,) each [rad or m]; None: unknown
     """
 
     target: Target
@@ -155,7 +156,7 @@ class CorrectedTarget:
 
     @property
     def changes(self) -> Iterator[tuple[Number, str]]:
-        """Yield the numbers and words that change, with their new texts."""
+        """Yield (number or word, new text) for those that change; none if it is not corrected."""
         if self.fine:
             for number, text in zip((*self.target.numbers, *self.target.turn_text), self.texts, strict=False):
                 if number.differs(text):
@@ -165,6 +166,7 @@ class CorrectedTarget:
 def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[CorrectedTarget]:
     """Return the correction of each target, or the reason why it remains unchanged.
 
+    cell : robots and frames
     Raises InputError where the nominal robot does not reach a pose: then the frames are not those
     of the controller, and other targets would be corrected at places where the robot never is.
     """
@@ -190,7 +192,7 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
 
 
 def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[CorrectedTarget]:
-    """Return the targets with their joints [rad or m], or the reason why there are none."""
+    """Return each target with its joints before the correction, or the reason why it has none."""
     results = [CorrectedTarget(t, *_obstacle(t, cell)) for t in targets]
     flanges = {
         k: _flange(language, r.target, cell.root, np.eye(4))
@@ -217,9 +219,10 @@ def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) ->
 
 
 def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Array) -> Array:
-    """Return the flange pose of a target, (4, 4) [m], in the robot's own base frame.
+    """Return the flange pose of a target in the robot's own base frame, shape (4, 4) [m].
 
-    root : the controller's root frame; turned : an additional rotation of the flange, (4, 4)
+    root : pose of the controller's root frame there, shape (4, 4) [m]
+    turned : additional rotation of the flange, shape (4, 4)
     """
     assert target.base is not None
     assert target.tool is not None
@@ -227,7 +230,7 @@ def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Arra
 
 
 def _obstacle(target: Target, cell: Cell) -> tuple[str, str]:
-    """Return status and reason of a target that cannot be solved; status OK if it can be."""
+    """Return (status, reason) of a target that cannot be solved; ("OK", "") if it can be."""
     if target.skip_reason:
         return "LEFT", target.skip_reason
     if target.joints:
@@ -240,14 +243,16 @@ def _obstacle(target: Target, cell: Cell) -> tuple[str, str]:
 
 
 def _with_joints(target: Target, q: Array | None) -> CorrectedTarget:
-    """Return a target with its joints q, or as unreachable where there are none."""
+    """Return a target with its joints q, (n,) [rad or m]; with status UNREACHABLE for None."""
     return CorrectedTarget(target, "UNREACHABLE") if q is None else CorrectedTarget(target, Status.OK.name, q=(q, q))
 
 
 def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postures: Postures) -> CorrectedTarget:
     """Return a target with the joints that reach it in the program's arm configuration and turns.
 
-    Its status says why if there are none, or several.
+    Its status is the reason if there are no such joints, or several.
+
+    flange : pose of the flange in the robot's own base frame, shape (4, 4) [m]
     """
     if target.posture is None or target.turns is None:
         return CorrectedTarget(target, "NO_CONFIGURATION")
@@ -262,7 +267,10 @@ def _in_posture(language: ProgramLanguage, target: Target, flange: Array, postur
 
 
 def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int, cell: Cell) -> str:
-    """Return the error message for poses that the nominal robot does not reach."""
+    """Return the error message for targets that the nominal robot does not reach.
+
+    poses : number of all targets that are poses
+    """
     names = ", ".join(f"{language.place} {t.line}, {t.name}" for t in targets[:5])
     more = f" and {len(targets) - 5} more" if len(targets) > 5 else ""
     frames = _frames_that_reach(language, targets[:8], cell)
@@ -281,9 +289,10 @@ def _unreached(language: ProgramLanguage, targets: Sequence[Target], poses: int,
 
 
 def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[str]:
-    """Return options for frames, rotated by quarter turns, with which the robot reaches all poses.
+    """Return options --flange or --root with which the nominal robot reaches all targets, as text.
 
-    At most three, those of the smallest rotation first.
+    Their frames are those of the cell, rotated by quarter turns. There are at most three, those of
+    the smallest rotation first.
     """
     turns = [
         np.diag(signs)[list(order)] for order in permutations(range(3)) for signs in product((1.0, -1.0), repeat=3)
@@ -302,7 +311,10 @@ def _frames_that_reach(language: ProgramLanguage, targets: Sequence[Target], cel
 
 
 def _reaches(language: ProgramLanguage, target: Target, root: Array, turned: Array, postures: Postures) -> bool:
-    """Return whether the nominal robot reaches a pose with a root frame and its flange rotated."""
+    """Return whether the nominal robot reaches a target with these frames.
+
+    root, turned : as of `_flange`
+    """
     T = _flange(language, target, root, turned)
     if target.posture is None:
         near = np.zeros(postures.nominal.n) if target.near is None else target.near
@@ -315,6 +327,9 @@ def _rewritten(
 ) -> Iterator[CorrectedTarget]:
     """Yield corrected targets with new texts, and the tool's deviation with the numbers as written.
 
+    Targets whose corrected joints leave their configuration or the limits remain unchanged.
+
+    made : models of the targets' tool
     old, new : joints before and after the correction, each shape (k, n) [rad or m]
     """
     posed = np.array([not t.joints for t in targets], dtype=bool)
@@ -349,7 +364,12 @@ def _rewritten(
 
 
 def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:
-    """Return the figures of `CorrectedTarget` for joints before and after, (k,) or (k, 2)."""
+    """Return figures of `CorrectedTarget` by name for joints before and after, (k,) or (k, 2).
+
+    They are moved_mm and, with robot models, off_mm and off_deg.
+
+    old, new : joints before and after, shape (k, n) [rad or m]
+    """
     if made.real is None or made.nominal is None:
         return {"moved_mm": _distances_mm(made.corrector.position(old), made.corrector.position(new))}
     wanted, was, now = _poses(made.nominal, old), _poses(made.real, old), _poses(made.real, new)
@@ -361,7 +381,7 @@ def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:
 
 
 def _poses(function: ca.Function | None, q: Array) -> Array:
-    """Return tool poses, shape (k, 4, 4) [m], of a pose function at joints q (k, n)."""
+    """Return tool poses of a pose function at joints q, (k, n) [rad or m], shape (k, 4, 4) [m]."""
     assert function is not None
     p, R = function.map(len(q))(q.T)
     T = np.tile(np.eye(4), (len(q), 1, 1))
@@ -377,6 +397,7 @@ def _distances_mm(a: Array, b: Array) -> Array:
 def refuse_accuracy(source: str, targets: Iterable[Target]) -> None:
     """Check that no target was taught with the controller's absolute accuracy on.
 
+    source : name of the program, for the message
     Raises InputError.
     """
     for target in targets:

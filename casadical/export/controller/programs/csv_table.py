@@ -13,11 +13,15 @@ from casadical.export.controller.programs.target import M_PER_MM, RAD_PER_DEG, G
 from casadical.measurements.columns import Columns
 from casadical.measurements.raw_table import RawTable, read_table
 
-STATUS_COLUMN = "correction_status"  # column that is added to a corrected table
+# Name of the column that is added to a corrected table.
+STATUS_COLUMN = "correction_status"
 
 
 class CsvTable(ProgramLanguage):
-    """CSV with commas and a header. A number's place is its row and its column in the table."""
+    """CSV tables of joint targets, with commas and a header.
+
+    A `Number` has its row and column in place of its first and last character.
+    """
 
     name = "CSV"
     suffixes = (".csv",)
@@ -26,7 +30,7 @@ class CsvTable(ProgramLanguage):
     report_beside = False
 
     def decoded(self, source: str, content: bytes) -> str:
-        """Return the bytes as text; the table is read from the file itself."""
+        """Return the bytes as text, one character each; tables are read from the file itself."""
         return content.decode("latin-1")
 
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:

@@ -32,11 +32,11 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
-# A configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
+# Pattern of a configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
 _CONFIG_PATTERN = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
-# An assignment of a tool or user frame.
+# Pattern of an assignment of a tool or user frame.
 _FRAME_CHANGE_PATTERN = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
-# A motion by a position, not to it.
+# Pattern of an incremental motion, by a position and not to it.
 _INCREMENT_PATTERN = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
 
 
@@ -85,12 +85,15 @@ class Fanuc(AngleLanguage):
         return [_placed(target, frames, given, steps) for target, frames in once]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return a slow joint motion, with its position, as lines of a listing."""
+        """Return a slow motion to joints [deg], with its position, as lines of a listing."""
         axes = ", ".join(f"J{i}= {value:.3f} deg" for i, value in enumerate(joints, 1))
         return f"J P[1] 10% FINE ;\n/POS\nP[1]{{\n   GP1:\n    UF : 0, UT : 1,\n    {axes}\n}};"
 
     def turns(self, q: Array) -> tuple[int, ...]:
-        """Return how many whole turns joints 1, 4 and 6 are from -180 to 180 degrees."""
+        """Return the turns of joints 1, 4 and 6, 0 for -180 to 180 degrees; () if not six joints.
+
+        q : joints, shape (n,) [rad]
+        """
         return tuple(int(np.floor((q[i] + np.pi) / (2 * np.pi))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
 
@@ -100,9 +103,11 @@ def _line(text: str, found: re.Match[str]) -> int:
 
 
 def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]) -> tuple[Target, tuple[str, str]]:
-    """Return a target and the names of its tool and base.
+    """Return the target of a position, and the numbers of its tool and base as text, "?" if none.
 
-    axes : units of the joints, each as a factor to SI. Raises InputError.
+    source : name of the program, for messages; line : line of the position
+    axes : factor of each joint's number to SI
+    Raises InputError.
     """
     name = f"P[{words(position, 'NUMBER')[0]}]"
     group = parts(parts(position, "group")[0], "item")
@@ -128,7 +133,10 @@ def _target(source: str, line: int, position: Tree[Token], axes: Sequence[float]
 
 
 def _configured(target: Target, config: object) -> Target:
-    """Return a target with posture and turns of its CONFIG text, or a reason to skip it."""
+    """Return a target with posture and turns of its CONFIG, or marked with why it has none.
+
+    config : token of the CONFIG text
+    """
     match = _CONFIG_PATTERN.fullmatch(str(config))
     if match is None or not isinstance(config, Token):
         return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
@@ -144,7 +152,9 @@ def _configured(target: Target, config: object) -> Target:
 def _placed(target: Target, frames: tuple[str, str], given: Given, steps: dict[str, int]) -> Target:
     """Return a target with its tool and base frames; positions used as increments are skipped.
 
-    frames : numbers of tool and base; steps : lines of incremental motions by position number
+    frames : numbers of tool and base as text
+    given : frames from outside the program
+    steps : line of the incremental motion by a position, by the position's number
     """
     number = target.name[2:].partition("]")[0]
     if number in steps:

@@ -17,8 +17,8 @@ from lark.parsers.lalr_interactive_parser import InteractiveParser
 
 from casadical.core.basics import InputError
 
-# Terminals of every language: a number, and any character that no other terminal takes (with the
-# lowest priority, so that no text is refused).
+# Lark text of the terminals of every language: a number, and any character that no other terminal
+# takes (with the lowest priority, so that no text is refused).
 COMMON_TERMINALS = r"""
 _other: OTHER
 NUMBER: /[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?/
@@ -30,8 +30,10 @@ OTHER.-9: /./s
 class ParsedText:
     """A program's tokens without those that the grammar ignores, and its islands.
 
-    islands : each longest run of tokens that the grammar's `start` derives, in their order, without
-        overlaps
+    grammar : Lark grammar of a language's islands; text : text of the program
+    tokens : tokens of the program in their order
+    islands : trees of the longest runs of tokens that the grammar's `start` derives, in their
+        order, without overlaps
     """
 
     def __init__(self, grammar: str, text: str) -> None:
@@ -40,18 +42,18 @@ class ParsedText:
         self.islands = list(_islands(parser, self.tokens))
 
     def all(self, rule: str) -> list[Tree[Token]]:
-        """Return the nodes of a rule at the top level of the islands."""
+        """Return all nodes of a rule, by its name, at the top level of the islands."""
         return [node for island in self.islands for node in parts(island, rule)]
 
 
 @cache
 def _parser(grammar: str) -> Lark:
-    """Return the LALR parser of a grammar."""
+    """Return the LALR parser of a grammar with the common terminals."""
     return Lark(grammar + COMMON_TERMINALS, parser="lalr", lexer="basic", propagate_positions=True)
 
 
 def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
-    """Yield the islands of a token sequence."""
+    """Yield the trees of a token sequence's islands in their order."""
     k, closed = 0, _closed(tokens)
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
@@ -73,9 +75,11 @@ def _closed(tokens: Sequence[Token]) -> set[int]:
 
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:
-    """Return the longest island from a token and its length, or None and how many tokens to skip.
+    """Return the longest island from a token on and its number of tokens.
 
-    closed : indices of the opening brackets that are closed
+    Without an island it is None, and the number of tokens to skip.
+
+    start : index of the token; closed : indices of the opening brackets that are closed
     """
     run, ends, fed, depth, deepest = parser.parse_interactive(""), [], start, 0, 0
     with suppress(UnexpectedInput):
@@ -124,7 +128,7 @@ def is_number(node: Any) -> bool:
 
 
 def integers(texts: Iterable[Any]) -> tuple[int, ...]:
-    """Return numbers as integers; an empty tuple where one is too large for any controller."""
+    """Return numbers, given as text, as integers; an empty tuple if one exceeds 31 bits."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 
@@ -132,7 +136,9 @@ def integers(texts: Iterable[Any]) -> tuple[int, ...]:
 def only_one(source: str, what: str, by_line: dict[int, Any]) -> Any:
     """Return the only value that a program assigns to a variable, or None if it assigns none.
 
-    by_line : values by the line of their assignment. Raises InputError where the value changes.
+    source, what : names of program and variable, for the message
+    by_line : values by the line of their assignment
+    Raises InputError where the value changes.
     """
     first = next(iter(by_line), 0)
     for line, value in by_line.items():

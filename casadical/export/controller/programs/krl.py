@@ -43,9 +43,12 @@ STRING: /"[^"\n]*"/
 COMMENT.3: /;[^\n]*/
 %ignore COMMENT
 """
-_POSE_KEYS = ("X", "Y", "Z", "A", "B", "C")  # components of a pose
-Pairs = dict[str, Token | Tree[Token]]  # components of an aggregate by name
-Pick = str | Array | None  # a tool or base: its number, its transform (4, 4), or unreadable
+# Names of the components of a pose.
+_POSE_KEYS = ("X", "Y", "Z", "A", "B", "C")
+# Type of the components of an aggregate by name.
+Pairs = dict[str, Token | Tree[Token]]
+# Type of a selected tool or base: its number, its transform (4, 4) [m], or None if unreadable.
+Pick = str | Array | None
 
 
 class Krl(AngleLanguage):
@@ -76,11 +79,14 @@ class Krl(AngleLanguage):
         return f"PTP {{{', '.join(f'A{i} {value:.4f}' for i, value in enumerate(joints, 1))}}}"
 
     def turns(self, q: Array) -> tuple[int, ...]:
-        """Return for each joint 1 where its reading is negative, otherwise 0."""
+        """Return the bit of T for each joint: 1 if its reading is negative, else 0.
+
+        q : joints, shape (n,) [rad or m]
+        """
         return tuple(int(angle < 0) for angle in q)
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        """Return the text of T, in the number format of the old one."""
+        """Return the text of T in a list of one, in the number format of the old text."""
         value, old = sum(bit << i for i, bit in enumerate(turns)), target.turn_text[0].text
         if not old.startswith("'"):
             return [str(value)]
@@ -91,9 +97,9 @@ class Krl(AngleLanguage):
 class _Module:
     """Assignments and motions of one KRL file.
 
-    assignments : name, line and right side of each assignment of an aggregate or a name
+    assignments : (variable, line, right side) of each assignment of an aggregate or a name
     assigned : lines in which each variable gets a value, by its name in upper case
-    moves : names of the targets of motions
+    moves : names of variables that are targets of motions, in upper case
     """
 
     def __init__(self, text: str) -> None:
@@ -112,7 +118,8 @@ class _Module:
     def targets(self, source: str, units: tuple[float, ...], used: set[str]) -> list[tuple[Target, str]]:
         """Return each target and the name of its variable, "" for one inside a motion.
 
-        units : units of the joints, each as a factor to SI; used : names of the targets of motions
+        source : name of the program, for messages; units : factor of each joint's number to SI
+        used : names of variables that are targets of motions
         """
         listed = []
         for name, _, right in self.assignments:
@@ -140,8 +147,9 @@ class _Frames:
     """Tools and bases by number, and those that the program selects for all of its targets.
 
     frames : transforms (4, 4) [m] of TOOL_DATA[..] and BASE_DATA[..], by name and line
-    of_point : aggregates (FDAT) that give a point its tool and base numbers
-    chosen : tools and bases that the program selects, by line
+    of_point : components of the aggregates (FDAT) that give a point its tool and base numbers, by
+        their variable
+    chosen : tools and bases that the program selects, by "TOOL" or "BASE" and line
     """
 
     def __init__(self, language: Krl, source: str, modules: list[_Module], given: Given) -> None:
@@ -175,8 +183,9 @@ class _Frames:
                 self.of_point[name] = values
 
     def _transform(self, values: Pairs, line: int) -> Array:
-        """Return the transform (4, 4) [m] of an aggregate.
+        """Return the transform, shape (4, 4) [m], of a pose's components.
 
+        line : line of the aggregate, for messages
         Raises InputError: a number is missing.
         """
         pose = [values.get(key) for key in _POSE_KEYS]
@@ -188,7 +197,9 @@ class _Frames:
     def placed(self, target: Target, name: str) -> Target:
         """Return a target with its tool and base frames.
 
-        name : of the target's variable; a point's FDAT precedes the program's selection
+        The numbers in a point's FDAT take precedence over the program's selection.
+
+        name : name of the target's variable, "" for one inside a motion
         """
         data = self.of_point.get(f"F{name[1:]}") if name.startswith("X") else None
         if data is not None and str(data.get("IPO_FRAME", "#BASE")).upper() == "#TCP":
@@ -205,7 +216,10 @@ class _Frames:
         return replace(target, tool=tool, base=base, about=f"tool {names[0]}, base {names[1]}")
 
     def _frame(self, what: str, pick: Pick, given: dict[str, Array]) -> Array | None:
-        """Return the transform (4, 4) [m] of a tool or base; None if it is unknown."""
+        """Return the transform of a tool or base, shape (4, 4) [m]; None if it is unknown.
+
+        what : "TOOL" or "BASE"; given : transforms from outside the program by number
+        """
         if isinstance(pick, str):
             if pick in given:
                 return given[pick]
@@ -215,7 +229,7 @@ class _Frames:
 
 
 def _name(ref: Tree[Token]) -> str:
-    """Return a variable's name in upper case, with its index."""
+    """Return a variable's name in upper case, with its index: NAME or NAME[INDEX]."""
     index = words(ref, "NUMBER")
     return str(words(ref, "NAME")[0]).upper() + (f"[{index[0]}]" if index else "")
 
@@ -227,9 +241,11 @@ def _pairs(aggregate: Tree[Token]) -> Pairs:
 
 
 def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, ...]) -> Target:
-    """Return the target of an aggregate.
+    """Return the target of an aggregate; source : name of the program, for messages.
 
-    axes : units of the joints, each as a factor to SI. Raises InputError.
+    name : name of its variable, "" for one inside a motion
+    axes : factor of each joint's number to SI
+    Raises InputError.
     """
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
     joints = "A1" in values

@@ -16,10 +16,12 @@ class ProgramLanguage(ABC):
 
     Derived classes have no constructor arguments.
 
-    name : in messages; suffixes : of its files, in lower case, with their dot
-    units : of the numbers of a pose, each as a factor to SI; pose : what they are, in words
-    place : what a target's position in the file is called; report_beside : whether a report is
-        written next to a corrected program
+    name : name of the language in messages
+    suffixes : suffixes of its files, in lower case, with their dot
+    units : factor of each number of a pose to SI
+    pose : numbers of a pose, in words
+    place : word for a target's position in the file, such as "line"
+    report_beside : whether a report is written next to a corrected program
     """
 
     name: ClassVar[str]
@@ -37,7 +39,11 @@ class ProgramLanguage(ABC):
         return text_of(source, content)
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
-        """Return the program with the new texts of its targets; every other byte is unchanged."""
+        """Return the program's bytes with the new texts of its targets; all others are unchanged.
+
+        source : path of the program; text : one character for each byte
+        results : correction of each target, as of `CorrectedTarget`
+        """
         pieces, end = [], 0
         for number, new in sorted(((n, t) for r in results for n, t in r.changes), key=lambda change: change[0].start):
             pieces += [text[end : number.start], new]
@@ -48,29 +54,39 @@ class ProgramLanguage(ABC):
     def targets(self, source: str, text: str, given: Given, joints: int) -> list[Target]:
         """Return every target of a program in order, those that must stay unchanged included.
 
-        text : one character for each byte; given : tools, bases and units from outside the program
-        joints : number of joints. Raises InputError that names the line where the program cannot be
-            corrected.
+        source : path of the program, for messages; text : one character for each byte
+        given : tools, bases and units from outside the program
+        joints : number of joints
+        Raises InputError that names the line where the program cannot be corrected.
         """
 
     @abstractmethod
     def matrix(self, values: Array) -> Array:
-        """Return the transform (4, 4) [m] of a pose's numbers [SI]. Raises InputError."""
+        """Return the transform, shape (4, 4) [m], of a pose's numbers, shape (k,) [SI].
+
+        Raises InputError.
+        """
 
     @abstractmethod
     def values(self, T: Array, like: Array) -> Array:
-        """Return a transform's numbers [SI], shape (k,), nearest to those of `like`.
+        """Return the numbers of a pose, shape (k,) [SI], nearest to those of another pose.
 
-        T : transform, shape (4, 4) [m]; like : numbers [SI] of a pose, shape (k,), as equivalent
-            angles differ by turns
+        T : the pose, shape (4, 4) [m]
+        like : numbers of the other pose, shape (k,) [SI], for angles are equivalent up to turns
         """
 
     def turns(self, q: Array) -> tuple[int, ...]:
-        """Return the turns of joints q, shape (n,) [rad], as the language counts them; else ()."""
+        """Return the turns of joints as the language states them; () if it states none.
+
+        q : joints, shape (n,) [rad or m]
+        """
         return ()
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        """Return the texts of the words that hold the turns, one for each of `target.turn_text`."""
+        """Return the new texts of the words that hold the turns, as many as `target.turn_text`.
+
+        turns : new turns, as of the method `turns`
+        """
         return [str(turn) for turn in turns]
 
     def move_line(self, joints: Sequence[float]) -> str:
@@ -81,9 +97,10 @@ class ProgramLanguage(ABC):
         raise InputError(f"{self.name}: has no motion in a line; give krl, rapid, urscript or fanuc")
 
     def frame(self, where: str, values: Array) -> Array:
-        """Return the transform (4, 4) [m] of a tool or base.
+        """Return the transform, shape (4, 4) [m], of a tool or base.
 
-        where : beginning of error messages; values : its numbers [SI]. Raises InputError.
+        where : beginning of error messages; values : its numbers [SI]
+        Raises InputError.
         """
         if not np.isfinite(values).all():
             raise InputError(f"{where}: a tool or base needs finite numbers, {self.pose}")
@@ -91,9 +108,11 @@ class ProgramLanguage(ABC):
             return self.matrix(values)
 
     def transform(self, option: str, text: str) -> Array:
-        """Return the transform (4, 4) [m] of an option's pose, given as the controller shows it.
+        """Return the transform, shape (4, 4) [m], of a pose in an option of a command.
 
-        option : its name for messages; text : numbers with commas. Raises InputError.
+        option : name of the command's option, for messages
+        text : numbers of the pose as the controller shows them, separated by commas
+        Raises InputError.
         """
         try:
             numbers = [float(part) for part in text.split(",")]
@@ -110,19 +129,19 @@ class ProgramLanguage(ABC):
 
 
 class AngleLanguage(ProgramLanguage):
-    """A language whose poses are x, y, z and three angles.
+    """Base class of languages whose poses are x, y, z and three angles about fixed axes.
 
-    order : places of roll, pitch and yaw among the angles
+    order : indices of roll, pitch and yaw among the angles
     """
 
     order: ClassVar[tuple[int, int, int]]
 
     def matrix(self, values: Array) -> Array:
-        """Return the transform (4, 4) [m] of x, y, z [m] and angles [rad]."""
+        """Return the transform, shape (4, 4) [m], of x, y, z [m] and angles [rad], shape (6,)."""
         return frame(from_rpy(values[3:][list(self.order)]), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return x, y, z [m] and angles [rad], shape (6,), nearest to the angles of `like`."""
+        """Return x, y, z [m] and angles [rad] of a pose T, (6,), nearest to those of `like`."""
         roll, pitch, yaw = to_rpy(T[:3, :3])
         flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
         wanted = like[3:][list(self.order)]

@@ -38,7 +38,7 @@ from casadical.export.controller.programs.urscript import UrScript
 
 # Supported languages; a new one is a class in a module of its own and an entry here.
 PROGRAM_LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
-# Why a target with this status is not corrected, for statuses of joints and of poses.
+# Reason, in words, why a target with this status is not corrected; for joints and for poses.
 _REFUSAL_MEANINGS = STATUS_MEANINGS | {
     "LEFT": "left as it is",
     "NO_TOOL": "its tool or base is not known: give --tcp or --base",
@@ -56,7 +56,10 @@ _REFUSAL_MEANINGS = STATUS_MEANINGS | {
 class TargetProgram:
     """A program with its targets.
 
-    source : its path; text : its content, one character for each byte
+    source : path of the program
+    language : language of the program
+    text : content of the program, one character for each byte
+    targets : targets in their order, those that must stay unchanged included
     """
 
     source: str
@@ -69,10 +72,12 @@ class TargetProgram:
 class CorrectedProgram(Result):
     """A program with the correction of each of its targets.
 
-    results : one per target, in their order
-    units : rad or m of each joint's reading
-    assumed : assumptions of the correction, in words; said : what else a user must know
-    texts : contents of the files that are to be written
+    program : the program before the correction
+    results : correction of each target, in their order
+    units : "rad" or "m" of each joint's reading
+    assumed : sentences on assumptions of the correction
+    said : sentences on what else a user must know
+    texts : contents of the files that are to be written, by path
     """
 
     kept_as: ClassVar[str] = "correction"
@@ -117,7 +122,11 @@ class CorrectedProgram(Result):
 
     @property
     def changes(self) -> dict[str, dict[str, float]]:
-        """Return how far joints and tool move, and how far the tool is off target [mm, deg]."""
+        """Return figures of the corrected targets by name, for the JSON file [mm, deg].
+
+        They are mean and maximum of moved_mm, and the maxima of the real tool's deviation before
+        and after (off_nominal_mm_max, off_nominal_deg_max).
+        """
         figures: dict[str, dict[str, float]] = {}
         for name, table in _figures(self.fine).items():
             if table.ndim == 1:
@@ -132,7 +141,7 @@ class CorrectedProgram(Result):
         return {**plain(self), **self.changes}
 
     def blocks(self) -> list[Words | Table]:
-        """Return how many targets are corrected, why others are not, and what moves how far."""
+        """Return the report: number of corrected targets, reasons of others, tables of motions."""
         fine, refused, language = self.fine, self.refused, self.program.language
         head = f"{language.name}: {len(fine)} of {len(self.results)} targets corrected"
         head += position_only(tuple(r.status for r in fine))
@@ -170,9 +179,10 @@ def language_of(path: Path) -> ProgramLanguage:
 
 
 def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
-    """Return a program with its targets, in the language of its suffix.
+    """Return a program with its targets, read in the language of its suffix.
 
-    joints : number of joints. Raises InputError, with the line, where it cannot be corrected.
+    given : tools, bases and units from outside the program; joints : number of joints
+    Raises InputError, with the line, where it cannot be corrected.
     """
     language = language_of(path)
     text = language.decoded(str(path), read_bytes(path))
@@ -188,9 +198,10 @@ def read_target_program(path: Path, given: Given, joints: int) -> TargetProgram:
 
 
 def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
-    """Return a program with each target corrected on its own.
+    """Return a program with each target corrected, or with the reason why it is not.
 
-    Raises InputError where poses are not reached.
+    cell : robots and frames
+    Raises InputError where the nominal robot does not reach poses.
     """
     try:
         results = tuple(c.corrected_targets(program.language, program.targets, cell))
@@ -200,7 +211,7 @@ def corrected_program(program: TargetProgram, cell: c.Cell) -> CorrectedProgram:
 
 
 def report_of(path: Path) -> Path:
-    """Return the path of the report next to a corrected program."""
+    """Return the path of the report next to a corrected program: NAME.correction.csv."""
     return path.with_name(f"{path.name}.correction.csv")
 
 
@@ -237,14 +248,20 @@ def _row(r: c.CorrectedTarget) -> list[str]:
 
 
 def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
-    """Return the figures of the corrected targets that have them, each (k,) or (k, 2) [mm, deg]."""
+    """Return the known figures of corrected targets by name, each (k,) or (k, 2) [mm, deg].
+
+    They are moved_mm, off_mm and off_deg of `CorrectedTarget`.
+    """
     tables = {name: [getattr(r, name) for r in fine] for name in ("moved_mm", "off_mm", "off_deg")}
     figures = {name: [v for v in values if v is not None] for name, values in tables.items()}
     return {name: np.array(values) for name, values in figures.items() if values}
 
 
 def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Table]:
-    """Return tables of how far joints and tool move, and of the tool's deviation."""
+    """Return tables of the motions of joints and tool by the correction, and of its deviation.
+
+    fine : corrected targets; units : "rad" or "m" of each joint's reading
+    """
     joints = np.array([abs(new - old) for old, new in (r.q for r in fine if r.q)])
     figures, moved = _figures(fine), dict[str, Array]()
     for i, (column, unit) in enumerate(zip(joints.T, units, strict=True), 1):
@@ -260,7 +277,10 @@ def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Tabl
 
 
 def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
-    """Return a table with mean and maximum of each row's values."""
+    """Return a table with mean and maximum of each row's values.
+
+    what : heading of the first column; rows : values by the row's name
+    """
     cells = [(name, f"{v.mean():.4f}", f"{v.max():.4f}") for name, v in rows.items()]
     return Table(title, (what, "mean", "max"), cells, frozenset({1, 2}))
 
@@ -299,17 +319,19 @@ def correct_file(
     leave_unreached: bool = False,
     accuracy_off: bool = False,
 ) -> CorrectedProgram:
-    """Correct the targets of a program so that the real tool reaches what the nominal one would.
+    """Return a program with targets at which the real tool is where the nominal one would be.
+
+    Nothing is written.
 
     sources : robot files, or in place of the robot a folder that `write_c` wrote, which holds all
         other choices
-    program : the file to be corrected; out : path of the corrected program, which is not written
-        yet
+    program : file of the program; out : path of the corrected program
     steps, correct : as of `export_c`
     trust : whether C of a folder that was exported elsewhere is compiled and run
-    tcp, base : numbers of tools and bases, NAME=NUMBERS, as the controller shows them
-    data : files that hold more tools and bases
-    root, flange : the controller's frames in those of the robot file
+    tcp, base : tools and bases as NAME=NUMBERS, with the numbers that the controller shows
+    root, flange : numbers of the controller's root frame in the robot file's base frame, and of its
+        flange in the last link's frame; None: they are the same
+    data : files of the program in which tools and bases are looked up
     nearest, external_still, leave_unreached : as of `Cell`
     accuracy_off : whether the controller's own absolute accuracy is off
     Raises InputError.
@@ -351,7 +373,7 @@ def correct_file(
 
 
 def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) -> dict[str, Array]:
-    """Return transforms (4, 4) [m] by name from the entries NAME=NUMBERS of an option.
+    """Return the transforms, shape (4, 4) [m], by name, of an option's entries NAME=NUMBERS.
 
     Raises InputError: a name is given twice, or numbers are wrong.
     """

@@ -35,7 +35,8 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /![^\n]*/
 %ignore COMMENT
 """
-_TARGET_TYPES = ("robtarget", "jointtarget")  # data types of targets
+# Names of the data types of targets.
+_TARGET_TYPES = ("robtarget", "jointtarget")
 
 
 class Rapid(ProgramLanguage):
@@ -77,21 +78,25 @@ class Rapid(ProgramLanguage):
         return frame(from_quaternion(q), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return position [m] and quaternion of a transform, its sign that of `like`'s."""
+        """Return position [m] and quaternion of a pose T, (7,), with the sign of that of `like`."""
         q = quaternion(T[:3, :3])
         return np.concatenate([T[:3, 3], q if q @ like[3:] >= 0 else -q])
 
     def turns(self, q: Array) -> tuple[int, ...]:
-        """Return the quarter turns of axes 1, 4 and 6, as in confdata."""
+        """Return the quarter turns of axes 1, 4 and 6, as in confdata; () if not six joints.
+
+        q : joints, shape (n,) [rad]
+        """
         return tuple(int(np.floor(q[i] / (np.pi / 2))) for i in (0, 3, 5)) if len(q) == 6 else ()
 
 
 class _Module:
     """Declarations and motions of a module, and the tool and work object of each target.
 
-    changed : variables that get a value after their declaration, whole or in part, and the line
-    frames : transforms (4, 4) [m] of tools and work objects, or why they cannot be used
-    uses : by each target's name the line of its first motion, and its tool and work object there
+    changed : line in which a variable gets a value after its declaration, by its name
+    frames : transforms (4, 4) [m] of tools and work objects, or the reason why one cannot be used,
+        by data type and name
+    uses : line of a target's first motion, and its tool and work object there, by its name
     """
 
     def __init__(self, language: Rapid, source: str, parsed: ParsedText, given: Given) -> None:
@@ -120,7 +125,11 @@ class _Module:
                     )
 
     def targets(self) -> list[tuple[Target, str]]:
-        """Return each target, and the name (or a key of its own) under which `uses` has it."""
+        """Return (target, key) of each target of the module, in its order.
+
+        The key is that under which `uses` has a target that a motion takes: its name, or for one
+        inside a motion its line and column. It is "" for a target whose value is an expression.
+        """
         made: list[tuple[int, Target, str]] = []
         for kind, name, value in self.declared:
             if kind in _TARGET_TYPES:
@@ -145,7 +154,7 @@ class _Module:
         return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
-        """Return the target of a declared or literal list; kind : its data type."""
+        """Return the target of a list of numbers; kind, name : its data type and name."""
         line, joints = value.meta.line, kind == "jointtarget"
         flat = [part.children for part in value.children if isinstance(part, Tree)]
         sizes = [6, 6] if joints else [3, 4, 4, 6]
@@ -167,7 +176,10 @@ class _Module:
         return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
 
     def placed(self, target: Target, name: str) -> Target:
-        """Return a target with its tool and base frames, or with a reason to skip it."""
+        """Return a target with its tool and base frames, or with the reason why it stays unchanged.
+
+        name : key of the target, as of `targets`
+        """
         if name in self.changed:
             target = target.leave(f"line {self.changed[name]} gives it another value")
         _, *named = self.uses.get(name, (0, "", ""))
@@ -182,9 +194,12 @@ class _Module:
         return replace(target, tool=frames[0], base=frames[1], about=f"tool {tool}, base {work}")
 
     def _frame_named(self, kind: str, name: str, given: dict[str, Array]) -> Array | str | None:
-        """Return a named frame (4, 4) [m], why it cannot be used, or None if it is unknown.
+        """Return a named tool or work object: its transform, (4, 4) [m], or None if unknown.
 
-        kind : tooldata or wobjdata; given : transforms from outside the program. Raises InputError.
+        The reason is returned as text where it cannot be used.
+
+        kind : tooldata or wobjdata; given : transforms from outside the program by name
+        Raises InputError.
         """
         by_name = {key.lower(): T for key, T in given.items()}
         if name in by_name:
@@ -201,7 +216,10 @@ class _Module:
         return self.frames[kind, name]
 
     def _frame(self, kind: str, value: Tree[Token]) -> Array | str:
-        """Return the transform (4, 4) [m] of tool or work object data, or why it cannot be used."""
+        """Return the transform, (4, 4) [m], of tool or work object data, or why it cannot be used.
+
+        kind : tooldata or wobjdata
+        """
         first = str(value.children[0]).upper()
         if kind == "tooldata":
             return self._pose(value.children[1]) if first == "TRUE" else "its tool stands still (robhold FALSE)"
@@ -212,7 +230,7 @@ class _Module:
         return self._pose(value.children[3]) @ self._pose(value.children[4])
 
     def _pose(self, value: Tree[Token] | Token) -> Array:
-        """Return the transform (4, 4) [m] of a RAPID pose.
+        """Return the transform, shape (4, 4) [m], of a RAPID pose.
 
         Raises InputError: numbers are missing.
         """
@@ -230,12 +248,12 @@ def _variable(node: Tree[Token]) -> str:
 
 
 def _declared(parsed: ParsedText) -> list[tuple[str, str, Tree[Token]]]:
-    """Return type, name and value of each declaration, type and name in lower case."""
+    """Return (data type, name, value) of each declaration with a list; both words in lower case."""
     return [(str(d.children[0]).lower(), _variable(d), parts(d, "list")[0]) for d in parsed.all("declaration")]
 
 
 def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
-    """Return the targets of a declaration with their names: one, or those of an array."""
+    """Return (name, value) of each target of a declaration: one, or the elements of an array."""
     inner = [c for c in value.children if isinstance(c, Tree)]
     nested = any(isinstance(c, Tree) and any(isinstance(cc, Tree) for cc in c.children) for c in inner)
     if not nested or len(inner) != len(value.children):

@@ -10,16 +10,19 @@ import numpy as np
 
 from casadical.core.basics import Array
 
-RAD_PER_DEG = np.pi / 180  # rad per degree
-M_PER_MM = 1e-3  # metres per millimetre
+# Radians per degree.
+RAD_PER_DEG = np.pi / 180
+# Metres per millimetre.
+M_PER_MM = 1e-3
 
 
 @dataclass(frozen=True)
 class Number:
     """A number in a program's text.
 
-    start, stop : its place [characters]; text : its characters
-    unit : factor that makes it SI
+    start, stop : index of its first character in the text, and one past its last
+    text : its characters
+    unit : factor of the number to SI
     decimals : number of decimals with which it is written; None: as many as it has, and enough for
         its unit
     """
@@ -66,17 +69,18 @@ class Posture(NamedTuple):
 class Target:
     """A motion target of a program.
 
-    line, name : where it stands and what it is called
+    line, name : line of the program, and name of the target
     joints : whether its numbers are joint readings; otherwise they are a pose in the language's own
         form
     numbers : its numbers in the text
-    posture, turns, turn_text : arm configuration and joint turns where the program states them, and
-        the number or word that holds the turns
-    near : joints [rad], shape (n,), to which the pose's solution must be near, where the program
-        states them
-    tool, base : tool in the flange's frame and base in the controller's root frame, each (4, 4)
-        [m]; None: unknown
-    about : names of tool and base
+    posture : arm configuration that the program states; None: none
+    turns : turns of joints that the program states, as the language counts them; None: none
+    turn_text : numbers or words of the text that hold the turns
+    near : joints to which the pose's solution must be near, shape (n,) [rad]; None: the program
+        states none
+    tool, base : pose of the tool in the flange's frame and of the base in the controller's root
+        frame, shape (4, 4) [m] each; None: unknown
+    about : names of tool and base, as text
     skip_reason : why the target remains unchanged; empty if it is to be corrected
     external : whether an external axis is off its zero
     accurate : whether it was taught with the controller's absolute accuracy on
@@ -99,7 +103,7 @@ class Target:
 
     @property
     def si(self) -> Array:
-        """Return the values of the numbers [SI]."""
+        """Return the values of the target's numbers, shape (k,) [SI]."""
         return np.array([number.si for number in self.numbers])
 
     def leave(self, reason: str) -> Target:
@@ -123,10 +127,10 @@ class Given:
     units: tuple[str, ...] = ()
 
     def joint_units(self, joints: int) -> tuple[float, ...]:
-        """Return the unit of each joint in a program, degree or millimetre, as a factor to SI."""
+        """Return the factor of each joint's number in a program (degree or millimetre) to SI."""
         return tuple(M_PER_MM if unit == "m" else RAD_PER_DEG for unit in self.units or ("rad",) * joints)
 
 
 def numbers(tokens: Iterable[Any], units: Iterable[float], decimals: int | None = None) -> tuple[Number, ...]:
-    """Return tokens as numbers with these units, each a factor to SI."""
+    """Return number tokens with their places in the text, factors to SI, and decimals."""
     return tuple(Number(t.start_pos, t.end_pos, str(t), unit, decimals) for t, unit in zip(tokens, units, strict=True))

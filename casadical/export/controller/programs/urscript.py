@@ -36,7 +36,7 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
-# Motion commands, with their number of targets.
+# Number of targets of each motion command.
 _TARGETS_OF_MOTION = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
 
 
@@ -69,13 +69,13 @@ class UrScript(ProgramLanguage):
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
 
     def matrix(self, values: Array) -> Array:
-        """Return the transform (4, 4) [m] of a position [m] and a rotation vector [rad]."""
+        """Return the transform, (4, 4) [m], of a position [m] and a rotation vector [rad], (6,)."""
         from scipy.spatial.transform import Rotation
 
         return frame(Rotation.from_rotvec(values[3:]).as_matrix(), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return position [m] and rotation vector [rad] of a transform, nearest to `like`."""
+        """Return position [m] and rotation vector [rad] of a pose T, (6,), nearest to `like`."""
         from scipy.spatial.transform import Rotation
 
         vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
@@ -89,8 +89,11 @@ class UrScript(ProgramLanguage):
 class _Variable:
     """A variable that holds a pose or a list of joints.
 
-    line : where it is first assigned; value : that value; sets : lines of all assignments
-    target : whether a motion takes it; near : `qnear` of its inverse kinematics
+    line : line of its first assignment
+    value : value that is assigned first
+    sets : lines of all its assignments
+    target : whether a motion takes it
+    near : `qnear` of its inverse kinematics; None: none
     read : number of places where it is read as a target or as `qnear`
     """
 
@@ -150,7 +153,7 @@ class _Program:
     def _take(self, argument: Tree[Token], near: Tree[Token] | None, call: Tree[Token]) -> None:
         """Record a call's argument as a target, or with the reason why it cannot be corrected.
 
-        near : `qnear` of its inverse kinematics
+        near : `qnear` of its inverse kinematics; None: none
         """
         value = argument.children[-1]
         single = len([c for c in argument.children if c is not None]) == (2 if _keyword(argument) else 1)
@@ -167,7 +170,7 @@ class _Program:
             )
 
     def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
-        """Return the pose or list that an argument is, or its variable always has; else None."""
+        """Return the pose or list of an argument, or of its constant variable; else None."""
         value = argument.children[-1]
         if isinstance(value, Token):
             own = self.variables.get(str(value))
@@ -190,7 +193,10 @@ class _Program:
         return [target for _, target in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, name: str, value: Tree[Token], near: Tree[Token] | None) -> Target:
-        """Return the target of a pose or list. Raises InputError: numbers look like other units."""
+        """Return the target of a pose or list; near : its `qnear`.
+
+        Raises InputError: numbers look like other units.
+        """
         line, joints = value.meta.line, value.data == "list"
         read, wanted = _numbers(value), self.joints if joints else 6
         if read is None or len(read) != wanted:
@@ -226,7 +232,7 @@ def _listed(value: Tree[Token] | Token | None) -> Tree[Token] | None:
 
 
 def _si(value: Tree[Token] | None) -> Array | None:
-    """Return the six numbers [SI] of a pose or list; None if it is no such."""
+    """Return the six numbers of a pose or list, shape (6,) [SI]; None if it has not six."""
     read = None if value is None else _numbers(value)
     return np.array([number.si for number in read]) if read and len(read) == 6 else None
 
