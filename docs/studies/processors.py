@@ -56,7 +56,7 @@ ERRORS = ("std_error", "standard_error", "error", "std")
 
 def todo(scratch: Path, only: str) -> dict[str, list[str]]:
     """Commands by name; OUT and MADE as of `same_answers`."""
-    found = commands(scratch, ROOT)
+    found = commands(scratch)
     found["plan-planar"] = ["plan", "problems/planar", "-n", "8", "--out", "OUT/plan.csv", "--quiet"]
     wanted = {name: words for name, words in found.items() if re.search(only, name)}
     needed = {match for words in wanted.values() for match in re.findall(r"MADE/([\w-]+)", " ".join(words))}

@@ -26,12 +26,8 @@ WHOLE = 1e-12  # of numbers in the units of the JSON: below, a number is roundin
 VOLATILE = re.compile(r"(seconds|duration|elapsed|version|created|_s\b|time)")
 
 
-def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
-    """Arguments of casadical, by the name of what they write; OUT stands for its folder, MADE for that of all.
-
-    A checkout that still has the command `discover` is asked by it; since then it is `diagnose --laws`, of which the
-    part of the laws is compared.
-    """
+def commands(scratch: Path) -> dict[str, list[str]]:
+    """Arguments of casadical, by the name of what they write; OUT stands for its folder, MADE for that of all."""
     todo: dict[str, str] = {}
     files = [path for path in ROOT.glob("problems/*/problem.toml") if "[[measurements]]" in path.read_text()]
     for folder in sorted(path.parent.name for path in files):
@@ -57,8 +53,7 @@ def commands(scratch: Path, tree: Path) -> dict[str, list[str]]:
     todo["plan-kr210"] = "plan problems/kr210 -n 20 --out OUT/plan.csv --quiet"
     todo["compare-kr210"] = f"compare {kr210} {kr210.with_stem('kr210-P05')} --robot problems/kr210 --json OUT/a.json"
     todo["report-planar"] = "calibrate problems/planar --report OUT/a.html"
-    laws = "discover {}" if (tree / "casadical/cli/discover.py").exists() else "diagnose {} --laws"
-    todo["discover-kr210"] = f"{laws.format(f'problems/kr210 {kr210}')} --json OUT/a.json"
+    todo["discover-kr210"] = f"diagnose problems/kr210 {kr210} --laws --json OUT/a.json"
     for name in ("kr210", "ur10"):
         robots = f"MADE/calibrate-{name}/files/SKCM.robot.toml --nominal problems/{name}/robot.toml"
         todo[f"export-{name}"] = f"export c {robots} --out OUT/c --json OUT/a.json --leave-out"
@@ -90,7 +85,7 @@ def make(folder: Path, tree: Path, jobs: int, only: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scratch = folder.resolve().parent / "inputs"
     scratch.mkdir(exist_ok=True)
-    todo = {name: words for name, words in commands(scratch, tree).items() if re.search(only, name)}
+    todo = {name: words for name, words in commands(scratch).items() if re.search(only, name)}
     environment = {
         **os.environ,
         "PYTHONPATH": str(tree.resolve()),
@@ -131,11 +126,6 @@ def differences(a: Any, b: Any, place: str = "") -> list[str]:
     return [] if a == b else [f"{place}: {a!r}, now {b!r}"]
 
 
-def law_part(answer: dict[str, Any]) -> dict[str, Any]:
-    """Of `diagnose --laws` what `discover` answered."""
-    return answer["laws"] if isinstance(answer.get("laws"), dict) else answer
-
-
 def text_differences(a: str, b: str) -> list[str]:
     before, after = a.splitlines(), b.splitlines()
     if len(before) != len(after):
@@ -155,13 +145,6 @@ def compare(before: Path, after: Path, only: str, most: int) -> None:
             continue
         if not (after / name).is_file():
             lines = ["is not written now"]
-        elif name.startswith("discover-") and path.suffix == ".json":
-            lines = differences(
-                law_part(json.loads(path.read_text())), law_part(json.loads((after / name).read_text()))
-            )
-        elif name == "discover-kr210/stdout.txt":
-            said = path.read_text().partition("\nwrote ")[0].strip() in (after / name).read_text()
-            lines = [] if said else ["what was said of the laws is not among what is said now"]
         elif path.suffix == ".json" and "compensator" not in name:
             lines = differences(json.loads(path.read_text()), json.loads((after / name).read_text()))
         else:
