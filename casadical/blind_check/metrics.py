@@ -119,6 +119,8 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
 
     If the answer names outliers, those of the instrument are excluded from the second, because they
     are no error of the robot.
+
+    outliers_named : whether the answer names outliers
     """
     measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
     base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)

@@ -58,7 +58,12 @@ class CampaignEntry(_Strict):
 
 
 class Manifest(_Strict):
-    """Content of withheld.json: the campaigns, and the hash of their key."""
+    """Content of withheld.json: the campaigns, and the hash of their key.
+
+    format : name and version of the format
+    key_sha256 : SHA-256 of key.json
+    campaigns : public part of each campaign by its name
+    """
 
     format: Literal["casadical withheld 1"] = "casadical withheld 1"
     key_sha256: str = Field(pattern="^[0-9a-f]{64}$")
@@ -191,7 +196,11 @@ class _Loose(BaseModel):
 
 
 class Header(_Loose):
-    """The first line of answers: hash of the key of the check, name of the method, and versions."""
+    """The first line of answers: which check they answer, and by what.
+
+    key_sha256 : SHA-256 of the key of the check
+    by : name of the method; versions : versions of packages by name
+    """
 
     key_sha256: str
     by: str
@@ -206,7 +215,11 @@ class GapMm(_Loose):
 
 
 class NamedCause(_Loose):
-    """A cause that an answer names, with the others of its indistinguishable set."""
+    """A cause that an answer names.
+
+    effect, joint : name of the effect, and its joint, from 1; None: it belongs to none
+    indistinguishable : labels of causes that the answer cannot distinguish from it
+    """
 
     effect: str
     joint: int | None = None
@@ -233,7 +246,12 @@ class UnseenPositions(_Loose):
 class Answer(_Loose):
     """One answer, as `casadical diagnose --json` writes it, with the additions of the check.
 
+    campaign : name of the campaign
+    verdict : verdict of the diagnosis; none: no cause was found
+    gap_mm : mean errors on held-out poses
+    causes : named causes in the order of the answer
     posterior : probability of every label that has some, "none" and "unknown" included
+    unseen : predicted positions at the unseen poses
     """
 
     campaign: str

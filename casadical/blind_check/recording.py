@@ -67,6 +67,7 @@ def draw_plans(
 
     Robots, numbers of poses, effects and missing columns take turns.
 
+    seed : seed of everything drawn
     words : names of the effects that are on the diagnosis' list, and of those on none
     poses : possible numbers of measured poses of a campaign
     robots : names of possible robots

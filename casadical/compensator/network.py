@@ -380,7 +380,9 @@ def random_weights(layout: Layout, random: np.random.Generator, count: int) -> A
 def training_masks(samples: int, folds: int, seed: int) -> Array:
     """Return a mask of the training samples of each random fold, shape (folds, samples).
 
-    It is false for the samples that the fold holds out, whose number differs by at most one.
+    It is false for the samples that the fold holds out, whose numbers differ by at most one.
+
+    samples : number of samples; seed : seed of the random folds
     """
     order = np.random.default_rng(seed).permutation(samples)
     masks = np.ones((folds, samples), dtype=bool)

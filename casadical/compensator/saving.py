@@ -113,6 +113,8 @@ class _Strict(BaseModel):
 
 
 class _SavedLayout(_Strict):
+    """Schema of a `Layout` in a file."""
+
     joints: int = Field(ge=1, le=MAX_LAYER_SIZE)
     hidden: list[Annotated[int, Field(ge=1, le=MAX_LAYER_SIZE)]] = Field(max_length=MAX_LAYER_SIZE)
     outputs: int = Field(ge=1, le=MAX_LAYER_SIZE)
@@ -120,17 +122,23 @@ class _SavedLayout(_Strict):
 
 
 class _SavedBox(_Strict):
+    """Schema of a `JointBox` in a file [rad]."""
+
     lower: list[float]
     upper: list[float]
 
 
 class _SavedNetwork(_Strict):
+    """Schema of a `Network` in a file, without its layout."""
+
     box_rad: _SavedBox
     output_scale_mm: float = Field(gt=0)
     weights: list[float]
 
 
 class _SavedErrors(_Strict):
+    """Schema of `Errors` in a file [mm]."""
+
     poses: int = Field(ge=0)
     mean_mm: float = Field(ge=0)
     max_mm: float = Field(ge=0)
@@ -138,6 +146,8 @@ class _SavedErrors(_Strict):
 
 
 class _SavedComparison(_Strict):
+    """Schema of a `BeforeAfter` in a file."""
+
     before: _SavedErrors
     after: _SavedErrors
     gain: float

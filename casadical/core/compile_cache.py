@@ -24,6 +24,7 @@ from casadical.core.cache_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 
+# C text before each function: type of two numbers, and CasADi's operations that C lacks.
 _C_PRELUDE = """\
 #include <math.h>
 

@@ -300,12 +300,22 @@ GRAVITY_COLUMNS = ("gravity_x", "gravity_y", "gravity_z")
 class Arm:
     """Structure of a serial robot, with closed four-bar loops if it has any (fields as in `Robot`).
 
+    name : name of the robot
+    joints : DH rows and joints in their order
+    base : pose of the base in the measuring frame; tool : pose of the tool in the last link's frame
+    loops : four-bars
     gravity : acceleration of gravity, shape (3,) [m/s^2], in the frame `gravity_frame`
     gravity_frame : measuring frame, base frame, or "logged": then the norm of `gravity` applies to
         the logged directions, and poses without one have this vector in the base frame
     payload : declared payload in the last link's frame; poses may have another mass (column
         payload_kg)
-    targets : additional measured points, named in the column `tool`
+    widths : bounds and priors of deviations, by group of parameters
+    body_width : prior standard deviations of the links' masses
+    tool_name : name of the tool's measured point; targets : additional measured points; the column
+        `tool` names the measured one
+    masses : whether the links' masses are declared or estimated from the reach
+    drive : properties of the drives; None: unknown
+    sessions : parameters that are identified anew in each session
     Raises InputError for a structure that cannot be built.
     """
 

@@ -128,7 +128,7 @@ def from_quaternion(q: Array) -> Array:
 
 
 def frame(R: Array, p: Array) -> Array:
-    """Return the transform, shape (4, 4), of a rotation (3, 3) and a translation (3,) [m]."""
+    """Return the transform, shape (4, 4) [m], of a rotation R, (3, 3), and translation p, (3,)."""
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = p

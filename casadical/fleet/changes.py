@@ -36,10 +36,12 @@ AXIS_TITLES = {
     "joint_stiffness": "compliance of joint {joint}",
     "lengths": "all lengths",
 }
+# Caption of the figure of a change over the campaigns.
 _COURSE_CAPTION = (
     "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
     "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
 )
+# Caption of the figure of each campaign's residuals.
 _RESIDUALS_CAPTION = (
     "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 )

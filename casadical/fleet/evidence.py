@@ -147,6 +147,7 @@ def _candidate(
 ) -> Candidate:
     """Return a candidate whose parameters change independently, each along a column of its own.
 
+    kind, joint, effect : as of `Candidate`
     names : parameters that change; those not in `all_` are dropped
     all_ : the p shared parameters
     """

@@ -179,9 +179,11 @@ class Fleet(Result):
         return texts
 
     def _correction(self, common: Common, name: str) -> str:
-        """Return the correction of a parameter in a type's robot file; see `Drawing.correction`.
+        """Return the text of a parameter's correction in a type's robot file: `Drawing.correction`.
 
         It is empty if no file was read.
+
+        common : what the robots of the type have in common; name : parameter
         """
         if common.type not in self.drawings:
             return ""
@@ -347,15 +349,18 @@ def _outliers(some: pd.DataFrame) -> list[str]:
 MAX_LABELS = 12
 # Smallest distance between two names in a figure, as a share of its ordinate's range.
 MIN_LABEL_DISTANCE = 0.07
+# Caption of the figure of `accuracy_map`.
 _MAP_CAPTION = (
     "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
     "where it stands out from its type (four scaled median absolute deviations); the worst of these are named."
 )
+# Caption of the figure of `trends`.
 _TREND_CAPTION = (
     "What nothing explains in each campaign of a robot, of one coordinate; orange where something changed. Of many "
     "robots those are named that changed or whose last campaign leaves more than those before; point at a line to see "
     "which it is. Beside campaigns with a day, one without is not drawn."
 )
+# Caption of the figure of `common_departures`.
 _COMMON_CAPTION = (
     "How far all robots of the type are from the drawing, in standard errors, over the size of the departure; of "
     "compliances, what they yield under the joint's greatest torque. Red: a fault of the drawing, or of the "

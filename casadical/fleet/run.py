@@ -142,7 +142,9 @@ def _to_compute(
     A robot is computed if the store has no successful row of its present files. It counts as
     renamed if the store has its files under a name that is no longer given.
 
-    prints : fingerprint of each robot; known : rows of the store, indexed by the robot's name
+    robots : problem folders by name; prints : fingerprint of each robot
+    known : rows of the store, indexed by the robot's name
+    with_diagnosis : whether a row without a diagnosis counts as not computed
     """
     left: list[str] = []
     renamed: dict[str, str] = {}

@@ -103,6 +103,8 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     """Return the columns of a robot's row that hold results, by name; see `EMPTY_ROW`.
 
     They are those of its calibration, its diagnosis and the comparison of its campaigns.
+
+    place : problem folder; with_diagnosis : whether the robot is diagnosed
     """
     whole = read_problem(place)
     problem = replace(whole, networks=(), methods=whole.methods[-1:])  # the row is of the method that counts

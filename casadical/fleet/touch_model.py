@@ -53,6 +53,7 @@ TEMPERATURE = "temperature_degC"
 TASK_POSES = 1000
 # Number of posterior samples of the changes and errors.
 NUMBER_OF_DRAWS = 4000
+# Millimetres per metre.
 MM_PER_M = 1e3
 
 

@@ -124,7 +124,9 @@ def prepare(
     n : number of readings that will be chosen
     pool : number of candidates to draw; rng : their random generator
     candidates : readings to choose from, shape (N, joints) [rad or m]; None: drawn ones
-    All others are as of `select_poses`. Raises InputError.
+    workspace, circumstances, measured, free, interest, task, noise, instrument, prior : as of
+        `select_poses`
+    Raises InputError.
     """
     workspace, circumstances, noise = workspace or Workspace(), circumstances or Circumstances(), noise or Noise()
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
@@ -218,7 +220,9 @@ def _readings(
     They are the given ones that the workspace allows, drawn ones, or poses that hold the tool in
     sockets; only the latter have a column, the index of the socket, shape (N,).
 
-    given : readings to choose from; pool : number of candidates to draw
+    given : readings to choose from; None: they are drawn
+    pool : number of candidates to draw
+    instrument : what is read in place of positions; None: positions
     """
     if instrument is not None and instrument.kind == "sockets":
         q, which = poses_at_places(robot, instrument.places, pool, workspace, rng)

@@ -169,9 +169,9 @@ class Design:
 
 
 def inverse(M: Array) -> Array:
-    """Return the inverse of a positive definite matrix, shape (p, p).
+    """Return the inverse of an information matrix M, shape (p, p), which is positive definite.
 
-    Variables without any information are independent with variance one.
+    Variables without any information (rows of zeros) are independent with variance one.
     """
     M = M + np.diag(np.diag(M) == 0)
     root = np.sqrt(np.diag(M))

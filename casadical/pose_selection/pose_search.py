@@ -303,8 +303,9 @@ def select_with_places(
     Places and poses are chosen in turn, at most three times, until the places do not change or the
     expected error increases; for sockets each are chosen once.
 
-    n : number of poses; places : candidates; count : number of places to choose
-    All arguments are as of `select_poses` and `place_instrument`; options are those of the first.
+    n : number of poses to choose
+    kind, places, count, known : as of `place_instrument`
+    workspace, free, noise, seed, options : as of `select_poses`
     """
     best: Selection | None = None
     q = None

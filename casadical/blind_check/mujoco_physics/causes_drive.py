@@ -20,6 +20,7 @@ def gear_eccentricity(
     measures: the integral of the rim's distance from the shaft. The error is zero at reading zero;
     to first order its first harmonic has the amplitude `size` and its second `oval` [rad].
 
+    joint : number of the joint, from 1
     size : distance of the wheel's centre from its shaft, divided by its radius
     oval : a quarter of the relative difference of the wheel's semi-axes
     towards, oval_towards : directions of the eccentricity and of the long axis [rad]
@@ -43,6 +44,7 @@ def transmission_ripple(plant: Plant, stops: Stops, *, joint: int, size: float, 
     It is the true angle less the reading. Each tooth moves the joint ahead while it enters the
     mesh, and back while it leaves.
 
+    joint : number of the joint, from 1
     size : amplitude of the error [rad]; cycles : number of teeth per turn of the joint
     phase : phase of the mesh at reading zero [rad]
     """
@@ -56,6 +58,7 @@ def joint_scale(plant: Plant, stops: Stops, *, joint: int, size: float) -> Array
 
     It is the true angle less the reading.
 
+    joint : number of the joint, from 1
     size : relative error of the transmission ratio
     """
     return size * stops.q[:, joint - 1]
@@ -84,6 +87,7 @@ def joint_zero_step(plant: Plant, stops: Stops, *, joint: int, size: float, at_s
 
     It is the true angle less the reading.
 
+    joint : number of the joint, from 1
     size : size of the jump [rad]; at_s : time of the jump [s]
     """
     return np.where(stops.time_s >= at_s, size, 0.0)
@@ -96,6 +100,7 @@ def thermal_zero_drift(plant: Plant, stops: Stops, *, joint: int, size: float, l
     It is the true angle less the reading, and follows the temperature inside the gear, which lags
     behind that of the surface.
 
+    joint : number of the joint, from 1
     size : drift per temperature rise [rad/K]; lag_minutes : time constant of the lag [min]
     """
     return size * warmth_inside(stops, lag_minutes)
@@ -107,6 +112,7 @@ def encoder_pit(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: 
 
     It is the true angle less the reading. The effect is not on the diagnosis' list.
 
+    joint : number of the joint, from 1
     size : largest error [rad]; at_rad : reading at which it occurs [rad]
     width_rad : distance in reading from there at which the error vanishes [rad]
     """
@@ -122,6 +128,7 @@ def damaged_tooth(plant: Plant, stops: Stops, *, joint: int, size: float, ratio:
     It is the true angle less the reading: the joint jumps back for a tenth of each turn of the
     pinion. The effect is not on the diagnosis' list.
 
+    joint : number of the joint, from 1
     size : size of the jump [rad]; ratio : turns of the pinion per turn of the joint
     at_rad : angle of the pinion at which the jump begins [rad]
     """
@@ -136,6 +143,7 @@ def lost_bits(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: fl
     It is the true angle less the reading: the joint stops in the middle of a step. The effect is
     not on the diagnosis' list.
 
+    joint : number of the joint, from 1
     size : width of a step [rad]; at_rad : middle of one of the steps [rad]
     """
     q = stops.q[:, joint - 1] - at_rad

@@ -18,6 +18,7 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
     The play is a hinge between hard stops. The link's bearing has dry friction. Where the load is
     less than that, the link lags behind the motion; elsewhere the load takes up the play.
 
+    joint : number of the joint, from 1
     size : half of the play [rad]
     friction : deflection of the joint's spring by the friction torque, divided by `size`
     """
@@ -33,6 +34,7 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
 def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, load_share: float) -> Mechanism:
     """Return the mechanism with dry friction in a joint, whose spring stays wound after a motion.
 
+    joint : number of the joint, from 1
     size : largest deflection of the spring by the friction of the joint without load [rad]
     load_share : relative increase of the friction at the rated torque
     """
@@ -51,6 +53,7 @@ def nonlinear_stiffness(
     Either a second spring engages at some torque, or a flexible wheel with the torque a x + b x^3
     is in series.
 
+    joint : number of the joint, from 1
     size : deflection at the rated torque beyond that of the joint's own spring [rad]
     knee : torque at which the second spring engages, divided by the rated torque; 0: there is a
         flexible wheel instead
@@ -129,6 +132,7 @@ def tight_cable(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, 
 
     It tightens towards both ends of the joint's range.
 
+    joint : number of the joint, from 1
     size : deflection of the joint's spring at either end of the range [rad]
     free : part of the range in which the cable is slack, 0 to 1
     """
@@ -146,6 +150,7 @@ def rubber_coupling(plant: Plant, stops: Stops, *, joint: int, size: float, lag_
     on the loads of the previous poses. The robot starts unloaded, and waits at each pose until it
     is measured. The effect is not on the diagnosis' list.
 
+    joint : number of the joint, from 1
     size : final deflection under the rated torque, beyond that of the joint's own spring [rad]
     lag_minutes : time constant of the creep [min]
     """

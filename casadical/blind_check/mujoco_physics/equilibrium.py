@@ -103,7 +103,7 @@ def _body(parent: ET.Element, body: Body) -> ET.Element:
 
 
 def _tendons(parent: ET.Element, mechanism: Mechanism) -> None:
-    """Add cords and shafts to the XML as tendons."""
+    """Add the cords and shafts of a mechanism to an XML element as tendons."""
     for cord in mechanism.cords:
         node = ET.SubElement(parent, "spatial", name=cord.name, stiffness=numbers(cord.stiffness))
         node.set("springlength", numbers(*cord.rest))

@@ -289,7 +289,7 @@ def perturb(
 ) -> Plant:
     """Return the robot with random building errors: all six of every link.
 
-    seed : seed of all errors
+    plant : nominal robot; seed : seed of all errors
     length_mm, angle_mrad : standard deviation of each coordinate [mm] and angle [mrad] of a link's
         error; also those of the bars' lengths and of the crank's zero
     base : largest displacement [m] and rotation [deg] of the robot's base in the measuring frame

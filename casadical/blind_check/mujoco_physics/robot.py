@@ -62,7 +62,7 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
 
     Its inertia and damping are chosen for that; they do not change the equilibrium.
 
-    stiffness : stiffness of the spring [N m/rad or N/m]
+    name : name of the joint; stiffness : stiffness of the spring [N m/rad or N/m]
     inertia_of : stiffness for which inertia and damping are chosen, between the softest and the
         hardest of a spring that hardens; None: `stiffness`
     more : further fields of the `Joint`

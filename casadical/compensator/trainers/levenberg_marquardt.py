@@ -84,6 +84,7 @@ def _advance_part(task: Task, new: dict[str, Array], at: Any, samples: Array, ri
 
     new : fields of a `Batch` by name
     samples, ridge : sample weights and ridges of these problems alone
+    tolerance : as of `advance`
     """
     weights, cost = new["weights"][at], new["cost"][at]
     slope, curvature = _normal_equations(task, weights, samples, ridge)
@@ -166,6 +167,7 @@ class LevenbergMarquardt(Trainer):
     def begin(self, task: Task, seed: int, starts: Array | None = None) -> "LmRun":
         """Return a training with no step done.
 
+        seed : seed of folds and random starts
         starts : weights, shape (k, count), that replace the random starts of the final training
         """
         return LmRun(self, task, seed, starts)

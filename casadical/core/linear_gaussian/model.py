@@ -210,7 +210,7 @@ class Projection:
     log_norm: float
 
     def columns(self, E: Array) -> Array:
-        """Return columns, shape (n, m, k), whitened and projected, shape (n m + P, k)."""
+        """Return columns E, shape (n, m, k), whitened and projected, shape (n m + P, k)."""
         flat = (self.whitening @ E).reshape(-1, E.shape[2])
         out = -self.Q @ (self.Q[: len(flat)].T @ flat)
         out[: len(flat)] += flat

@@ -58,12 +58,13 @@ class Table:
     folded: bool = False
 
 
+# Type of a block of a report.
 Block = Words | Table | Figure
 
 
 @dataclass(frozen=True, eq=False)
 class Section:
-    """A titled section of a page; sections without blocks are omitted."""
+    """A section of a page with a title; sections without blocks are omitted."""
 
     title: str
     blocks: Sequence[Block]
@@ -71,7 +72,11 @@ class Section:
 
 @dataclass(frozen=True)
 class Tile:
-    """A key number, shown large at the top of a page."""
+    """A key number, shown large at the top of a page.
+
+    label, value, unit : its name, its number as text, and the unit
+    note : words beneath it
+    """
 
     label: str
     value: str
@@ -84,6 +89,8 @@ class Page:
     """The report of one result.
 
     kind : kind of the result, such as "Calibration"
+    title, subtitle : headings of the page
+    sections : sections of the page in their order
     tiles : key numbers at the top
     badges : warnings that must not be overlooked, such as "synthetic data"
     files : files from which the result was computed

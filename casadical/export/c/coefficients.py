@@ -21,6 +21,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 
+# Type of the name of the real type of an export's numbers.
 Real = Literal["float", "double"]
 
 
@@ -32,8 +33,8 @@ class Coefficients:
     sin: tuple[float, ...]  # sin r = r + r z P(z), |r| <= pi/4
     cos: tuple[float, ...]  # cos r = 1 - z/2 + z^2 P(z)
     atan: tuple[float, ...]  # atan t = t + t z P(z), |t| <= tan(pi/8)
-    half_pi: tuple[float, float]
-    ln2: tuple[float, float]
+    half_pi: tuple[float, float]  # pi/2 in two parts; small multiples of the first are exact
+    ln2: tuple[float, float]  # ln 2 in two parts, likewise
     two_over_pi: float
     one_over_ln2: float
     pi: float

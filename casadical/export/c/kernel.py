@@ -73,6 +73,7 @@ class Shape(BaseModel):
 
     @model_validator(mode="after")
     def _of_each_joint(self) -> Self:
+        """Check that there is a unit for each joint. Raises ValueError."""
         if self.units and len(self.units) != self.joints:
             raise ValueError(f"{len(self.units)} units of {self.joints} joints")
         return self

@@ -134,7 +134,7 @@ class Plan:
         return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
-        """Append one operation with arguments at these places, and return its result's place."""
+        """Append one operation and return the place of its result; first, second : as of `Plan`."""
         width = RESULT_PLACES.get(op, 1)
         self.first += [first] * width
         self.second += [second] * width

@@ -66,7 +66,10 @@ class _Builder:
         self._indices: dict[Node, int] = {}
 
     def add(self, op: str, *args: int, value: float = 0.0, table: tuple[float, ...] = ()) -> int:
-        """Add an operation unless an equal one is there, and return its node index."""
+        """Add an operation unless an equal one is there, and return its node index.
+
+        op, value, table : as of `Node`; args : node indices of its arguments
+        """
         node = Node(op, tuple(sorted(args)) if op in COMMUTATIVE_OPERATIONS else args, value, table)
         if node not in self._indices:
             self._indices[node] = len(self.nodes)
@@ -140,7 +143,10 @@ class _Builder:
         return None
 
     def _half(self, k: int, negate: bool) -> int:
-        """Return the node index of half of node k, or minus half, dropping a visible factor 2."""
+        """Return the node index of half of node k, or of minus half (`negate`).
+
+        A factor 2 that the node has is dropped.
+        """
         node = self.nodes[k]
         if node.op == "neg":
             return self._half(node.args[0], not negate)

@@ -154,6 +154,7 @@ def _residual_and_jacobian(pose: ca.Function, n: int, oriented: bool) -> ca.Func
     positions count.
 
     pose : function of the tool's pose; n : number of joints
+    oriented : whether the orientation is to be reached, too
     """
     q, target = ca.SX.sym("q", n), ca.SX.sym("target", 12)
     p, R = pose(q)

@@ -60,14 +60,21 @@ def add_body(parent: ET.Element, name: str, T: Array) -> ET.Element:
 
 
 def add_mass(body: ET.Element, mass: float, com: Array) -> None:
-    """Add mass [kg] and centre of mass [m] to a body; the inertia is a placeholder."""
+    """Add mass and mass centre to a body; the inertia is a placeholder.
+
+    mass : mass [kg], 0 for none; com : mass centre in the body's frame, shape (3,) [m]
+    """
     mass = max(mass, 1e-6)  # kg; MuJoCo cannot move a body without mass
     moment = mass * (0.1 + 0.3 * float(np.linalg.norm(com))) ** 2
     ET.SubElement(body, "inertial", pos=numbers(*com), mass=numbers(mass), diaginertia=numbers(moment, moment, moment))
 
 
 def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: float = 0.0) -> ET.Element:
-    """Add a spring joint to a body: torque = -(stiffness x + cubic x^3) [N m/rad, N m/rad^3]."""
+    """Add a spring hinge to a body: torque = -(stiffness x + cubic x^3) at the angle x; return it.
+
+    name : name of the joint; axis : its unit vector in the body's frame, as MJCF text
+    stiffness : linear stiffness [N m/rad]; cubic : cubic stiffness [N m/rad^3]
+    """
     text = numbers(stiffness, 0.0, cubic) if cubic else numbers(stiffness)
     return ET.SubElement(
         body, "joint", {"name": name, "axis": axis, "stiffness": text, **armature_and_damping(stiffness)}
