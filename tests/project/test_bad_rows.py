@@ -10,10 +10,8 @@ from command_line import main
 
 from casadical import calibrate, read_problem
 from casadical.core.telling.blocks import Table
-from casadical.identification.accuracy import Accuracy
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
-from casadical.project.outcome import report_blocks
 from casadical.project.problem import read_campaign
 
 # Rows of the file (headings in line 4), as they are in the set that is fitted with seed 0.
@@ -39,6 +37,7 @@ def test_clean_data_lose_nothing(tmp_path: Path) -> None:
     assert auto.identification.loss == "linear"
 
 
+@pytest.mark.slow
 def test_the_forecast_is_without_rows_that_are_far_off(tmp_path: Path) -> None:
     (tmp_path / "clean").mkdir()
     clean, spoiled = precheck(arm(tmp_path / "clean", {})), precheck(arm(tmp_path, dict.fromkeys(SPOILED, 900.0)))
@@ -122,30 +121,6 @@ def test_a_calibration_that_hardly_helps_says_which_data_would(tmp_path: Path) -
     assert "worse than before, perhaps by chance of 9 poses: keep the nominal robot. The calibration would need" in said
     assert "wider ranges of all joints" in said
     assert "compliant" not in said.partition("would need")[2]  # it was tried
-
-
-@pytest.mark.slow
-def test_wider_ranges_are_no_advice_where_the_poses_determine_the_robot(tmp_path: Path) -> None:
-    """An instrument that drifts, joints that move over a part of their ranges, many poses."""
-    q, _ = first_hour.measured(200)
-    q = 0.4 * q
-    drift = 3.0 * np.sin(np.linspace(0, 40, len(q)))[:, None] * [1, 0.5, -1]
-    p = first_hour.positions(q, first_hour.ROWS, first_hour.TOOL) + drift
-    table = first_hour.write(tmp_path, "messung.csv", q, p)
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
-    said = " ".join(" ".join(str(getattr(b, "text", "")) for b in calibrate(tmp_path / "arm").brief()).split())
-    assert "would need what the model lacks: casadical diagnose names it" in said
-    assert "wider" not in said
-
-
-def test_a_method_that_is_worse_than_nothing_is_named(tmp_path: Path) -> None:
-    """Made-up figures: KM is worse than before, SKCM, which counts, is not."""
-    before, worse, better = (Accuracy(40, 1e-3 * v, 2e-3 * v, 1e-4 * v, 1e-3 * v, 2e-3 * v) for v in (1.0, 1.5, 0.5))
-    states = [{"nominal": before, "placed": before, "calibrated": after} for after in (worse, better)]
-    accuracies = {"KM": {"report": states[0]}, "SKCM": {"report": states[1]}}
-    (words,) = report_blocks(None, accuracies, block="methods_worse")
-    assert words.text == "KM makes held-out poses worse: 1.500 mm, 1.000 mm before; do not use KM.robot.toml."
-    assert not report_blocks(None, {key: {"report": states[1]} for key in ("KM", "SKCM")}, block="methods_worse")
 
 
 def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:

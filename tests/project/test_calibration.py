@@ -14,11 +14,16 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
 import users
 
-from casadical import Calibration, InputError, calibrate, read_problem, read_robot
+from casadical import Calibration, InputError, calibrate, read_problem, read_robot, report
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import plain_text
+from casadical.diagnosis.localisation import Localisation
 from casadical.identification import errors, residual_mm
+from casadical.project.calibration import accuracy_without_prior
+from casadical.project.calibration_page import residual_localisation
 from casadical.project.new import new_problem
+from casadical.project.outcome import changed_readings, report_blocks
+from casadical.project.planning import declared_kinds_and_noise
 
 ROOT = Path(__file__).parents[2]
 PLANAR = ROOT / "problems" / "planar"
@@ -32,13 +37,6 @@ def test_a_problem_that_was_read_gives_what_its_folder_gives(calibrated) -> None
         found.networks = None  # type: ignore[misc]
     with pytest.raises(InputError, match="seed 3: this problem is split"):
         calibrate(problem, seed=3)
-
-
-def test_the_last_method_counts(calibrated) -> None:
-    c = calibrated("hh800")
-    assert list(c.identifications) == ["KM", "SKCM"]
-    assert c.identification is c.identifications["SKCM"]
-    assert c.robot is c.identification.robot
 
 
 def test_as_text_it_is_what_the_command_prints(calibrated) -> None:
@@ -133,23 +131,6 @@ def test_files_are_written_all_or_none(calibrated, tmp_path: Path) -> None:
     assert again == pytest.approx(c.accuracies["KM"]["report"]["calibrated"].mean, abs=1e-9)
 
 
-def test_a_robot_that_is_not_from_a_urdf_has_none_to_write(calibrated) -> None:
-    c = calibrated("planar")
-    with pytest.raises(InputError, match="its robot is not from a URDF"):
-        c.problem.calibrated_urdf(c.robot)
-
-
-def test_brackets_stay_in_the_text_and_nothing_is_cut() -> None:
-    """A console of rich takes [mm] for a style unless it is told not to."""
-    table = Table("Error [mm]", ("a [bold]", "why", "n"), [("x[red]", "because " * 30, "1.5")], frozenset({2}))
-    text = plain_text([Words("[b]first[/b]", "title"), table, Words("last")], width=60)
-    for part in ("[b]first[/b]", "Error [mm]", "a [bold]", "x[red]", "1.5"):
-        assert part in text
-    assert len(re.findall("because", text)) == 30
-    assert text.splitlines()[1].strip() == ""
-    assert max(map(len, text.splitlines())) <= 60
-
-
 def test_a_logged_payload_that_the_robot_file_does_not_know_is_said(tmp_path: Path) -> None:
     given = ROOT / "problems" / "ur10e"
     campaign = (ROOT / "data" / "campaigns" / "practice" / "ur10e-P03.csv").read_text()
@@ -169,8 +150,65 @@ def test_a_logged_payload_that_the_robot_file_does_not_know_is_said(tmp_path: Pa
     assert said in re.sub(r"\s+", " ", plain_text(calibrate(tmp_path).brief()))
 
 
-def test_a_robot_file_that_is_missing_is_not_called_bad_toml(tmp_path: Path) -> None:
-    with pytest.raises(InputError) as refused:
-        read_robot(tmp_path / "none.toml")
-    assert str(refused.value).endswith("none.toml: no such file")
-    assert "TOML:" not in str(refused.value)
+def test_readings_that_problem_toml_makes_are_said_with_the_result() -> None:
+    problem = read_problem(PLANAR)
+    made = {
+        "q1_deg": {"from": "Achse 1", "times": -1.0},
+        "q2_deg": {"from": "Achse 2", "plus": 90.0},
+        "q3_deg": {"from": "Achse 3", "times": 57.29577951},
+        "q4_mm": {"from": "column_m", "times": 0.5, "plus": -0.706},
+        "q5_deg": {"from": "Achse 5", "times": 0.5, "add": {"Achse 2": -2.0}, "rows": -1},
+        "x_mm": {"from": "X", "times": -1.0},
+    }
+    (words,) = report_blocks(
+        replace(problem, tables=({"file": "poses.csv", "columns": made},)), {}, block="made_readings"
+    )
+    assert "q1 = -'Achse 1', q2 = 'Achse 2' +90, q4 = 0.5 x 'column_m' -0.706, " in words.text
+    assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
+    assert "Achse 3" not in words.text
+    assert changed_readings(problem) == []
+
+
+def test_an_error_is_localised_in_positions_of_one_set_only(calibrated) -> None:
+    planar = calibrated("planar")
+    assert isinstance(residual_localisation(planar.identification), Localisation)
+    result = planar.identification
+    (m,) = result.measurements
+    distances = replace(m, kind="distance", position=None, distance=np.ones(len(m)), target=np.zeros((len(m), 3)))
+    for sets in ((m, m), (distances,)):
+        assert residual_localisation(replace(result, measurements=sets)) is None
+    # It was made ten times better, so no data are asked for.
+    assert not report_blocks(planar.problem, planar.accuracies, block="no_better", last=result)
+
+
+def test_too_few_poses_without_the_prior_are_no_error(calibrated) -> None:
+    planar = calibrated("planar")
+    assert accuracy_without_prior(planar.problem, planar.identifications) is not None
+    few = replace(planar.problem, sets={**planar.problem.sets, "identify": (planar.problem.sets["identify"][0][:2],)})
+    assert accuracy_without_prior(few, planar.identifications) is None
+
+
+def test_of_many_poses_some_tell_where_the_error_lies(calibrated) -> None:
+    planar = calibrated("planar")
+    result = planar.identification
+    ways = {row.part for row in dict(residual_localisation(result).tables())["approach"].itertuples()}
+    (m,) = result.measurements
+    many = m[np.tile(np.arange(len(m)), 1 + 5000 // len(m))]
+    sets = (replace(many, row=np.arange(len(many))),)
+    result = replace(result, measurements=sets, outliers=(), problem=replace(result.problem, sets=sets))
+    found = dict(residual_localisation(result).tables())
+    for name in ("regions", "time", "approach"):
+        assert set(found[name].groupby("by").poses.sum()) <= {4999, 5000}  # the first was approached from nowhere
+    assert {row.part for row in found["approach"].itertuples()} == ways
+    assert "5000 of the poses it was identified from" in report([replace(planar, identifications={"KM": result})])
+
+
+def test_a_plan_takes_the_kind_of_a_table_that_says_none(tmp_path: Path) -> None:
+    robot = read_problem(PLANAR).robot
+    data = PLANAR.parents[1] / "data" / "planar" / "planar.csv"
+    text = (PLANAR / "problem.toml").read_text().replace("../../data/planar/planar.csv", str(data))
+    for name, kind in (("said", 'kind = "position"'), ("read", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "problem.toml").write_text(text.replace('kind = "position"', kind))
+        shutil.copy(PLANAR / "robot.toml", tmp_path / name)
+        assert declared_kinds_and_noise(tmp_path / name, robot)[0] == ("position",)

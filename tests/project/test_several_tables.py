@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from command_line import main
 
-from casadical import InputError, calibrate
+from casadical import InputError, calibrate, report
 from casadical.core.telling.result import plain_text
 from casadical.effects import WireDrift
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
@@ -65,6 +65,9 @@ def test_the_figures_are_over_all_tables_in_any_order(calibrated: Calibration, w
 def test_errors_of_distances_are_not_called_those_of_positions(calibrated: Calibration) -> None:
     assert "mean error of distance falls" in (text := plain_text(calibrated.blocks()))
     assert "position error" not in text
+    page = report([calibrated])
+    assert "there is no map" in page
+    assert 'data-name="errors/report' in page
 
 
 def test_the_promise_is_over_all_tables(calibrated: Calibration, tmp_path: Path) -> None:

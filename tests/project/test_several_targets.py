@@ -157,26 +157,6 @@ def test_a_station_that_moved_is_no_second_target(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_several_targets_on_the_tip_of_a_urdf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Named by a column, and recognised from repeats; the calibrated URDF has a link for each."""
-    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
-    for named in (True, False):
-        folder = tmp_path / str(named)
-        folder.mkdir()
-        arm, data = folder / "arm", nest_table(folder, named=named)
-        assert main(monkeypatch, "new", arm, "--urdf", folder / "arm.urdf", "--data", data, "--yes", "-q") == 0
-        assert (arm / "problem.toml").read_text().count("[[urdf.tool]]") == 3 * named
-        assert main(monkeypatch, "check", arm, "--repair", "-q") == 0
-        assert (arm / "problem.toml").read_text().count("[[urdf.tool]]") == 3
-        assert main(monkeypatch, "calibrate", arm, "--method", "KM", "--out", folder / "results", "-q") == 0
-        robot = read_robot(folder / "results" / "KM.robot.toml")
-        found = distances([robot.tool.T[:3, 3], *(t.point for t in robot.targets)])
-        np.testing.assert_allclose(found, NEST, atol=0.15)
-        text = (folder / "results" / "KM.robot.urdf").read_text()
-        assert text.count('<link name="casadical_measured_point') == 3
-
-
-@pytest.mark.slow
 def test_names_swapped_halfway_are_found_and_repaired(tmp_path, monkeypatch, capfd):
     path = table(tmp_path, 80)
     lines = path.read_text().splitlines()
@@ -212,28 +192,6 @@ def test_targets_that_the_table_or_the_robot_file_lacks(tmp_path: Path) -> None:
     problem.write_text(problem.read_text().replace('tool = "Reflektor"\n', ""))
     with pytest.raises(InputError, match="does not say which one was measured: add a column 'tool'"):
         calibrate(tmp_path / "arm")
-
-
-@pytest.mark.slow
-def test_a_target_that_is_only_held_out_is_refused_with_its_rows(tmp_path: Path) -> None:
-    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table(tmp_path, 60))
-    report = read_problem(tmp_path / "arm").sets["report"][0]
-    row = int(report.row[0])
-    problem = tmp_path / "arm" / "problem.toml"
-    which = np.random.default_rng(0).integers(0, 3, 60)
-    rows = {name: [k + 2 for k in np.flatnonzero(which == i) if k + 2 != row] for i, name in enumerate(NAMES)}
-    rows["SMR4"] = [row]
-    text = problem.read_text()
-    listed = "".join(f"{name} = {[int(k) for k in rows[name]]}\n" for name in rows)
-    columns = "[measurements.columns]"
-    problem.write_text(text.replace(columns, f"[measurements.tools]\n{listed}\n{columns}"))
-    robot = tmp_path / "arm" / "robot.toml"
-    robot.write_text(robot.read_text().replace("[gravity]", FOURTH))
-    with pytest.raises(InputError, match=rf"target 'SMR4' was measured in row {row} only, of the set 'report'"):
-        calibrate(tmp_path / "arm")
-    assert any(
-        "no pose that is fitted tells where it is" in f.text for f in precheck(tmp_path / "arm").of_level("error")
-    )
 
 
 def test_a_target_that_is_seen_once_is_left_out_by_new(tmp_path, monkeypatch, capfd):
@@ -308,33 +266,3 @@ def test_a_later_table_needs_no_names_of_its_targets(calibrated, n, named, reque
     same = compare_files([folder, later_table(tmp_path / "later.csv", n, named=named)])
     assert not same.changes
     assert not same.unexplained
-
-
-@pytest.mark.slow
-def test_robot_files_of_three_targets_are_compared(arm: Path, tmp_path: Path) -> None:
-    results = arm.parent / "results"
-    assert not compare_files([results, results / "KM.robot.toml"]).changed
-    assert (
-        compare_files([results, later_table(tmp_path / "later.csv", zero=0.05)]).changes[0].cause.label
-        == "joint_zero@2"
-    )
-
-
-@pytest.mark.slow
-def test_nothing_changed_is_not_said_over_a_gap(arm: Path, tmp_path, monkeypatch, capfd):
-    """An instrument ten times worse; a robot file and few poses; campaigns that leave what no calibrated robot does."""
-    few, noisy = later_table(tmp_path / "few.csv", 12), later_table(tmp_path / "noisy.csv", named=True, noise=0.3)
-    for given, said in (
-        ([arm, noisy], "noisy leaves 0.29"),
-        ([arm.parent / "results", few], "few has 12 poses, too few beside a robot file"),
-    ):
-        assert main(monkeypatch, "compare", *given) == 5
-        printed = " ".join(capfd.readouterr().out.split())
-        assert printed.startswith("NOT CLEAR whether anything changed: ")
-        assert said in printed
-        assert "NOTHING CHANGED" not in printed
-    kept = compare_files([arm, later_table(tmp_path / "later.csv", named=True)])
-    assert not kept.unexplained
-    gross = replace(kept, campaigns=tuple(replace(c, sigma=0.03) for c in kept.campaigns))
-    assert len(gross.unexplained) == 2
-    assert "leaves 30.00 mm a coordinate, 1." in gross.blocks()[0].text

@@ -104,10 +104,6 @@ def cortex(board, sources, include, flags, libraries=(), optimise="-O2", shift=1
     return CortexRun(*counts, int(total, 16) / ticks / 256, digest, int(size[6]), int(size[8]), int(stack, 16))
 
 
-def _output(*command):
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
-
-
 def bench_inputs(real, count, box=(models.LOWER, models.UPPER)):
     """The joints that targets/bench.c makes, in NumPy: a linear congruential generator, one row in sixteen tripled."""
     T = TYPE[real]

@@ -117,22 +117,6 @@ def test_example_and_cmake_build_and_install(exported, kernels, tmp_path):
     assert "-larm" in next((tmp_path / "here").rglob("arm.pc")).read_text()
 
 
-MAIN = """
-#include "cortex.h"
-uint32_t cycles_of_a_correction(const arm_real *q, arm_real *dq);
-uint32_t stack_of_a_correction(const arm_real *q, arm_real *dq);
-static arm_real q[ARM_JOINTS], dq[ARM_JOINTS];
-
-int main(void)
-{
-    print_hex(cycles_of_a_correction(q, dq));
-    print_hex(stack_of_a_correction(q, dq));
-    print_hex((uint64_t)arm_self_test());
-    return 0;
-}
-"""
-
-
 @pytest.mark.parametrize("board", ["M4F", "M7", "M0+"])
 def test_the_lines_of_the_page_that_measure_on_a_board_compile_without_a_warning(exported, tmp_path, board):
     need("arm-none-eabi-gcc")
@@ -143,24 +127,3 @@ def test_the_lines_of_the_page_that_measure_on_a_board_compile_without_a_warning
         (tmp_path / "measure.c").write_text(block)
         command = ["arm-none-eabi-gcc", *flags, *targets.BOARDS[board][1], "-c", str(tmp_path / "measure.c")]
         subprocess.run([*command, "-o", str(tmp_path / "measure.o")], check=True)
-
-
-def test_they_measure_what_the_bench_does(exported, tmp_path):
-    need("arm-none-eabi-gcc", "qemu-system-arm")
-    folder = exported["command", "float"]
-    (tmp_path / "measure.c").write_text(BLOCKS[1] + BLOCKS[2].replace("DEPTH 4096U", "DEPTH 16384U") + MAIN)
-    sources = [tmp_path / "measure.c", folder / "arm.c", folder / "arm_self_test.c", targets.HERE / "cortex.c"]
-    machine, processor = targets.CORTEX["M4F"]
-    build = ["arm-none-eabi-gcc", *processor, "-mthumb", "-O2", "-std=gnu11", "-ffp-contract=off", "-nostartfiles"]
-    build += ["-specs=nosys.specs", f"-I{targets.HERE}", f"-I{folder}", f"-T{targets.HERE / 'link.ld'}"]
-    image = tmp_path / "image.elf"
-    subprocess.run([*build, *map(str, sources), "-o", str(image)], check=True, capture_output=True)
-    qemu = ["qemu-system-arm", "-M", machine, "-nographic", "-monitor", "none", "-serial", "none"]
-    qemu += ["-semihosting-config", "enable=on,target=native", "-icount", "shift=10", "-kernel", str(image)]
-    run = subprocess.run(qemu, check=True, capture_output=True, text=True, timeout=300)
-    ticks, stack, status = (int(word, 16) for word in (run.stdout + run.stderr).split())
-    flags = targets.defines("float", "arm_correct", 6, 10)
-    bench = targets.cortex("M4F", [folder / "arm.c"], folder, flags)
-    assert ticks / targets.TICKS == pytest.approx(bench.most, rel=0.02)
-    assert stack == pytest.approx(bench.stack, abs=128)
-    assert status == 0

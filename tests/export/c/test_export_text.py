@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import casadi as ca
 import export_models as models
@@ -10,8 +9,7 @@ import numpy as np
 import pytest
 from structured_text_in_c import Compiled, parsed
 
-from casadical import read_robot
-from casadical.export import Sources, Status, command_of, load, write_c
+from casadical.export import Status, load, write_c
 from casadical.export.c.c_source import comparison_inputs
 from casadical.export.c.products import Command, NetworkFunction
 from casadical.export.c.reference import correct, network
@@ -132,17 +130,6 @@ def test_the_parser_refuses_what_is_no_structured_text(network):
     assert len(parsed(text).children) > 3
     with pytest.raises(AssertionError):
         parsed(text.replace("END_FOR", "END", 1))
-
-
-@pytest.mark.parametrize(("name", "pose", "most"), [("kr210", False, 300), ("hh800", True, 550)])
-def test_the_model_takes_few_lines(name, pose, most):
-    nominal = Path(__file__).parents[3] / "problems" / name / "robot.toml"
-    values = {"hh800": {"a2": 1.6012, "theta3": 0.002, "L5": 0.7995, "c2": 6e-8}}
-    robot = read_robot(nominal).with_values(values.get(name, {"a2": 1.1508, "theta3": -1.5690}))
-    program = tape_program(command_of(Sources(robot, nominal), orientation=pose), "double")
-    lines = structured_text(program).splitlines()
-    assert len(lines) < most
-    assert max(map(len, lines)) <= 120
 
 
 def test_the_operations_of_a_network_are_counted(network):

@@ -240,13 +240,6 @@ def test_a_pose_that_cannot_be_corrected_is_corrected_in_its_position_and_says_s
     assert (np.array(names) == "OK")[50:].mean() > 0.5
 
 
-def test_an_arm_that_cannot_turn_its_tool_corrects_the_position_alone():
-    real, nominal = read_robot(nominal_path("planar")), read_robot(nominal_path("planar"))
-    assert real.n < 6
-    command = command_of(Sources(real, nominal), orientation=True)
-    assert command.calibrated.n_out() == 1
-
-
 def test_a_measured_tool_centre_is_taken_in_a_program() -> None:
     """With --tool own the real tool stays where it was measured, and the nominal one is that of the program."""
     robot = planted("ur10")

@@ -57,14 +57,6 @@ def test_the_curves_alone_are_those_of_the_robot(robot):
     assert abs(mapped(curves_of(Sources(robot)).function, q) - exact).max() < 1e-12
 
 
-def test_the_calibrated_function_is_the_whole_robot(robot, nominal):
-    q = poses(robot, 200)
-    command = command_of(Sources(robot, nominal))
-    assert rigid_motion(mapped(command.calibrated, q)[:, :3], positions(robot, q))[2].max() < 1e-10
-    bare = robot.with_only(e for e in robot.effects if e is not EFFECT)
-    assert rigid_motion(mapped(command.calibrated, q)[:, :3], positions(bare, q))[2].mean() > 1e-4
-
-
 def test_correction_takes_the_curves_away(robot, nominal):
     sources = Sources(robot, nominal)
     command = command_of(sources, 3)

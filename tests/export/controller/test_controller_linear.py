@@ -216,10 +216,3 @@ def test_the_measured_range_is_said_where_the_robot_file_has_it():
     (said,) = command_of(Sources(learnt, robot)).notes
     assert "1: -57.3 to 57.3 deg" in said
     assert "3: -200 to -100 mm" in said
-
-
-def test_files_of_other_joint_kinds_are_refused():
-    scara, other = arm("scara"), arm("scara")
-    turning = replace(other, joints=(*other.joints[:2], replace(other.joints[2], kind="revolute"), other.joints[3]))
-    with pytest.raises(InputError, match=r"joint 3 is revolute, in scara prismatic"):
-        command_of(Sources(scara, turning))

@@ -1,6 +1,5 @@
 """What a program does not say is left and listed; a program that cannot be corrected is refused by its line."""
 
-import cProfile
 import csv
 import json
 
@@ -13,12 +12,10 @@ from program_texts import OTHER_UNITS, REDEFINED, TOOLS, Point, held, loosened, 
 from casadical.core.basics import InputError
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
-from casadical.export.controller.programs.language import text_of
 from casadical.export.controller.programs.program import (
     assumptions,
     corrected_program,
     language_named,
-    language_of,
     read_target_program,
     report_of,
 )
@@ -60,7 +57,6 @@ def statuses(tmp_path, cell, name, text, given=None):
         ),
         ("p.dat", f"PTP {E6POS}\nBAS(#TOOL,1)\nBAS (#TOOL,2)\n", "line 3.*split"),
         ("p.dat", "PTP {A1 1,A2 2,A3 3,A4 4,A5 5,A6 6,A7 7}\n", "line 1.*A7.*only 6 joints"),
-        ("p.dat", b"DEFDAT P\n\x00\x01\x02", "line 2.*encrypted"),
         ("p.dat", "DEFDAT P\nENDDAT\n", "no target"),
         ("p.mod", f"MoveL {ROBTARGET},v1,fine,t1;\nPDispOn p1,p2,t1;\n", "line 2.*displaces"),
         (
@@ -74,9 +70,6 @@ def statuses(tmp_path, cell, name, text, given=None):
             f"MoveL {ROBTARGET},v1,fine,t1;\nt1.tframe.trans.z:=5;\n",
             "line 3: t1 is changed",
         ),
-        ("p.script", "set_tcp(p[0,0,0.1,0,0,0])\nmovej([0,0,0,0,0,0])\nset_tcp(p[0,0,0.2,0,0,0])\n", "line 3.*split"),
-        ("p.script", "movej([0,0,0,0,0,0])\nmovel(p[350,0,200,0,3.14,0])\n", "line 2.*millimetres"),
-        ("p.script", "movej([0,-90,90,0,0,0])\n", "line 1.*degrees"),
         ("p.script", "set_tcp(p[40,20,120,0,0,0])\nmovej([0,0,0,0,0,0])\n", "line 1: the tool is 120 m.*millimetres"),
         (
             "p.mod",
@@ -84,8 +77,6 @@ def statuses(tmp_path, cell, name, text, given=None):
             f"MoveL {ROBTARGET},v1,fine,t1;\n",
             "p.mod: line 1: .*its length is 0; it must be 1",
         ),
-        ("p.csv", "q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,Correction_Status\n1,2,3,4,5,6,OK\n", "corrected before"),
-        ("p.ls", "/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="inch"), "line 2.*X is given in inch"),
         (
             "p.ls",
             "/MN\n 1: UTOOL[1]=PR[3] ;\n/POS\n" + LS.format(config="'N U T, 0, 0, 0'", unit="mm"),
@@ -118,13 +109,12 @@ def test_a_random_program_with_one_bad_line_is_refused_by_that_line(language, ex
     """A tool or base that is changed on the way, other units, bytes of an encrypted or compiled program."""
     given = Given({str(k): np.eye(4) for k in (1, 2)}, {str(k): np.eye(4) for k in (1, 2)})
     given = given if language == "fanuc" else Given()
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        whole = random_program(language, rng)
-        assert len(program(tmp_path, SUFFIXES[language], whole, given).targets) == 6
-        spoilt, line = with_line(language, whole, extra, rng)
-        with pytest.raises(InputError, match=rf"line {line}:"):
-            program(tmp_path, SUFFIXES[language], spoilt, given)
+    rng = np.random.default_rng(0)
+    whole = random_program(language, rng)
+    assert len(program(tmp_path, SUFFIXES[language], whole, given).targets) == 6
+    spoilt, line = with_line(language, whole, extra, rng)
+    with pytest.raises(InputError, match=rf"line {line}:"):
+        program(tmp_path, SUFFIXES[language], spoilt, given)
 
 
 @pytest.mark.parametrize("language", SUFFIXES)
@@ -238,15 +228,6 @@ def test_a_target_that_another_file_changes_is_left(tmp_path, cell):
     assert statuses(tmp_path, cell, "p.dat", text, given)["XP1"] == ("LEFT", "p.src gives it another value")
 
 
-def test_a_language_is_found_by_the_suffix_of_the_file(tmp_path):
-    assert language_of(tmp_path / "X.SRC").name == "KUKA KRL"
-
-
-def test_bytes_of_other_encodings_stay():
-    content = bytes(range(32, 256)) + b"\t\r\n"
-    assert text_of("p", content).encode("latin-1") == content
-
-
 def test_the_command_writes_program_and_report_and_corrects_once(tmp_path, monkeypatch, capfd):
     robot, nominal = tmp_path / "real.toml", nominal_path("kr210")
     write_robot(planted("kr210"), robot)
@@ -313,13 +294,10 @@ def test_nothing_is_corrected_while_poses_are_not_reached_and_frames_are_asked_f
 
 LONG = {
     "digits of S": ("p.dat", f"DECL E6POS XP1={E6POS.replace('S 2', 'S ' + '9' * 500)}\n"),
-    "bits of T": ("p.dat", f"DECL E6POS XP1={E6POS.replace('T 2', 'T 1e400')}\n"),
     "cfx": ("p.mod", f"CONST robtarget p1:={ROBTARGET.replace('[0,0,0,0]', '[0,0,0,1e400]')};\nMoveL p1,v1,fine,t1;\n"),
-    "a turn": ("p.mod", f"MoveL {ROBTARGET.replace('[0,0,0,0]', '[' + '9' * 500 + ',0,0,0]')},v1,fine,t1;\n"),
     "a turn of CONFIG": ("p.ls", "/POS\n" + LS.format(config=f"'N U T, {'9' * 5000}, 0, 0'", unit="mm")),
     "lists": ("p.mod", f"CONST robtarget p1:={'[' * 4000}1{']' * 4000};\n"),
     "calls": ("p.script", f"movej({'f(' * 4000}1{')' * 4000})\n"),
-    "braces": ("p.dat", f"XP1={'{A1 ' * 4000}1{'}' * 4000}\nPTP XP1\n"),
 }
 
 
@@ -331,19 +309,6 @@ def test_numbers_without_a_value_and_deep_brackets_are_refused_or_left(case, tmp
             program(tmp_path, name, text)
     else:
         assert all(t.skip_reason or t.posture is None for t in program(tmp_path, name, text).targets)
-
-
-def test_a_long_program_is_read_in_linear_time(tmp_path):
-    """URScript as a CAM system writes it; calls are counted, for seconds depend on what else runs."""
-    calls = []
-    for count in (100, 400):
-        text = "".join(
-            f"  global W{k}=p[0.{k:05d}, 0.2, 0.3, 0, 3.14, 0]\n  movel(W{k}, a=1.2, v=0.25)\n" for k in range(count)
-        )
-        with cProfile.Profile() as profile:
-            assert len(program(tmp_path, "p.script", f"def job():\n{text}end\n").targets) == count
-        calls.append(sum(entry.callcount for entry in profile.getstats()))
-    assert calls[1] < 4.5 * calls[0]
 
 
 @pytest.mark.parametrize(
