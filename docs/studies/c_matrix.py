@@ -1,8 +1,9 @@
-"""Run `python docs/studies/c_matrix.py` (as root it installs what is missing): every figure of the exported C.
+"""Run `python docs/studies/c_matrix.py [--install]`: every figure of the exported C.
 
 The bits that processors under QEMU compute, and instruction counts, flash and RAM on Cortex-M. The robot and the
 network are those of tests/export/c. `--quick` takes a hundredth of the vectors, `--only NAMES` some of the sections.
-What a machine cannot run is printed as not run, with the reason.
+`--install` first installs Debian's packages of the tools that are missing. What a machine cannot run is printed as not
+run, with the reason.
 """
 
 import argparse
@@ -186,9 +187,11 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--only", nargs="+", choices=[*SECTIONS, "exports"], default=[*SECTIONS, "exports"])
+    parser.add_argument("--install", action="store_true")
     options = parser.parse_args()
     share = 100 if options.quick else 1
-    install()
+    if options.install:
+        install()
     print("Exported C: 6R arm with 30 calibrated values and compliance, 6-5-3 network; tests/export/c/export_models.py")
     for compiler in compilers():
         print(f"  {compiler.version}")
