@@ -213,9 +213,6 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN_POSES), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
-    A = scaled_inverse(J[:, at].T @ J[:, at]) @ (J[:, at].T @ J[:, rest])
-    B = np.zeros((len(at), len(doubts.names)))
-    B[:, at], B[:, rest] = np.eye(len(at)), A
     names = [doubts.names[k] for k in at]
     scale = np.array([wide.parameters[n].scale for n in names])
     C = np.zeros((len(names), len(names)))
@@ -223,7 +220,17 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         own = block.only(names)
         places = [names.index(n) for n in own.names]
         C[np.ix_(places, places)] = own.matrix
-    H = B.T @ scaled_inverse(known.misfit * C / np.outer(scale, scale)) @ B
+    C = known.misfit * C / np.outer(scale, scale)
+    # Some parameters, such as estimated masses, are known by their priors alone. The noise variance
+    # [mm^2] is that with which poses like the drawn ones give the file's covariance: with the prior
+    # precision P, C (J'J / variance + P) is the identity, whose trace is the number of parameters.
+    normal, precision = J[:, at].T @ J[:, at], doubts.sigma[at] ** -2.0
+    by_poses = max(len(at) - float(np.diag(C) @ precision), 1.0)
+    variance = float((C * normal).sum()) / by_poses
+    A = scaled_inverse(normal + variance * np.diag(precision)) @ (J[:, at].T @ J[:, rest])
+    B = np.zeros((len(at), len(doubts.names)))
+    B[:, at], B[:, rest] = np.eye(len(at)), A
+    H = B.T @ scaled_inverse(C) @ B
     note = f"poses are not known: drawn from {drawn}"
     return Estimate(
         wide,

@@ -28,8 +28,11 @@ from casadical.fleet.evidence import (
     solve,
 )
 from casadical.identification.accuracy import predicted
+from casadical.identification.identification import with_unknown_masses
 from casadical.identification.misfit import misfit_of
 from casadical.robot.remaining_errors import with_joint_harmonics
+
+ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -417,3 +420,34 @@ def test_a_change_may_begin_between_any_two_campaigns() -> None:
         ((course, weights, since, _),) = courses_of("lengths?", np.arange(n) / 12, dated=False)
         assert (course, since.tolist()) == ("jump", list(range(1, n)))
         assert weights.sum() == pytest.approx(1 - 0.5 / n - 0.5 * 0.97 ** (n - 1))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(p.parent.name for p in ROOT.glob("problems/*/problem.toml")))
+def test_every_result_that_calibrate_writes_can_be_compared(name: str, tmp_path: Path, calibrated) -> None:
+    """Also of robots whose masses are estimated, which their priors know and the poses do not."""
+    if name in ("so101", "ur10_grid", "ur10_joints"):
+        pytest.skip("joint logs without poses, or the robot of ur10")
+    result = calibrated(name)
+    result.write(tmp_path)
+    if any(m.separations for m in result.identification.measurements):
+        pytest.skip("distances between touched points cannot be compared")
+    for method, found in result.written.items():
+        own = estimate_of_file(read_robot(tmp_path / f"{method}.robot.toml"))
+        size = np.linalg.eigvalsh(own.information)
+        assert size[0] > -1e-9 * size[-1]
+        later = estimate((found.robot, [m[:60] for m in found.measurements]))
+        assert compare([own, later]).campaigns[1] is not own
+
+
+def test_a_result_with_masses_that_only_their_priors_know_can_be_compared(arm: tuple[Robot, Robot]) -> None:
+    """A DH table without masses: its estimated masses are in the covariance, and the poses leave them open."""
+    nominal, built = arm
+    m = measured(built, 4)
+    bare, free = with_unknown_masses(replace(nominal, masses="estimated"), [m])
+    found = identify(bare, m, ["kinematic", "compliance", *free], priors=True)
+    own = estimate_of_file(replace(found.robot, knowledge=found.knowledge))
+    size = np.linalg.eigvalsh(own.information)
+    assert size[0] > -1e-9 * size[-1]
+    same = compare([own, estimate((bare, measured(built, 5)))])
+    assert not same.changes
