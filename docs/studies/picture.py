@@ -1,4 +1,4 @@
-"""The README's picture: `python docs/studies/picture.py` draws docs/images/held_out.png.
+"""Errors of held-out poses: `python docs/studies/picture.py` draws docs/images/held_out.png.
 
 Every dot is a pose that the fit never saw, at its distance from the model before (base and tool fitted, nothing else)
 and after calibration, for every real robot and, set apart, the synthetic HH800.
