@@ -136,10 +136,10 @@ def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple
 class Estimate:
     """An estimate and its 95 % interval; without data these are None.
 
-    value : share, mean or quantile
+    value : fraction, mean or quantile
     low, high : ends of its 95 % interval
     n : number of campaigns or claims
-    hits : number of positive ones, for a share; else None
+    hits : number of positive ones, for a fraction; else None
     """
 
     value: float | None
@@ -155,8 +155,8 @@ class Estimate:
         return f"{self.value:.3f}  ({self.low:.3f} .. {self.high:.3f}; {count})"
 
 
-def share(hits: Sequence[bool]) -> Estimate:
-    """Return the share of true entries, 0 to 1, with Wilson's score interval."""
+def fraction(hits: Sequence[bool]) -> Estimate:
+    """Return the fraction of true entries, 0 to 1, with Wilson's 95 % score interval."""
     n, count = len(hits), sum(map(bool, hits))
     if n == 0:
         return Estimate(None, None, None, 0, 0)
@@ -212,18 +212,21 @@ def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
         "detection, signal >= .5": (detection(hidden, STRONG_SIGNAL), ".99"),
         "detection, signal .35 to .5": (detection(hidden, DETECTABLE_SIGNAL, STRONG_SIGNAL), ".90"),
         "detection, signal .2 to .35": (detection(hidden, FAINT_SIGNAL, DETECTABLE_SIGNAL), ""),
-        "one effect: first cause right, signal >= .35": (share([t.first_right for t in detectable(one)]), ""),
+        "one effect: first cause right, signal >= .35": (fraction([t.first_right for t in detectable(one)]), ""),
         "FIA: probability of the true cause, signal >= .35": (isolation(detectable(one)), ".92"),
         "FIA over all campaigns with one effect": (isolation(one), ""),
         "one effect: claims right": (claims_right(one), ".98"),
         "one effect: claims made, signal >= .35": (claims_made(detectable(one)), ".65"),
-        "one effect: sets contain the truth": (share([t.truth[0] in t.alike for t in one if t.alike]), ".93 - .97"),
+        "one effect: sets contain the truth": (
+            fraction([t.truth[0] in t.alike for t in one if t.alike]),
+            ".93 - .97",
+        ),
         "one effect: size of the set": (mean([float(len(t.alike)) for t in one if t.alike]), ""),
-        "two effects, each >= .35: both named first": (share([t.first_right for t in pairs]), ""),
-        "several: recall of effects >= .35": (share([text in t.named for t, text in visible]), ".93"),
-        "several: precision": (share([text in t.truth for t in several for text in t.named]), ".90"),
+        "two effects, each >= .35: both named first": (fraction([t.first_right for t in pairs]), ""),
+        "several: recall of effects >= .35": (fraction([text in t.named for t, text in visible]), ".93"),
+        "several: precision": (fraction([text in t.truth for t in several for text in t.named]), ".90"),
         "on no list, claimed as listed": (claims_made(off), "at most .02"),
-        "on no list, any listed cause named": (share([bool(t.named) for t in off]), ""),
+        "on no list, any listed cause named": (fraction([bool(t.named) for t in off]), ""),
         "shrink foretold less realised, median": (quantile(wrong, 0.5), "at most .04"),
         "shrink foretold less realised, 90th percentile": (quantile(wrong, 0.9), "at most .12"),
         "the same where outliers are named too": (quantile(every, 0.9), ""),
@@ -242,13 +245,16 @@ def detectable(outcomes: Sequence[Outcome]) -> list[Outcome]:
 
 
 def false_alarms(none: Sequence[Outcome]) -> Estimate:
-    """Return the share of false alarms among answers to campaigns that hide nothing."""
-    return share([t.alarmed for t in none])
+    """Return the fraction of false alarms, 0 to 1, among answers to campaigns that hide nothing."""
+    return fraction([t.alarmed for t in none])
 
 
 def detection(hidden: Sequence[Outcome], low: float, high: float = float("inf")) -> Estimate:
-    """Return the share of detected campaigns among those with a signal from low to high."""
-    return share([t.detected for t in hidden if low <= t.signal < high])
+    """Return the fraction of detected campaigns, 0 to 1, among those with low <= signal < high.
+
+    The signal is `Outcome.signal`.
+    """
+    return fraction([t.detected for t in hidden if low <= t.signal < high])
 
 
 def isolation(outcomes: Sequence[Outcome]) -> Estimate:
@@ -257,13 +263,13 @@ def isolation(outcomes: Sequence[Outcome]) -> Estimate:
 
 
 def claims_right(one: Sequence[Outcome]) -> Estimate:
-    """Return the share of right claims among those on campaigns with one hidden effect."""
-    return share([t.first_right for t in one if t.claimed])
+    """Return the fraction of right claims, 0 to 1, on campaigns with one hidden effect."""
+    return fraction([t.first_right for t in one if t.claimed])
 
 
 def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
-    """Return the share of answers that claim an explanation."""
-    return share([t.claimed for t in outcomes])
+    """Return the fraction of answers, 0 to 1, that claim an explanation."""
+    return fraction([t.claimed for t in outcomes])
 
 
 def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
@@ -305,8 +311,8 @@ def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
     one = of_kind(part, "one")
     return {
         "false alarms": false_alarms(of_kind(part, "none")),
-        "detected": share([t.detected for t in part if t.kind != "none"]),
-        "first right": share([t.first_right for t in one]),
+        "detected": fraction([t.detected for t in part if t.kind != "none"]),
+        "first right": fraction([t.first_right for t in one]),
         "claims right": claims_right(one),
         "FIA": isolation(one),
         "shrink error": quantile(shrink_errors([t for t in part if "outliers" not in t.named]), 0.5),

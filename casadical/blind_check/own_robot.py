@@ -18,7 +18,7 @@ import pandas as pd
 
 from casadical.blind_check import metrics
 from casadical.blind_check.generation import MIN_POSES, campaign_of, engine_versions
-from casadical.blind_check.metrics import Estimate, Outcome, detectable, detection, of_kind, outcome, share
+from casadical.blind_check.metrics import Estimate, Outcome, detectable, detection, fraction, of_kind, outcome
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
@@ -240,17 +240,17 @@ class RobotCheck(Result):
 
     @property
     def figures(self) -> dict[str, Estimate]:
-        """The shares of right and wrong answers with 95 % intervals, by what they count."""
+        """The fractions of right and wrong answers, 0 to 1, with 95 % intervals, by description."""
         none, one, off = (of_kind(self.outcomes, kind) for kind in ("none", "one", "unlisted"))
         hidden = [t for t in self.outcomes if t.kind != "none"]
         claims = [t for t in self.outcomes if t.claimed]
         return {
-            "claims that are right": share([not t.wrong_claims for t in claims]),
+            "claims that are right": fraction([not t.wrong_claims for t in claims]),
             "false alarms where nothing is hidden": metrics.false_alarms(none),
             "hidden effects noticed": detection(hidden, 0.0),
             "of those that stand out of the noise": detection(detectable(hidden), 0.0),
-            "one effect: named first": share([t.first_right for t in one]),
-            "one effect: claimed, and right": share([t.claimed and t.first_right for t in one]),
+            "one effect: named first": fraction([t.first_right for t in one]),
+            "one effect: claimed, and right": fraction([t.claimed and t.first_right for t in one]),
             "effect on no list: claimed as a listed one": metrics.claims_made(off),
         }
 
@@ -313,7 +313,7 @@ def _row(effect: str, part: Sequence[Outcome]) -> list[str]:
     noticed, signal = f"{sum(t.detected for t in part)} of {len(part)}", f"{median(t.signal for t in part):.2g}"
     if effect in UNLISTED:
         return [f"{effect} (on no list)".replace("_", " "), noticed, "-", "-", signal]
-    named = share([_named(effect, t) for t in part])
+    named = fraction([_named(effect, t) for t in part])
     interval = f"{named.low:.2f} .. {named.high:.2f}"
     return [effect.replace("_", " "), noticed, f"{named.hits} of {named.n}", interval, signal]
 
@@ -363,7 +363,7 @@ def check_robot(
     seed = secrets.randbits(32) if seed is None else seed
     not_drawn = impossible(subject.nominal)
     words = ([e for e in LISTED if e not in not_drawn], [e for e in UNLISTED if e not in not_drawn])
-    plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noises=(1e-6 * noise_um,), struck=0.0)
+    plans = draw_plans(n, seed, words, (count,), robots=("campaign",), noise_levels=(1e-6 * noise_um,), struck=0.0)
     plans = [replace(p, missing=",".join(not_logged) or None, repeatability=JOINT_REPEATABILITY) for p in plans]
     results: dict[str, Outcome | str] = {}
     with workers(executor) as pool:

@@ -60,10 +60,10 @@ def draw_plans(
     poses: Sequence[int] = POSE_COUNTS,
     *,
     robots: Sequence[str] = ("hh800", "kr210", "ur10e"),
-    noises: Sequence[float] = (10e-6, 20e-6, 30e-6),
+    noise_levels: Sequence[float] = (10e-6, 20e-6, 30e-6),
     struck: float = 1 / 3,
 ) -> list[Plan]:
-    """Return the plans of n campaigns in random order, with fixed shares of each kind.
+    """Return the plans of n campaigns in random order, with fixed proportions of their kinds.
 
     Robots, numbers of poses, effects and missing columns take turns.
 
@@ -71,8 +71,8 @@ def draw_plans(
     words : names of the effects that are on the diagnosis' list, and of those on none
     poses : possible numbers of measured poses of a campaign
     robots : names of possible robots
-    noises : possible standard deviations of a measured coordinate [m]
-    struck : share of campaigns in which a quantity is not logged, 0 to 1
+    noise_levels : possible standard deviations of a measured coordinate [m]
+    struck : fraction of campaigns in which a quantity is not logged, 0 to 1
     """
     rng = np.random.default_rng([seed, 1])
     shares: dict[Kind, float] = {"none": 0.25, "one": 0.45, "several": 0.15, "unlisted": 0.15}
@@ -88,16 +88,16 @@ def draw_plans(
         while len(effects) < min(count or 0, len(set(names_of))):
             effects[next(pool)] = None
         size, missing = next(sizes), next(columns) if lacking[k] else None
-        noise, repeatability = float(rng.choice(noises)), float(rng.uniform(2e-6, 8e-6))
+        noise, repeatability = float(rng.choice(noise_levels)), float(rng.uniform(2e-6, 8e-6))
         name, own_seed = f"{robot}-{k + 1:03d}", int(rng.integers(1 << 62))
         plans.append(Plan(name, robot, kind, tuple(effects), size, missing, noise, repeatability, own_seed))
     return plans
 
 
 def in_shares(n: int, shares: dict[Thing, float]) -> list[Thing]:
-    """Return n items in which each thing has its share, rounded by the largest remainder method.
+    """Return n items in given proportions, rounded by the largest remainder method.
 
-    shares : share of each thing, 0 to 1; they add up to one
+    shares : fraction of each item, 0 to 1; they add up to one
     """
     exact = {thing: n * share for thing, share in shares.items()}
     counts = {thing: int(count) for thing, count in exact.items()}

@@ -74,7 +74,7 @@ class Fault:
     remedy: str
 
     def within(self, other: "Fault") -> bool:
-        """Return whether another fault is the same one in all rows of this one and in more."""
+        """Return whether `other` is the same fault, in all rows of this one and in further ones."""
         same = replace(self, rows=other.rows, value=other.value, remedy=other.remedy) == other
         return same and {*self.rows} < {*other.rows}
 

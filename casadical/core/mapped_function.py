@@ -27,7 +27,8 @@ MAX_CHUNK_NUMBERS = 400_000
 # Smallest number of points that are evaluated at a time, even if they have more than
 # MAX_CHUNK_NUMBERS output numbers.
 MIN_CHUNK_POINTS = 64
-# Largest number of numbers of points for which one function's mapped versions are cached.
+# Largest number of versions of one function, each mapped over another number of points, that are
+# cached; at the next one the cache is emptied.
 MAX_CACHED_MAPS = 64
 
 

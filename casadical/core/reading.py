@@ -33,7 +33,7 @@ MAX_TEXT_BYTES = 10_000_000
 MAX_JSON_BYTES = 100_000_000
 # Largest size of an archive after unpacking [bytes].
 MAX_UNPACKED_BYTES = 100_000_000
-# Largest number of cells of a spreadsheet workbook that is read.
+# Largest number of cells of a spreadsheet workbook; larger ones are refused.
 MAX_WORKBOOK_CELLS = 300_000
 # Largest number of values, rows times columns, of a plain CSV or Parquet table or a joint log;
 # larger ones are refused.
@@ -44,7 +44,7 @@ MAX_ITEMS = 1000
 LARGEST_NUMBER = 1e100
 # Smallest absolute value of a number in a file other than zero; smaller ones are refused.
 SMALLEST_NUMBER = 1e-100
-# Largest length of a text in a file, such as a name or title [characters].
+# Largest length of a text in a file, such as a name or title [characters]; longer ones are refused.
 MAX_TEXT_CHARACTERS = 10_000
 # Largest depth of nested tables and lists in a file.
 MAX_NESTING = 50

@@ -233,7 +233,7 @@ def _as_written(schema: type[BaseModel], data: Any, location: tuple[int | str, .
 
 
 def _table(schema: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
-    """Return the schema of the table at a location, a path of fields and indices."""
+    """Return the schema of the table at a location in `schema`, a path of fields and indices."""
     for part in location:
         if isinstance(part, str) and part in schema.model_fields:
             schema = next(_models(schema.model_fields[part].annotation), schema)

@@ -347,7 +347,7 @@ def _outliers(some: pd.DataFrame) -> list[str]:
 
 # Largest number of robots or parameters that a figure names.
 MAX_LABELS = 12
-# Smallest distance between two names in a figure, as a share of its ordinate's range.
+# Smallest distance between two names in a figure, as a fraction of its ordinate's range.
 MIN_LABEL_DISTANCE = 0.07
 # Caption of the figure of `accuracy_map`.
 _MAP_CAPTION = (

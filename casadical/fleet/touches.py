@@ -266,7 +266,7 @@ class Touches(Result):
     def outcomes(self) -> dict[str, float]:
         """Posterior probability of each change, by its label, and of no change, by "nothing".
 
-        They are shares of the posterior samples and add up to one; changes without a sample are
+        They are fractions of the posterior samples and add up to one; changes without a sample are
         missing.
         """
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)

@@ -28,7 +28,7 @@ class Design:
     weight : W of the mean variance trace(W C), shape (p, p)
     rows : whitened Jacobian of each of N candidates, shape (N, m, p) [sigmas per unit of scale]
     fixed : information from priors and poses already measured, shape (p, p)
-    places : coordinates of the candidates, shape (N, d), in shares of the joints' ranges
+    places : coordinates of the candidates, shape (N, d), in fractions of the joints' ranges
     apart : candidates within this distance (largest coordinate difference) of a chosen one cannot
         be chosen, itself included; below zero: a candidate may be chosen more than once
     occupied : coordinates of poses already measured, shape (k, d)

@@ -47,33 +47,33 @@ def select_poses(
 ) -> Selection:
     """Return n readings to measure with the least mean position variance over the task.
 
-    robot : Jacobians are taken at its values, so give the calibrated one when continuing; its
-        effects (`with_effect`) are parameters like any other
-    among : shape (N, joints) [rad or m]: readings to choose from; or limits between which they are
+    robot : robot model; Jacobians are taken at its parameter values, so give the calibrated one
+        when continuing; the parameters of its effects (`with_effect`) count like any other
+    among : readings to choose from, shape (N, joints) [rad or m]; or limits between which they are
         drawn, and then refined in the neighbourhood of the best: a tuple (lower, upper), shape
         (joints,) each [rad or m], or a workspace; None: the robot's own ranges
     n : number of readings to choose
-    workspace : which poses can be measured
-    circumstances : payloads, approaches, repeats
-    measured : poses already measured: the choice adds to them and keeps its distance from them
+    workspace : which poses can be measured; None: all within the joint ranges
+    circumstances : payloads, approaches and repeats of the poses; None: those of `Circumstances()`
+    measured : poses already measured: the choice adds to them and keeps `min_distance` from them
     free : parameters to identify, as of `identify`; by default geometry, frames, compliance and all
         effects
     interest : parameters (names, groups or labels, patterns) that matter most: their weight, in
         units of their priors, is that of the task
-    task : shape (T, joints) [rad or m]: readings at which the robot is to be accurate; None: all
-        that is allowed
-    noise : of coordinates and joints
-    min_distance : between any two poses, in the joint that differs most, as a share of its range,
-        None if a pose may be chosen more than once
+    task : readings at which the robot is to be accurate, shape (T, joints) [rad or m]; None: random
+        ones in the workspace
+    noise : standard deviations of measured coordinates and of joints; None: those of `Noise()`
+    min_distance : smallest distance between any two poses, in the joint that differs most, as a
+        fraction of its range; None: a pose may be chosen more than once
     pool : number of candidates to draw
-    restarts : number of searches, of which the best counts
-    seed : of the random generator
-    instrument : what is read in place of positions: distances to anchors, or the tool in sockets;
-        `noise.sigma` is its own
-    prior : from another campaign, as of `identify` and with its values in the robot (see
-        `carry_over`): fewer poses are needed then
-    Returns the poses in order, and the accuracy to expect of them
-    Raises InputError: where nothing can be chosen.
+    restarts : number of searches from different random starts, of which the best result is kept
+    seed : seed of the random generator
+    instrument : what is measured in place of positions: distances to anchors, or the tool in
+        sockets; `noise.sigma` is then the instrument's; None: positions
+    prior : posterior of another campaign, as of `identify` and with its values in the robot (see
+        `carry_over`); fewer poses are needed then
+    Returns the poses in measuring order, and the position accuracy [m] to expect of them
+    Raises InputError: no n poses can be chosen, or they cannot determine the parameters.
 
     References: Mitchell (1974); Atkinson, Donev and Tobias (2007).
 
@@ -95,7 +95,7 @@ def select_poses(
     design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
-    # Neighbours of every chosen pose are tried at decreasing distances, in shares of the joints'
+    # Neighbours of every chosen pose are tried at decreasing distances, in fractions of the joints'
     # ranges.
     for size in (0.2, 0.08, 0.03) if problem.open else ():
         steps = size * (upper - lower) * rng.normal(size=(12, n, robot.n))

@@ -230,9 +230,9 @@ class Plant(Shown):
 
 
 def home_frames(rows: Sequence[tuple[float, float, float, float, float, float]]) -> Array:
-    """Return the frames at zero readings of modified DH rows, shape (n, 4, 4) [m].
+    """Return the pose of each link in the base frame at zero readings, shape (n, 4, 4) [m].
 
-    rows : alpha, a, beta, b, theta, d [rad, m], each of which is
+    rows : modified DH rows alpha, a, beta, b, theta, d [rad, m], one per joint, each of which is
         Rot_x(alpha) Trans_x(a) Rot_y(beta) Trans_y(b) Rot_z(theta) Trans_z(d)
     """
     T, frames, (x, y, z), nowhere = np.eye(4), [], np.eye(3), np.zeros(3)
@@ -287,7 +287,7 @@ def perturb(
     stiffness_spread: float = 0.4,
     building: Building = Building(),
 ) -> Plant:
-    """Return the robot with random building errors: all six of every link.
+    """Return the robot with random building errors: three lengths and three angles of every link.
 
     plant : nominal robot; seed : seed of all errors
     length_mm, angle_mrad : standard deviation of each coordinate [mm] and angle [mrad] of a link's

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
 # wide group of columns; the search over points ends at the first that exceeds it.
 POINT_LOG_EVIDENCE_WINDOW = 25.0
-# Largest share of changed blocks at which sums are updated rather than computed again.
+# Largest fraction of changed blocks, 0 to 1, at which sums are updated rather than computed again.
 MAX_CHANGED_BLOCK_SHARE = 0.2
 
 # The empty set of column indices.

@@ -75,7 +75,7 @@ class NoiseModel:
     components: Mapping[str, Array]
 
     def at(self, blocks: Array | slice) -> "NoiseModel":
-        """Return the noise model of some of the blocks."""
+        """Return the noise model of some of the blocks, given by indices, a mask or a slice."""
         components = {name: A[blocks] for name, A in self.components.items()}
         return NoiseModel((len(np.arange(self.shape[0])[blocks]), self.shape[1]), components)
 
@@ -160,7 +160,10 @@ class SerialNoise:
         return bool(self.ar_coefficient.any())
 
     def whiten(self, rows: Array) -> Array:
-        """Return the whitened rows of all blocks in order, shape (n, m, ...); rows : that shape."""
+        """Return the whitened rows of all blocks in time order, shape (n, m, ...).
+
+        rows : rows before the whitening, the same shape
+        """
         ar_coefficient, weight = (
             a.reshape(*a.shape, *[1] * (rows.ndim - a.ndim)) for a in (self.ar_coefficient, self.weight)
         )

@@ -113,7 +113,7 @@ def _colour(role: str | Sequence[str]) -> str | list[str]:
 
 
 def _escaped(facts: Any) -> Any:
-    """Return the facts of tooltips with the texts of nested lists escaped."""
+    """Return values of tooltips (nested lists or one value) with their texts escaped for HTML."""
     if isinstance(facts, str):
         return plain(facts)
     return [_escaped(fact) for fact in facts] if isinstance(facts, list | tuple) else facts

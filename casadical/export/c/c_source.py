@@ -111,7 +111,7 @@ def _values(program: TapeProgram) -> dict[str, str]:
         "mant_dig": "53" if double else "24",
         "MAX": "DBL_MAX" if double else "FLT_MAX",
         "zeros": ", ".join([literal(0.0, real)] * program.n),
-        "share": literal(program.box_share, real),
+        "share": literal(program.sum_scale, real),
         "largest": literal(COEFFICIENTS[real].largest, real),
     } | {text: literal(float(text), real) for text in ("0", "1", "9")}
     for key, pair in program.boxes.items():
@@ -161,7 +161,10 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
 
 
 def _freedom(command: Command) -> str:
-    """Return a sentence on the directions that the joints cannot move or rotate, else ""."""
+    """Return lines of a C comment on directions in which the joints cannot move or rotate the tool.
+
+    They are "" if there are none.
+    """
     moved, turned = command.freedom
     words = [f"in {moved} of 3 directions"] if moved < 3 else []
     if residual_size(command) == 6 and turned < 3:
@@ -176,7 +179,7 @@ def joint_units(product: Product) -> str:
 
 
 def _box_text(product: Product) -> str:
-    """Return comment lines with the range of each joint reading, in rad and deg or in m."""
+    """Return lines of a C comment with the range of each joint reading, in rad and deg or in m."""
     text = ""
     for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
         degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"

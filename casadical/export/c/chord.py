@@ -147,7 +147,11 @@ class _PositionFirst(_Step):
         return casadi.vertcat(casadi.vec(J), _packed(L, inverse), _packed(M, inverse_o), casadi.vec(back)), weakness
 
     def solved(self, factors: SX, r: SX) -> tuple[SX, SX]:
-        """Return the joint step (n,) for a residual r (6,) [m], and the squared error [m^2]."""
+        """Return a joint step, (n,) [rad or m], and the squared error in reached directions [m^2].
+
+        factors : vector of `factored` at these joints
+        r : residual of position and, times a length, of orientation, shape (6,) [m]
+        """
         n, m, f = self.n, self.m, _factor_size(3)
         parts = casadi.vertsplit(factors, [0, m * n, m * n + f, m * n + 2 * f, (m + 3) * n + 2 * f])
         J = casadi.reshape(parts[0], m, n)
@@ -214,14 +218,17 @@ def _factored(A: SX, floor: float) -> tuple[SX, SX]:
 
 
 def _weakness(L: SX, inverse: SX) -> SX:
-    """Return the trace of A^-1 from its factors: at least 1 / (smallest eigenvalue of A)."""
+    """Return the trace of A^-1 for A = L D L^T, an upper bound of 1 / (smallest eigenvalue of A).
+
+    L : unit lower triangular, shape (m, m); inverse : 1 / diagonal of D, shape (m,)
+    """
     m = L.shape[0]
     columns = [_forward_solve(L, SX.eye(m)[:, j]) for j in range(m)]
     return sum((c[i] * c[i] * inverse[i] for j, c in enumerate(columns) for i in range(j, m)), SX(0))
 
 
 def _forward_solve(L: SX, b: SX) -> SX:
-    """Return y of L y = b, with L unit lower triangular."""
+    """Return the solution y of L y = b, shape (m,), with L unit lower triangular, shape (m, m)."""
     y = SX(b)
     for i in range(b.numel()):
         for k in range(i):
@@ -230,7 +237,10 @@ def _forward_solve(L: SX, b: SX) -> SX:
 
 
 def _solved(L: SX, inverse: SX, r: SX) -> SX:
-    """Return y of L D L^T y = r, from L and the inverted pivots."""
+    """Return the solution y of L D L^T y = r, shape (m,).
+
+    L : unit lower triangular, shape (m, m); inverse : 1 / diagonal of D, shape (m,)
+    """
     y = _forward_solve(L, r) * inverse
     m = L.shape[0]
     for i in reversed(range(m)):
@@ -250,12 +260,12 @@ def _factor_size(m: int) -> int:
 
 
 def _packed(L: SX, inverse: SX) -> SX:
-    """Return L below its diagonal and the inverted pivots as one vector."""
+    """Return the entries of L below its diagonal, then the inverted pivots 1 / D, as one vector."""
     return casadi.vertcat(*[L[i, j] for i, j in _below(L.shape[0])], inverse)
 
 
 def _factors_of(packed: SX, m: int) -> tuple[SX, SX]:
-    """Return L and the inverted pivots from a vector of `_packed` for m rows."""
+    """Return L, (m, m), and the inverted pivots 1 / D, (m,), from a vector of `_packed`."""
     L = SX.eye(m)
     for value, (i, j) in zip(casadi.vertsplit(packed)[: len(_below(m))], _below(m), strict=True):
         L[i, j] = value

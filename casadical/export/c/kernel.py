@@ -73,7 +73,7 @@ class Shape(BaseModel):
 
     @model_validator(mode="after")
     def _of_each_joint(self) -> Self:
-        """Check that there is a unit for each joint. Raises ValueError."""
+        """Check that `units` is empty or has a unit for each joint. Raises ValueError."""
         if self.units and len(self.units) != self.joints:
             raise ValueError(f"{len(self.units)} units of {self.joints} joints")
         return self
@@ -180,7 +180,10 @@ def _pointer(array: Array) -> ctypes.c_void_p:
 
 
 def rows_source(shape: Shape) -> str:
-    """Return C text of the loops over rows; it is compiled with the export but not part of it."""
+    """Return the C text of functions that call the exported ones for each of many readings.
+
+    It is compiled with the export but not part of it.
+    """
     values = {"name": shape.name, "n": str(shape.joints)}
     parts = [f'#include "{shape.name}.h"\n']
     for function, size in shape.outputs.items():

@@ -68,7 +68,10 @@ class NumpyFunctions:
         return np.asarray((ends + (middle + middle)) + t * (slope + t * (square + t * cubic)))
 
     def _reduced(self, y: Array) -> tuple[Array, Array, Array]:
-        """Return 2^n, r and r coth(r/2) for y = n ln 2 + r >= 0."""
+        """Return 2^n, r and r coth(r/2) for y = n ln 2 + r >= 0, with an integer n, to compute exp.
+
+        The magnitude of r is at most half of ln 2.
+        """
         T, c = self.T, self.c
         n = np.trunc(y * T(c.one_over_ln2) + T(0.5))
         r = (y - n * T(c.ln2[0])) - n * T(c.ln2[1])
@@ -165,7 +168,10 @@ def run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Arra
 
 
 def _run(tape: Tape, inputs: Array, real: coefficients.Real) -> tuple[Array, Array]:
-    """Return outputs and guard results of a tape for one batch of inputs, see `run`."""
+    """Return outputs, (k, outputs), and whether all guards hold, (k,), for k rows of inputs.
+
+    They are those of `run`, for rows that are evaluated at once.
+    """
     mirror = NumpyFunctions(real)
     T, simple = mirror.T, _simple(mirror.T)
     k = len(inputs)
@@ -212,11 +218,11 @@ class Status(IntEnum):
     SELF_TEST_FAILED = 8
 
 
-def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Array]:
+def boxed(q: Array, box: tuple[Array, Array], scale: float) -> tuple[Array, Array]:
     """Return readings clipped to a box, (k, n), and status OK, CLAMPED or NOT_FINITE of each, (k,).
 
     q : readings, shape (k, n) [rad or m]; box : lower and upper ends, each of shape (n,)
-    share : as of `TapeProgram.box_share`
+    scale : as of `TapeProgram.sum_scale`
     """
     T = q.dtype.type
     lower, upper = box[0].astype(T), box[1].astype(T)
@@ -226,7 +232,7 @@ def boxed(q: Array, box: tuple[Array, Array], share: float) -> tuple[Array, Arra
         x = np.where(a < upper, a, upper)
         distance = np.where(x < q, q - x, x - q)
         for i in range(q.shape[1]):
-            moved = moved + T(share) * distance[:, i]
+            moved = moved + T(scale) * distance[:, i]
     status = np.where(moved > 0, Status.CLAMPED, Status.OK)
     return x, np.where(moved <= np.finfo(T).max, status, Status.NOT_FINITE)
 
@@ -259,7 +265,7 @@ def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array,
     tape, box : names of the tape and of the box
     """
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
-    x, status = boxed(q, program.boxes[box], program.box_share)
+    x, status = boxed(q, program.boxes[box], program.sum_scale)
     values, fine = run(program.tapes[tape], x, program.real)
     status = np.where(fine & np.isfinite(values).all(1), status, Status.NOT_FINITE)
     values[status == Status.NOT_FINITE] = 0
@@ -273,7 +279,7 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """
     assert program.command is not None
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
-    x, status = boxed(q, program.boxes["command"], program.box_share)
+    x, status = boxed(q, program.boxes["command"], program.sum_scale)
     dq, chord_status = _chord(program, program.command, x)
     bad = status == Status.NOT_FINITE
     dq[bad] = 0
@@ -282,7 +288,10 @@ def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
-    """Return rows of v, (k, n), scaled so that no |entry| exceeds `limit`, and which were, (k,)."""
+    """Return v, (k, n), with rows scaled so that no |entry| exceeds `limit`, and a mask, (k,).
+
+    The mask is true for rows that were scaled.
+    """
     largest = np.zeros(len(v), v.dtype)
     for i in range(v.shape[1]):
         magnitude = np.where(v[:, i] < 0, -v[:, i], v[:, i])
@@ -294,7 +303,10 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    """Return corrections, (k, n) [rad or m], and status, (k,), at joints x within the box."""
+    """Return joint corrections, (k, n) [rad or m], and the status of each, (k,).
+
+    x : commanded joints within the box, shape (k, n) [rad or m]
+    """
     T, real, numbers = NUMPY_TYPE[program.real], program.real, command.limits.numbers
     n, end = program.n, prepared_size(command)
     work, fine = run(program.tapes["prepare"], x, real)

@@ -62,7 +62,7 @@ class Plan:
         return self.starts[-1]
 
     def _add(self, key: str, tape: Tape) -> None:
-        """Append the runs of one tape; key : its name."""
+        """Append the runs of one tape to the plan; key : name of the tape, such as `forward`."""
         inputs = self.places[{"forward": "at", "advance": "prepare_out"}.get(key, "joints")]
         place: dict[int, int] = {}
         for k, node in enumerate(tape.nodes):
@@ -188,7 +188,7 @@ def _runs(tape: Tape, placed: Collection[int]) -> Iterator[tuple[str, Iterator[l
                     ready.setdefault(op, []).append(user)
 
     def batches(op: str) -> Iterator[list[int]]:
-        """Yield ready nodes of an operation until there are none."""
+        """Yield lists of indices of nodes with the operation `op` that are ready, until none is."""
         while op in ready:
             batch = ready.pop(op)
             yield batch

@@ -96,7 +96,7 @@ def _common(program: TapeProgram, plan: Plan) -> dict[str, str]:
         "last": str(program.n - 1),
         "last_value": str(plan.size - 1),
         "joints": str(plan.places["joints"]),
-        "share": number(program.box_share, program.real),
+        "share": number(program.sum_scale, program.real),
     }
 
 
@@ -195,7 +195,10 @@ def tables_of(plan: Plan, real: Real) -> dict[str, str]:
 
 
 def _box(program: TapeProgram, key: str) -> dict[str, str]:
-    """Return the value of the placeholder `box`: declarations of a joint box; key : its purpose."""
+    """Return the value of the placeholder `box`: declarations of the ends of a joint box.
+
+    key : name of the box in `TapeProgram.boxes`
+    """
     kind, text = "REAL" if program.real == "float" else "LREAL", ""
     for name, side in zip(("lower", "upper"), program.boxes[key], strict=True):
         text += _array(name, kind, (number(float(v), program.real) for v in side))

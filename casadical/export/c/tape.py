@@ -93,18 +93,29 @@ class _Builder:
         return self.add(which, self.add("sincos", self.within(angle, ANGLE_LIMIT)))
 
     def periodic(self, angle: int, table: tuple[float, ...], bound: float) -> int:
-        """Return the node index of a table's value at an angle, or of a constant table's number."""
+        """Return the node index of a spline table's value at an angle [rad].
+
+        angle : node index of the angle
+        table : entries of the table; a single entry is a constant
+        bound : upper bound of the value's magnitude
+        """
         if len(table) == 1:
             return self.constant(table[0])
         return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
-        """Return the node index of sqrt(1 - x^2), with which atan2 gives asin and acos."""
+        """Return the node index of sqrt(1 - x^2), from which atan2 gives asin and acos.
+
+        x : node index
+        """
         one = self.constant(1.0)
         return self.root(self.add("mul", self.add("sub", one, x), self.add("add", one, x)))
 
     def operation(self, name: str, *args: int) -> int | None:
-        """Return the node index of a CasADi operation's result; None if the C lacks it."""
+        """Return the node index of an operation's result; None if the exported C has none for it.
+
+        name : CasADi's name of the operation; args : node indices of its arguments
+        """
         if name == "assign":
             return args[0]
         if name in _COMPOSED_OPERATIONS:
@@ -133,7 +144,7 @@ class _Builder:
         return self.nodes[k].value if self.nodes[k].op == "const" else None
 
     def _two_over_one_plus_exp(self, k: int) -> int | None:
-        """Return the node index of x if node k is 2/(1+exp(x)), else None."""
+        """Return the node index of x if the node of index k is 2/(1+exp(x)), else None."""
         node = self.nodes[k]
         if node.op != "div" or self._const(node.args[0]) != 2.0 or self.nodes[node.args[1]].op != "add":
             return None

@@ -105,7 +105,10 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
 
 
 def _widened(interval: Interval, real: Real) -> Interval:
-    """Return the interval widened for rounding; the whole real line where it could overflow."""
+    """Return an interval widened by the rounding errors of one operation in the real type.
+
+    It is the whole real line where the operation could overflow.
+    """
     c = COEFFICIENTS[real]
     share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     low, high = (v - abs(v) * share * s - c.smallest * s for v, s in zip(interval, (1.0, -1.0), strict=True))
@@ -180,7 +183,7 @@ class TapeProgram:
         return self.product if isinstance(self.product, Command) else None
 
     @property
-    def box_share(self) -> float:
+    def sum_scale(self) -> float:
         """Return the power of two that scales n finite numbers so that their sum is finite."""
         return 2.0 ** -(self.n - 1).bit_length()
 
@@ -227,7 +230,10 @@ _OPERATION_KINDS |= {op: op for op in ("sincos", "sqrt", "exp", "tansig", "atan2
 
 
 def operations(program: TapeProgram) -> Operations:
-    """Return the numbers of operations of one correction, or of the network or the curves alone."""
+    """Return the numbers of operations of one call of the correction, if the program has one.
+
+    Otherwise they are those of one call of the network or of the error curves.
+    """
     key = program.network.key if program.network is not None else ""
     calls = {key: 1}
     if program.command is not None:

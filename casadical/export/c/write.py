@@ -62,7 +62,7 @@ class Comparison:
 
 
 def shape_of(program: TapeProgram) -> Shape:
-    """Return name, joints and output sizes of a program, as `Kernel` needs them."""
+    """Return name, real type, units and sizes of inputs and outputs of a program, for `Kernel`."""
     sizes = {key: program.n if key == "correct" else len(program.tapes[key].outputs) for key in functions(program)}
     units: Any = list(program.product.units)
     return Shape(name=program.name, real=program.real, joints=program.n, outputs=sizes, units=units)
@@ -152,9 +152,9 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
 
     They are the tool's mean error before the correction (start_error_um_mean), median and worst of
     the remaining error at poses with status OK (rest_um_.., for poses also rest_urad_..), and the
-    shares of poses with status OK (share_ok), that converged (share_converged) and, for poses, that
-    are singular (share_singular). Readings at which the model has no value (a four-bar that cannot
-    close) count as not OK, but do not count for the share that converged; nor do singular poses
+    fractions of readings with status OK (share_ok), that converged (share_converged) and, for
+    poses, that are singular (share_singular). Readings at which the model has no value (a four-bar
+    that cannot close) count as not OK, but do not count for share_converged; nor do singular poses
     where the orientation is corrected.
 
     status : status of each reading, shape (k,)
@@ -182,8 +182,8 @@ def _of_command(command: Command, q: Array, dq: Array, status: Array) -> dict[st
     return figures
 
 
-# Smallest share of poses in the joint box at which a correction must converge to count as verified;
-# poses at which the model has no value do not count.
+# Smallest fraction of poses in the joint box, 0 to 1, at which a correction must converge to count
+# as verified; poses at which the model has no value do not count.
 MIN_SHARE_CONVERGED = 0.9
 
 

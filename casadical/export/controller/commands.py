@@ -294,7 +294,10 @@ def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
 
 
 def measured_range(robot: Robot) -> tuple[str, ...]:
-    """Return a tuple of one sentence on the joint ranges of the calibration; empty if unknown."""
+    """Return a tuple of one sentence on the joint ranges [deg or mm] of the calibration's poses.
+
+    It is empty if they are unknown.
+    """
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
@@ -334,7 +337,7 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
 
 
 def _omission_of(effect: Effect) -> Omission | None:
-    """Return why a controller cannot evaluate an effect, or None if it can."""
+    """Return an effect's label with the reason why a controller cannot evaluate it, or None."""
     lost = [c for c in effect.conditions if c != "payload_kg"]
     if effect.of_measurement:
         return Omission(effect.label, "an effect of the measurement, not of the robot")

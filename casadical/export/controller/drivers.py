@@ -98,7 +98,10 @@ def standard_row(at: Array, following: Array, like: float) -> tuple[float, float
 
 
 def standard_row_matrix(theta: float, d: float, a: float, alpha: float) -> Array:
-    """Return the transform (4, 4) [m] of one standard DH row [rad, m]."""
+    """Return the transform of one standard DH row, shape (4, 4) [m]; theta, alpha [rad], d, a [m].
+
+    It is Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha).
+    """
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     R = np.array([[c, -s * ca, s * sa], [s, c * ca, -c * sa], [0, sa, ca]])
     return frame(R, np.array([a * c, a * s, d]))

@@ -104,7 +104,10 @@ def tool_function(
 
 
 def deflected_function(robot: Robot) -> ca.Function:
-    """Return the CasADi function q[n] -> q + deflections under gravity, n numbers [rad or m]."""
+    """Return the CasADi function of readings q that gives the joints deflected under gravity.
+
+    bent:(q[n])->(q + compliance times torque of each joint, n numbers) [rad or m]
+    """
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
     return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])

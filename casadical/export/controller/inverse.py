@@ -200,7 +200,7 @@ class Postures:
 
     @cached_property
     def why_not(self) -> str:
-        """Return as text why postures are undefined for this robot; "" if they are defined."""
+        """Why postures (arm configurations) are undefined for this robot; "" if they are not."""
         if self.nominal.n != 6 or len(self.nominal.revolute) != 6:
             return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))
@@ -243,7 +243,10 @@ class Postures:
 
     @cached_property
     def _box(self) -> tuple[Array, Array]:
-        """Return joint limits (lower, upper), (n,) [rad or m], at most one turn of each joint."""
+        """Return joint limits (lower, upper), each (n,) [rad or m], of at most one turn per joint.
+
+        The turn is centred at zero or at the limit nearest to zero.
+        """
         lower, upper = self.nominal.limits
         middle = np.clip(0.0, lower, upper)
         half = np.where(self._turns, np.pi, np.inf)

@@ -128,7 +128,10 @@ class EngineModel:
         return force
 
     def _slope(self, k: int) -> float:
-        """Return the stiffness of coordinate k, from 0, at its present value [N m/rad or N/m]."""
+        """Return the stiffness of the model's coordinate k at its present value [N m/rad or N/m].
+
+        It is that of its springs and its servo; k counts from 0.
+        """
         hit = self.servos[self.drives == k]
         stiffness = float(sum(self.m.actuator_gainprm[i, 0] * self.m.actuator_gear[i, 0] ** 2 for i in hit))
         x = self.d.qpos[k]
@@ -166,7 +169,10 @@ class EngineModel:
         raise ConvergenceError(f"the four-bar does not close at the readings {np.round(command, 4).tolist()} rad")
 
     def _closures(self) -> Iterator[Array]:
-        """Yield starts of the passive hinges' angles: of the last pose, then random ones [rad]."""
+        """Yield angles of the passive hinges [rad] from which to close the loops.
+
+        They are those of the last closure, if any, then 100 random ones from -pi to pi.
+        """
         if self._start is not None:
             yield self._start
         rng = np.random.default_rng(0)

@@ -138,7 +138,11 @@ def counterparts(robot: Robot) -> Counterparts:
 
 
 def _bodies(world: ET.Element, robot: Robot, parts: Counterparts) -> ET.Element:
-    """Add the bodies of base and links to the world element, and return the last link's."""
+    """Add the bodies of base and links, with joints and masses, to an MJCF element.
+
+    world : the element of the world body; parts : what effects add to the model
+    Returns the element of the last link's body
+    """
     base = add_body(world, "base", robot.base.T)
     if np.isfinite(parts.base).any():
         add_mass(base, 0.0, np.zeros(3))
@@ -199,7 +203,10 @@ def _drive_joints(body: ET.Element, name: str, row: Joint, drive: Drive) -> None
 
 
 def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
-    """Add the site of the measured point, and the payload, to the last body."""
+    """Add the site of the measured point and, unless it is None, the payload to the last body.
+
+    last : element of that body
+    """
     ET.SubElement(last, "site", {"name": MEASURED_SITE, **place(robot.tool.T)})
     if payload is not None:
         body = add_body(last, "payload", frame(np.eye(3), np.asarray(payload.com)))
@@ -207,7 +214,13 @@ def _tool(last: ET.Element, robot: Robot, payload: Body | None) -> None:
 
 
 def _actuator(actuators: ET.Element, i: int, joint: Joint, drive: Drive) -> None:
-    """Add the position servo of joint i: force = kp (ctrl - gear q), so q = ratio ctrl at rest."""
+    """Add the position servo of joint i, from 1: force = kp (ctrl - gear q) with gear = 1 / ratio.
+
+    So q = ratio ctrl at rest without load.
+
+    actuators : element to which it is added; joint : the joint's DH row, for its limits
+    drive : stiffness and ratio
+    """
     servo = ET.SubElement(actuators, "position", name=f"drive{i}", joint=f"joint{i}")
     servo.set("kp", numbers(drive.stiffness * drive.ratio**2))
     if drive.ratio != 1:

@@ -118,7 +118,10 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
-    """Return the actuator of joint i, from 1: force = kp (ctrl - q) - bias, with delayed ctrl."""
+    """Return the MJCF actuator of joint i, from 1: force = kp (ctrl - q) - bias.
+
+    As far as `drive` declares it, ctrl is filtered and delayed, and the force limited.
+    """
     row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit", "command_filter", "delay")
     kp, bias, limit, within, delay = (float(_each(drive, name, robot)[i - 1]) for name in names)
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))

@@ -29,7 +29,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-# Share of the poses from which models are identified, and of those at which they are replayed.
+# Fraction of the poses from which models are identified, and of those at which they are replayed.
 REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 
@@ -57,7 +57,10 @@ class ReplayedModel:
 
     @cached_property
     def interval(self) -> Array:
-        """Return the 95 % bootstrap interval of the mean error over the poses, shape (2,) [m]."""
+        """Return lower and upper end of the mean error's 95 % bootstrap interval, shape (2,) [m].
+
+        The poses are resampled.
+        """
         rng, n = np.random.default_rng([0, len(self.errors)]), len(self.errors)
         drawn = self.errors[rng.integers(0, n, (1000, n))].mean(axis=1)
         return np.asarray(np.quantile(drawn, [0.025, 0.975]))
@@ -86,7 +89,11 @@ class Replay(Result):
 
     @property
     def table(self) -> pd.DataFrame:
-        """Return a table with a row per model: errors [mm] and the largest of `apart` [um]."""
+        """Return a table with a row per model.
+
+        Its columns are model, n, mean_mm, max_mm, rms_mm, p95_mm and apart_um, the maximum of
+        `apart`.
+        """
         rows = []
         for s in self.stages:
             a, row = s.accuracy, {"model": s.name, "n": s.accuracy.n}
@@ -245,7 +252,10 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 
 
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
-    """Return the models that are shown: without the last one if it lacks all causes."""
+    """Return the models that are shown.
+
+    The last one is left out if MuJoCo has a counterpart of none of its causes.
+    """
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()
     return replayed.stages[:2] if set(last.lacking) >= {e.label for e in causes} else replayed.stages
@@ -294,7 +304,7 @@ def stage_names(replayed: Replay) -> list[str]:
 
 
 def _table(replayed: Replay) -> Table:
-    """Return the table of the models' errors [mm]."""
+    """Return the table of the shown models: position errors [mm] and maximum of `apart` [um]."""
     rows = []
     for name, s in zip(stage_names(replayed), _shown(replayed), strict=True):
         lengths = (s.accuracy.mean, s.accuracy.max, s.accuracy.rms, s.accuracy.p95)

@@ -156,7 +156,10 @@ class CorrectedTarget:
 
     @property
     def changes(self) -> Iterator[tuple[Number, str]]:
-        """Yield (number or word, new text) for those that change; none if it is not corrected."""
+        """Yield those numbers and words of the target that change, each with its new text.
+
+        There are none if the target is not corrected.
+        """
         if self.fine:
             for number, text in zip((*self.target.numbers, *self.target.turn_text), self.texts, strict=False):
                 if number.differs(text):
@@ -192,7 +195,10 @@ def corrected_targets(language: ProgramLanguage, targets: Sequence[Target], cell
 
 
 def _solved(language: ProgramLanguage, targets: Sequence[Target], cell: Cell) -> list[CorrectedTarget]:
-    """Return each target with its joints before the correction, or the reason why it has none."""
+    """Return each target with its joints before the correction, or with the reason for having none.
+
+    Pose targets are solved by the nominal robot's inverse kinematics; nothing is corrected yet.
+    """
     results = [CorrectedTarget(t, *_obstacle(t, cell)) for t in targets]
     flanges = {
         k: _flange(language, r.target, cell.root, np.eye(4))
@@ -230,7 +236,10 @@ def _flange(language: ProgramLanguage, target: Target, root: Array, turned: Arra
 
 
 def _obstacle(target: Target, cell: Cell) -> tuple[str, str]:
-    """Return (status, reason) of a target that cannot be solved; ("OK", "") if it can be."""
+    """Return status and reason of a target whose joints cannot be computed; else ("OK", "").
+
+    The reason is "" where the status says everything.
+    """
     if target.skip_reason:
         return "LEFT", target.skip_reason
     if target.joints:
@@ -381,7 +390,11 @@ def _deviations(made: ToolModels, old: Array, new: Array) -> dict[str, Array]:
 
 
 def _poses(function: ca.Function | None, q: Array) -> Array:
-    """Return tool poses of a pose function at joints q, (k, n) [rad or m], shape (k, 4, 4) [m]."""
+    """Return the tool pose in the base frame at each row of joints, shape (k, 4, 4) [m].
+
+    function : function q -> (p, R) of one pose, as of `pose_function`
+    q : joints, shape (k, n) [rad or m]
+    """
     assert function is not None
     p, R = function.map(len(q))(q.T)
     T = np.tile(np.eye(4), (len(q), 1, 1))

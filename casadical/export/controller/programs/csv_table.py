@@ -55,7 +55,10 @@ class CsvTable(ProgramLanguage):
         ]
 
     def written(self, source: str, text: str, results: Sequence[Any]) -> bytes:
-        """Return the table's bytes with new joint values and a column of statuses."""
+        """Return the table's bytes with new joint values and a column of statuses.
+
+        source : path of the table, which is read again; results : corrected targets, one per row
+        """
         table = _table(source)
         rows = [[*table.header, STATUS_COLUMN]]
         for cells, r in zip(map(list, table.cells), results, strict=True):

@@ -53,7 +53,10 @@ def _parser(grammar: str) -> Lark:
 
 
 def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
-    """Yield the trees of a token sequence's islands in their order."""
+    """Yield the syntax trees of those parts of a token sequence that the grammar derives, in order.
+
+    parser : parser of the grammar
+    """
     k, closed = 0, _closed(tokens)
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
@@ -64,7 +67,7 @@ def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
 
 def _closed(tokens: Sequence[Token]) -> set[int]:
-    """Return the indices of the opening brackets that are closed."""
+    """Return the indices of those opening brackets among tokens that have a closing one."""
     opened, closed = [], set()
     for k, token in enumerate(tokens):
         if token.endswith(("(", "[", "{")):
@@ -128,7 +131,7 @@ def is_number(node: Any) -> bool:
 
 
 def integers(texts: Iterable[Any]) -> tuple[int, ...]:
-    """Return numbers, given as text, as integers; an empty tuple if one exceeds 31 bits."""
+    """Return the integers of texts of numbers; an empty tuple if one is not below 2^31 in size."""
     values = [float(str(text)) for text in texts]
     return tuple(map(int, values)) if all(abs(v) < 2**31 for v in values) else ()
 

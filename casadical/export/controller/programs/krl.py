@@ -86,7 +86,12 @@ class Krl(AngleLanguage):
         return tuple(int(angle < 0) for angle in q)
 
     def turns_text(self, target: Target, turns: tuple[int, ...]) -> list[str]:
-        """Return the text of T in a list of one, in the number format of the old text."""
+        """Return the new text of T in a list of one, in the number format of the old text.
+
+        T is the integer whose bit i is that of joint i, from 0.
+
+        turns : bits of the joints, as of `turns`
+        """
         value, old = sum(bit << i for i, bit in enumerate(turns)), target.turn_text[0].text
         if not old.startswith("'"):
             return [str(value)]
@@ -166,7 +171,10 @@ class _Frames:
                     self.chosen[what][pick.meta.line] = str(words(pick, "NUMBER")[0])
 
     def _read(self, name: str, line: int, right: Tree[Token]) -> None:
-        """Store an assignment if it defines or selects a tool or base."""
+        """Store an assignment if it defines or selects a tool or base frame.
+
+        name : variable in upper case; line : line number; right : assigned value
+        """
         values = _pairs(right) if right.data == "aggregate" else {}
         if name.startswith(("TOOL_DATA[", "BASE_DATA[")) and values:
             self.frames.setdefault(name, {})[line] = self._transform(values, line)
@@ -272,7 +280,7 @@ def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, .
 
 
 def _bits(token: Token | Tree[Token] | None) -> int | None:
-    """Return the integer of a decimal, binary or hexadecimal literal, or None."""
+    """Return the integer of a decimal, binary ('B..') or hexadecimal ('H..') literal, else None."""
     if not isinstance(token, Token) or token.type not in ("NUMBER", "BITS"):
         return None
     text = str(token)

@@ -123,7 +123,10 @@ class ProgramLanguage(ABC):
         return self.frame(f"{option} {text}", np.array(numbers) * self.units)
 
     def shown(self, T: Array) -> str:
-        """Return the numbers of a transform (4, 4) [m] as text that `transform` reads."""
+        """Return the numbers of a pose, (4, 4) [m], in the language's units, separated by commas.
+
+        `transform` reads this text.
+        """
         values = self.values(T, np.zeros(len(self.units)))
         return ",".join(f"{round(v / unit, 6) + 0.0:g}" for v, unit in zip(values, self.units, strict=True))
 
@@ -141,7 +144,12 @@ class AngleLanguage(ProgramLanguage):
         return frame(from_rpy(values[3:][list(self.order)]), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return x, y, z [m] and angles [rad] of a pose T, (6,), nearest to those of `like`."""
+        """Return x, y, z [m] and three angles [rad] of a pose, shape (6,).
+
+        Of the equivalent angles they are the nearest to those of `like`.
+
+        T : pose, shape (4, 4) [m]; like : other numbers of this kind, shape (6,) [m, rad]
+        """
         roll, pitch, yaw = to_rpy(T[:3, :3])
         flipped = np.array([roll + np.pi, np.pi - pitch, yaw + np.pi])
         wanted = like[3:][list(self.order)]
@@ -153,7 +161,11 @@ class AngleLanguage(ProgramLanguage):
 
 
 def text_of(source: str, content: bytes) -> str:
-    """Return a program's bytes as text, one character each. Raises InputError if it is no text."""
+    """Return a program's bytes as text, one character per byte (Latin-1).
+
+    source : name of the program, for messages; content : its bytes
+    Raises InputError: a byte is a control character, as in encrypted or compiled programs.
+    """
     for place, byte in enumerate(content):
         if byte < 32 and byte not in b"\t\n\r\f\x1a":
             line = content.count(b"\n", 0, place) + 1

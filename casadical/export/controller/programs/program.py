@@ -170,7 +170,10 @@ def language_named(word: str) -> ProgramLanguage:
 
 
 def language_of(path: Path) -> ProgramLanguage:
-    """Return the language of a file, by its suffix. Raises InputError that lists the suffixes."""
+    """Return a new object of the language of a file, by its suffix.
+
+    Raises InputError: no language has this suffix; the message lists them all.
+    """
     for kind in PROGRAM_LANGUAGES:
         if path.suffix.lower() in kind.suffixes:
             return kind()
@@ -238,7 +241,7 @@ def _numbers(target: Target) -> str:
 
 
 def _row(r: c.CorrectedTarget) -> list[str]:
-    """Return the cells of one target in the report."""
+    """Return the cells of one target's row in the CSV report, in the columns of `to_csv`."""
     texts = [t if n.differs(t) else n.text for n, t in zip(r.target.numbers, r.texts, strict=False)]
     figures = [r.moved_mm, *(r.off_mm or (None, None)), *(r.off_deg or (None, None))]
     why = "" if r.fine else r.why or _REFUSAL_MEANINGS[r.status]
@@ -385,7 +388,10 @@ def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) 
 
 
 def _stated(folder: Path) -> str:
-    """Return a sentence on the remaining error that was measured when a folder was exported."""
+    """Return a sentence on the position error [um] that a correction leaves, from its manifest.
+
+    folder : exported folder, at whose export the error was measured
+    """
     figures = Manifest.read(folder).figures
     median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
     if median is None or worst is None:

@@ -65,12 +65,16 @@ class Rapid(ProgramLanguage):
         return [module.placed(target, name) for target, name in module.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return a MoveAbsJ motion to joints [deg]."""
+        """Return the text of a MoveAbsJ motion to joints [deg]."""
         axes = ",".join(f"{value:.4f}" for value in (*joints, *[0.0] * (6 - len(joints))))
         return f"MoveAbsJ [[{axes}],[{','.join(['9E9'] * 6)}]]\\NoEOffs, v100, fine, tool0;"
 
     def matrix(self, values: Array) -> Array:
-        """Return the transform (4, 4) [m] of a position [m] and a quaternion. Raises InputError."""
+        """Return the pose, shape (4, 4) [m], of a position and a quaternion.
+
+        values : position [m], then quaternion with its scalar first, shape (7,)
+        Raises InputError: the quaternion's length differs from 1 by more than 1 %.
+        """
         q = values[3:]
         length = float(np.linalg.norm(q))
         if abs(length - 1) > 1e-2:  # more is no rounding
@@ -78,7 +82,12 @@ class Rapid(ProgramLanguage):
         return frame(from_quaternion(q), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return position [m] and quaternion of a pose T, (7,), with the sign of that of `like`."""
+        """Return position [m] and quaternion, scalar first, of a pose, shape (7,).
+
+        T : pose, shape (4, 4) [m]
+        like : other numbers of this kind; of the two equivalent quaternions, that nearer to its
+            quaternion is returned
+        """
         q = quaternion(T[:3, :3])
         return np.concatenate([T[:3, 3], q if q @ like[3:] >= 0 else -q])
 
@@ -154,7 +163,11 @@ class _Module:
         return [(target, name) for _, target, name in sorted(made, key=lambda entry: entry[0])]
 
     def _target(self, kind: str, name: str, value: Tree[Token]) -> Target:
-        """Return the target of a list of numbers; kind, name : its data type and name."""
+        """Return the target of a declared list of numbers, with a reason if it cannot be corrected.
+
+        kind : data type, jointtarget or robtarget; name : name of the variable
+        value : the list
+        """
         line, joints = value.meta.line, kind == "jointtarget"
         flat = [part.children for part in value.children if isinstance(part, Tree)]
         sizes = [6, 6] if joints else [3, 4, 4, 6]
@@ -253,7 +266,10 @@ def _declared(parsed: ParsedText) -> list[tuple[str, str, Tree[Token]]]:
 
 
 def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
-    """Return (name, value) of each target of a declaration: one, or the elements of an array."""
+    """Return (name, value) of each target of a declaration.
+
+    They are the variable itself, or the elements of an array with names such as p{2}.
+    """
     inner = [c for c in value.children if isinstance(c, Tree)]
     nested = any(isinstance(c, Tree) and any(isinstance(cc, Tree) for cc in c.children) for c in inner)
     if not nested or len(inner) != len(value.children):
@@ -270,6 +286,9 @@ def _tool_of(last: Tree[Token]) -> tuple[str, str]:
 
 
 def _names(argument: Tree[Token]) -> list[str]:
-    """Return the variables of an argument, those inside calls (Offs, RelTool) included."""
+    """Return the names, in lower case, of the variables in an argument and in calls inside it.
+
+    Such calls are Offs and RelTool.
+    """
     own = [str(r.children[0]).lower() for r in parts(argument, "ref")]
     return own + [n for call in parts(argument, "call") for a in parts(call, "argument") for n in _names(a)]

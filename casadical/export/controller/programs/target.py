@@ -39,7 +39,7 @@ class Number:
         return float(self.text) * self.unit
 
     def written(self, value: float) -> str:
-        """Return another value [SI] as text in this number's unit."""
+        """Return the text that replaces this number by another value [SI], in the number's unit."""
         _, _, fraction = self.text.lower().partition("e")[0].partition(".")
         # decimals whose rounding error is below a tenth of a micrometre at the tool
         finest = {RAD_PER_DEG: 6, M_PER_MM: 4, 1.0: 9}[self.unit]

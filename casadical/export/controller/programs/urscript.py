@@ -65,17 +65,25 @@ class UrScript(ProgramLanguage):
         return [replace(t, tool=tool, base=base, about=about) for t in program.targets()]
 
     def move_line(self, joints: Sequence[float]) -> str:
-        """Return a movej motion to joints [deg]."""
+        """Return the text of a movej motion, in rad, to joints [deg]."""
         return f"movej([{', '.join(f'{value:.6f}' for value in np.deg2rad(joints))}], a=0.5, v=0.3)"
 
     def matrix(self, values: Array) -> Array:
-        """Return the transform, (4, 4) [m], of a position [m] and a rotation vector [rad], (6,)."""
+        """Return the pose, shape (4, 4) [m], of a position [m] and a rotation vector [rad].
+
+        values : the two, shape (6,)
+        """
         from scipy.spatial.transform import Rotation
 
         return frame(Rotation.from_rotvec(values[3:]).as_matrix(), values[:3])
 
     def values(self, T: Array, like: Array) -> Array:
-        """Return position [m] and rotation vector [rad] of a pose T, (6,), nearest to `like`."""
+        """Return position [m] and rotation vector [rad] of a pose, shape (6,).
+
+        Of the equivalent rotation vectors, whole turns apart, it has the nearest to that of `like`.
+
+        T : pose, shape (4, 4) [m]; like : other numbers of this kind, shape (6,)
+        """
         from scipy.spatial.transform import Rotation
 
         vector = Rotation.from_matrix(T[:3, :3]).as_rotvec()
@@ -170,7 +178,10 @@ class _Program:
             )
 
     def _resolved(self, argument: Tree[Token]) -> Tree[Token] | None:
-        """Return the pose or list of an argument, or of its constant variable; else None."""
+        """Return the pose or list that an argument is, or that its variable has, else None.
+
+        A variable counts if the program assigns it once.
+        """
         value = argument.children[-1]
         if isinstance(value, Token):
             own = self.variables.get(str(value))
@@ -232,13 +243,16 @@ def _listed(value: Tree[Token] | Token | None) -> Tree[Token] | None:
 
 
 def _si(value: Tree[Token] | None) -> Array | None:
-    """Return the six numbers of a pose or list, shape (6,) [SI]; None if it has not six."""
+    """Return the numbers of a pose or list in SI units, shape (6,); None if there are not six."""
     read = None if value is None else _numbers(value)
     return np.array([number.si for number in read]) if read and len(read) == 6 else None
 
 
 def _numbers(value: Tree[Token]) -> tuple[Number, ...] | None:
-    """Return the numbers of a pose or list, d2r(number) in degrees; None if it holds others."""
+    """Return the numbers of a pose or list; None if it holds anything but numbers and d2r(number).
+
+    The unit of the latter is the degree.
+    """
     read: list[Number] = []
     for part in value.children:
         token, unit = part, 1.0
