@@ -19,8 +19,8 @@ EXAMPLE = "an example (--example, or no robot)"
 # Parameters that only one kind of robot has.
 ROBOT_OPTIONS = {
     EXAMPLE: ("example",),
-    "--urdf": ("urdf", "base_link", "tip_link", "data"),
-    "--dh": ("dh", "convention", "data"),
+    "--urdf": ("urdf", "base_link", "tip_link", "data", "eye_in_hand", "eye_to_base"),
+    "--dh": ("dh", "convention", "data", "eye_in_hand", "eye_to_base"),
 }
 
 
@@ -50,6 +50,10 @@ def new(
         help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five "
         "languages; default: synthetic ones, marked as such.",
     ),
+    eye_in_hand: bool = Option(
+        False, "--eye-in-hand", help="The camera that measured is on the robot; default: as the poses look."
+    ),
+    eye_to_base: bool = Option(False, "--eye-to-base", help="The camera stands still and sees a target on the robot."),
     example: bool = Option(
         False,
         "--example",
@@ -71,6 +75,8 @@ def new(
     from casadical.project.new import new_problem
 
     refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOT_OPTIONS)
+    if eye_in_hand and eye_to_base:
+        raise InputError("--eye-in-hand and --eye-to-base: a camera is in one place; give one of them")
     console = wrapped(quiet)
 
     def answer(problem: "Problem", files: list[Path]) -> dict[Path, str]:
@@ -85,6 +91,7 @@ def new(
         dh=dh,
         convention=convention or "modified",
         data=data,
+        camera="in hand" if eye_in_hand else "to base" if eye_to_base else "",
         ask=None if yes else _ask,
         show=lambda block: tell(console, block),
         also=answer,

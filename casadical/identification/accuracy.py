@@ -1,13 +1,15 @@
-"""Position errors of a robot model against measurements, and the statistics that summarise them."""
+"""Errors of a robot model against measurements, and the statistics that summarise them."""
 
-from collections.abc import Mapping
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.plain import IN_MM, WRITTEN
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Shown
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
@@ -22,6 +24,8 @@ class Accuracy(Shown):
     n : number of poses
     mean, max, std, rms, p95 : mean, maximum, sample standard deviation, root mean square, 95th
         percentile [m]
+    turn : the same of the angles between measured and computed orientations [rad]; None where no
+        orientations were measured
     """
 
     line: ClassVar[str] = (
@@ -34,6 +38,33 @@ class Accuracy(Shown):
     std: float = field(metadata=IN_MM)
     rms: float = field(metadata=IN_MM)
     p95: float = field(metadata=IN_MM)
+    turn: Accuracy | None = None
+
+    derived: ClassVar[tuple[Key, ...]] = (Key("orientation", lambda a: a.turn and a.turn.in_degrees, if_known=True),)
+
+    @property
+    def in_degrees(self) -> dict[str, float]:
+        """Return the statistics of angles with their names in JSON [deg]."""
+        return {f"{name}_deg": float(np.rad2deg(getattr(self, name))) for name in ("mean", "max", "std", "rms", "p95")}
+
+
+def accuracy_of(robot: Robot, sets: Sequence[Measurements]) -> Accuracy:
+    """Return the statistics of a robot's errors over all poses of some sets, angles included."""
+    turns = [turn for m in sets if (turn := turn_errors(robot, m)) is not None]
+    found = summarise(np.concatenate([errors(robot, m) for m in sets]))
+    return replace(found, turn=summarise(np.concatenate(turns))) if turns else found
+
+
+def turn_errors(robot: Robot, m: Measurements) -> Array | None:
+    """Return the angle between measured and computed orientation at each pose, shape (n,) [rad].
+
+    None where no orientations were measured.
+    """
+    if m.orientation is None:
+        return None
+    # The chord between two rotations, of small angles too.
+    chord = np.linalg.norm(predicted(robot, m)[1] - m.orientation, axis=(1, 2)) / np.sqrt(8)
+    return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
 
 
 def summarise(errors: Array) -> Accuracy:

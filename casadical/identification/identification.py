@@ -20,12 +20,18 @@ from casadical.core.parts import Body, lacks_masses, with_estimated_masses
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
+from casadical.identification.departure import departure_of
 from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import check_against
 from casadical.identification.prior import Prior, carry_over
-from casadical.identification.reduction import MAX_OUTLIER_ROUNDS, solve_by_auto, solve_without_outliers
+from casadical.identification.reduction import (
+    MAX_OUTLIER_ROUNDS,
+    independent_parameters,
+    solve_by_auto,
+    solve_without_outliers,
+)
 from casadical.identification.residuals import ALL_LOSSES, AnyLoss, Loss
 from casadical.identification.result import Identification, Tried, learnt_from, without_poses
 from casadical.identification.sessions import place_sessions, with_sessions
@@ -37,6 +43,8 @@ from casadical.robot.robot import Knowledge, Robot
 Method = Literal["KM", "SKCM"]
 # Method of the paper -> the parameter groups that it identifies.
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
+# Priors of an identification, see `identify`.
+AnyPriors = bool | Mapping[str, tuple[float, float]] | Literal["auto"]
 # Treatment of the links' masses: "declared" as in the robot file; "unknown" frees the errors of
 # masses that the file does not declare; "free" frees those of declared masses too.
 Masses = Literal["declared", "unknown", "free"]
@@ -227,7 +235,7 @@ def identify(
     *,
     method: Method | None = None,
     loss: AnyLoss = "auto",
-    priors: bool | Mapping[str, tuple[float, float]] = False,
+    priors: AnyPriors = "auto",
     prior: Robot | Prior | None = None,
     screen: bool = True,
     progress: Progress | None = None,
@@ -243,8 +251,10 @@ def identify(
     loss : linear, or a robust loss, huber or soft_l1, with which poses beyond what noise reaches
         once in 100 000 are left out of a last solve; auto is huber where that finds such poses,
         else linear, as in the command `calibrate`
-    priors : whether the robot's own prior widths constrain departures from nominal; or name ->
-        (mean, one sigma) [SI] of parameters with another prior, the others having the robot's own
+    priors : auto solves without any, and again with a prior on the geometry where the poses leave
+        it open, as wide as this arm's departures are (see `departure`); or whether the robot's own
+        prior widths constrain departures from nominal; or name -> (mean, one sigma) [SI] of
+        parameters with another prior, the others having the robot's own
     prior : the same robot from another campaign, whose effects are put into the model and freed,
         with their values and covariance as a prior, while the robot's own priors constrain all
         other parameters; or as of `carry_over`
@@ -348,7 +358,7 @@ def calibrated(
     free: Iterable[str] = (),
     *,
     loss: AnyLoss = "linear",
-    priors: bool | Mapping[str, tuple[float, float]] = False,
+    priors: AnyPriors = False,
     screen: bool = True,
     weighed: bool = False,
     progress: Progress | None = None,
@@ -364,6 +374,9 @@ def calibrated(
     free = (free,) if isinstance(free, str) else tuple(free)
     if loss not in ALL_LOSSES:
         raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")
+    by_departure = priors == "auto" and not prior.free
+    if priors == "auto":
+        priors = False
     if prior.free:
         priors = {**prior.means, **(priors if isinstance(priors, Mapping) else {})}
     wanted = (*(METHODS[prepared.method] if prepared.method else free), *prepared.free, *prior.free)
@@ -393,11 +406,36 @@ def calibrated(
         outliers=outliers,
         tried=prepared.tried,
     )
+    if by_departure:
+        found = problem.cache.once("independent", lambda: independent_parameters(problem)).independent
+        told = [name for name in problem.names if name in found or name in result.names]
+        departure = departure_of(result.problem, solution.v, result.variance, result.names)
+        if departure and departure.prior is not None:  # then with the parameters that the free fit left out
+            departure = departure_of(result.problem, solution.v, result.variance, told)
+        result = replace(result, departure=departure)
+        if departure and (given := departure.priors(start)):
+            result = _with_priors(prepared, result, told, given, weighed=weighed, progress=progress)
     if not robot.effects:
         return result
     learnt = learnt_from(result, prepared.knowledge)
     learnt = prior.knowledge.joined(learnt) if prior.free else learnt
     return replace(result, robot=replace(result.robot, knowledge=learnt))
+
+
+def _with_priors(
+    prepared: Prepared, free: Identification, names: Sequence[str], priors: AnyPriors, **options: Any
+) -> Identification:
+    """Return the result of the same poses with priors, where a free fit was made before.
+
+    names : of the parameters to identify; the free fit says why the others are not identifiable
+    options : of `calibrated`
+    """
+    asked = replace(prepared, method=None, free=())
+    held = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
+    judged = held.identifiability
+    others = (u for u in free.identifiability.held if u.name not in names)
+    judged = replace(judged, held=(*judged.held, *others))
+    return replace(held, method=free.method, identifiability=judged, departure=free.departure)
 
 
 def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:

@@ -13,7 +13,8 @@ from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
-from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
+from casadical.identification.accuracy import Accuracy, accuracy_of, errors, predicted, summarise
+from casadical.identification.departure import Departure
 from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, initial_sigmas
@@ -103,6 +104,7 @@ class Identification(Result):
     degrees_of_freedom : number of residuals and priors minus the number of variables
     outliers : (set, pose) indices of poses that a robust loss left out
     tried : whether the data support a compliance that the robot file does not declare
+    departure : how far the geometry departs from nominal, where the fit chose its own prior
 
     Examples
     --------
@@ -136,6 +138,7 @@ class Identification(Result):
         Key("iterations", lambda found: len(found.solution.history) - 1),
         Key("loss"),
         Key("left_out"),
+        Key("departure", if_known=True),
         Key("unknown_places"),
         Key("parameters", "shown"),
         Key("modified_dh", lambda found: modified_dh(found.robot)),
@@ -154,6 +157,7 @@ class Identification(Result):
     degrees_of_freedom: int
     outliers: tuple[tuple[int, int], ...] = ()
     tried: Tried | None = None
+    departure: Departure | None = None
 
     def blocks(self) -> list[Words | Table]:
         """Return the verdict and a table of all parameters."""
@@ -286,6 +290,7 @@ class Identification(Result):
         reasons = {u.name: u.reason for u in self.identifiability.held}
         place_of = {name: k for k, name in enumerate(self.names)}
         before = {p.name: p.prior for p in self.start.parameters if p.guess}
+        before |= {name: sigma for name, (_, sigma) in self.problem.given.items()}
         before |= {n: np.sqrt(v) for names, C in self.problem.known for n, v in zip(names, np.diag(C), strict=True)}
         rows = []
         for p in self.start.parameters:
@@ -370,7 +375,7 @@ class Identification(Result):
         """
         sets = [part for given in m for part in ((given,) if isinstance(given, Measurements) else given)]
         robots = {"nominal": self.given, "placed": self.placed, "calibrated": self.robot}
-        return {state: summarise(np.concatenate([errors(r, part) for part in sets])) for state, r in robots.items()}
+        return {state: accuracy_of(r, sets) for state, r in robots.items()}
 
     @cached_property
     def placed(self) -> Robot:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -85,6 +85,9 @@ class Measurements(Shown):
     unused : columns that nothing reads: those of words, or without a cell
     copies : lines that were dropped because they repeat another one to the last digit
     lost : lines that were dropped because a reading or an observation is missing
+    inverted : whether the source has the inverse of each pose: the measuring frame as the tool sees
+        it
+    camera : where the camera is that saw the poses, "in hand" or "to base"; empty: not known
     Raises InputError: arrays that do not fit the kind or each other.
 
     Examples
@@ -126,6 +129,8 @@ class Measurements(Shown):
     unused: tuple[str, ...] = ()
     copies: tuple[int, ...] = ()
     lost: tuple[int, ...] = ()
+    inverted: bool = False
+    camera: Literal["", "in hand", "to base"] = ""
 
     def __post_init__(self) -> None:
         for name in ("q", "position", "orientation", "distance", "target", "other", "label", "weight", "row"):
@@ -172,6 +177,14 @@ class Measurements(Shown):
         Raises InputError: no positions."""
         none = dict.fromkeys(("orientation", "distance", "target", "other", "label"))
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
+
+    def inverse(self) -> Measurements:
+        """Return the poses inverted: those of the measuring frame in the tool, of kind pose."""
+        assert self.position is not None
+        assert self.orientation is not None
+        R = self.orientation.transpose(0, 2, 1)
+        p = -np.einsum("nij,nj->ni", R, self.position)
+        return replace(self, position=p, orientation=R, inverted=not self.inverted)
 
     @property
     def copies_in_words(self) -> str:

@@ -18,6 +18,7 @@ from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
 from casadical.identification.identification import (
+    AnyPriors,
     calibrated_without_outliers,
     identify,
     lacks_declared_compliance,
@@ -376,13 +377,16 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     count : number of parts of the work, for the progress
     """
     robot, sets, (*others, last) = problem.robot, problem.sets["identify"], problem.methods
+    priors: AnyPriors = "auto" if problem.geometry_prior else False
     parts = iter(range(1, count + 1))
 
     def progress_of(method: str) -> Progress:
         part = next(parts)
         return lambda iteration, cost: show(f"part {part} of {count}: {method} iteration {iteration}, cost {cost:.6g}")
 
-    by = partial(identify, method=last, loss=problem.loss, prior=problem.prior, progress=progress_of(last))
+    by = partial(
+        identify, method=last, loss=problem.loss, priors=priors, prior=problem.prior, progress=progress_of(last)
+    )
     final = by(robot, sets)
     # The fitted poses may be too few to show a compliance that all poses show.
     if problem.whole and lacks_declared_compliance(robot) and not (final.tried and final.tried.kept):
@@ -396,7 +400,9 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     results: dict[str, Identification] = {}
     for method in others:
         prepared = prepare(robot, sets, problem.prior, method=method)
-        result = calibrated_without_outliers(prepared, final.outliers, final.loss, progress=progress_of(method))
+        result = calibrated_without_outliers(
+            prepared, final.outliers, final.loss, priors=priors, progress=progress_of(method)
+        )
         results[method] = replace(result, tried=final.tried)
     rigid = lacks_declared_compliance(robot) and not (final.tried and final.tried.kept)
     if results and rigid and not problem.networks:

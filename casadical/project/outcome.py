@@ -95,12 +95,22 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
         rows += [(f"after {list(accuracies)[-1]}, {file}", a) for file, a in single.items()]
         use = {"train": "networks learn", "choose": "networks are judged"}.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
-        cells = [(label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95))) for label, a in rows]
+        turned = states["placed"].turn is not None
+        cells = [
+            (label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95)), *(_angles(a) if turned else ()))
+            for label, a in rows
+        ]
         title = f"{name} ({use}), {states['nominal'].n} poses: {_error_kind(problem, name)} [mm]"
-        numbers = frozenset(range(1, 6))
-        columns = ("model", "mean", "max", "std", "rms", "95 %")
+        title += ", of orientation [deg]" if turned else ""
+        columns = ("model", "mean", "max", "std", "rms", "95 %", *(("deg: mean", "95 %") if turned else ()))
+        numbers = frozenset(range(1, len(columns)))
         tables.append(Table(title, columns, cells, numbers, frozenset(range(first, len(rows)))))
     return tables
+
+
+def _angles(a: Accuracy) -> tuple[str, str]:
+    """Return mean and 95th percentile of the orientation errors as texts [deg]; dashes if unknown."""
+    return ("-", "-") if a.turn is None else (mm(1e-3 * np.rad2deg(a.turn.mean)), mm(1e-3 * np.rad2deg(a.turn.p95)))
 
 
 def _error_kind(problem: Problem, name: str) -> str:

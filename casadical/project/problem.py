@@ -38,7 +38,7 @@ from casadical.project.problem_file import (
     table_like,
     tables_of,
 )
-from casadical.project.robot_columns import refuse_nameless, understood, with_coupled, with_known_targets
+from casadical.project.robot_columns import as_poses, refuse_nameless, understood, with_coupled, with_known_targets
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -75,6 +75,7 @@ class Problem(Shown):
     sets : measurements by set name, one `Measurements` for each table; no pose is in two sets
     methods : identification methods of `casadical calibrate`
     loss : loss function of the residuals in `casadical calibrate`
+    geometry_prior : whether the geometry has a prior where the poses leave it open (see `identify`)
     urdf : file, base link and tip link where the robot is from a URDF
     networks : network methods that are trained on the residual of SKCM
     seed : seed of the split and of the networks
@@ -122,6 +123,7 @@ class Problem(Shown):
     tables: tuple[Mapping[str, Any], ...] = ()
     robot_file: Path = Path("robot.toml")
     whole: tuple[Measurements, ...] = ()
+    geometry_prior: bool = True
 
     @property
     def origin(self) -> str:
@@ -269,6 +271,7 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
         sets={name: tuple(parts) for name, parts in split.items()},
         methods=base_methods(file.methods),
         loss=file.loss,
+        geometry_prior=file.geometry_prior,
         urdf=(place, urdf.base_link, urdf.tip_link) if place.suffix == ".urdf" else None,
         networks=tuple(m for m in network_methods() if m in file.methods),
         seed=sets.seed,
@@ -363,7 +366,7 @@ def read_campaign(
     if readings_only:
         m = readings_alone(columns, joints)
     else:
-        m = _with_noise(columns, joints, data)
+        m = as_poses(_with_noise(columns, joints, data), robot, data.inverted, data.camera)
         touched = set() if m.label is None else set(m.label.tolist())
         m = m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
     m = replace(m, lost=lost)
@@ -401,7 +404,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
     columns = _columns(read_table(path, keep_text=False), data, robot)
     joints = [j.kind for j in robot.joints]
-    m = _with_noise(columns, joints, data)
+    m = as_poses(_with_noise(columns, joints, data), robot, data.inverted, data.camera)
     if data.point_from and m.label is None:
         raise InputError(f"{path}: point_from: has no effect on kind {m.kind!r}; take it out of problem.toml")
     refuse_nameless(m, robot)

@@ -90,6 +90,8 @@ class DataTable(_Strict):
     separation : known distances between touched points
     sigma_mm, sigma_deg : one sigma of a coordinate and of an angle
     datasheet_mm : largest error of a point that the data sheet of the instrument states
+    inverted : whether poses are those of the measuring frame in the tool; None: as the robot says
+    camera : where the camera is, in hand or to base; empty: as the poses look
     """
 
     file: str
@@ -103,6 +105,8 @@ class DataTable(_Strict):
     sigma_mm: float | None = Field(default=None, gt=0)
     sigma_deg: float | None = Field(default=None, gt=0)
     datasheet_mm: float | None = Field(default=None, gt=0)
+    inverted: bool | None = None
+    camera: Literal["", "in hand", "to base"] = ""
 
     @field_validator("kind")
     @classmethod
@@ -133,7 +137,7 @@ class DataTable(_Strict):
     @property
     def understood(self) -> dict[str, Any]:
         """Return the keys by which another table of the same origin is interpreted."""
-        keys = ("file", "kind", "columns", "point_from")
+        keys = ("file", "kind", "columns", "point_from", "inverted", "camera")
         given = self.model_dump(include={*keys}, exclude_defaults=True, by_alias=True)
         return {key: given[key] for key in keys if key in given}
 
@@ -301,6 +305,7 @@ class ProblemFile(_Strict):
     urdf: UrdfTable | None = None
     methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: AnyLoss = "auto"
+    geometry_prior: bool = True
     paper: Paper | None = None
     measurements: list[DataTable] = Field(default=[], max_length=MAX_ITEMS)
     logs: LogsTable | None = None

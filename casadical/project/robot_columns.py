@@ -4,6 +4,7 @@ import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +31,12 @@ MIN_ERROR_RATIO_TO_OTHERS = 4.0
 COMPUTED_POSITION_TOLERANCE = 2e-6
 # The same of orientations [rad].
 COMPUTED_ORIENTATION_TOLERANCE_RAD = 2e-5
+# With fewer poses it is not judged whether they are inverted.
+MIN_POSES_COMPARED = 5
+# A camera is where it has its target at an angle that the other frame exceeds by this factor.
+MIN_CONE_RATIO = 1.3
+# Where a camera is; empty where that is not known.
+Camera = Literal["", "in hand", "to base"]
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
@@ -43,6 +50,18 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
         if question.about:
             meaning = _by_model(raw, robot, given, meaning, question)
     return _without_other_frame(raw, robot, given, meaning)
+
+
+def poses_in_words(m: Measurements) -> str:
+    """Return a sentence on inverted poses and on the place of their camera; empty for others."""
+    where = {
+        "in hand": "the camera is on the robot (eye in hand), its target stands still",
+        "to base": "the camera stands still (eye to base), its target is on the robot",
+        "": "",
+    }[m.camera]
+    if not m.inverted:
+        return f"Poses as they are: {where}." if where else ""
+    return f"Each pose is inverted: the table has the fixed frame as the tool sees it{f'; {where}' if where else ''}."
 
 
 def _without_other_frame(
@@ -63,6 +82,53 @@ def _without_other_frame(
         ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
+
+
+def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
+    """Return poses as those of the tool in the measuring frame, with the place of their camera.
+
+    inverted : whether they are the inverse of that; None: where only their inverse fits the robot,
+        or where both fit and a camera in hand saw a target, as solvers of perspective have it
+    camera : where it is said to be; empty: as the poses look
+    Raises InputError: poses without orientations that are said to be inverted.
+    """
+    if m.position is None or m.orientation is None:
+        if inverted or camera:
+            key = "inverted" if inverted else "camera"
+            raise InputError(f"{m.source}: {key}: has no effect on kind {m.kind!r}; take it out of problem.toml")
+        return m
+    if inverted is None and len(m) >= MIN_POSES_COMPARED:
+        here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
+        inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
+        undecided = here < MIN_ERROR_RATIO_TO_OTHERS * there and not inverted
+        inverted = camera == "in hand" if undecided and camera else inverted
+    m = m.inverse() if inverted else m
+    return replace(m, camera=camera or _camera_of(m))
+
+
+def _pose_error(robot: Robot, m: Measurements) -> float:
+    """Return the median error of poses, base and tool fitted: of a turn [rad], and over the reach."""
+    base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
+    turn = orientation_error(replace(robot, base=base, tool=tool), m)
+    return turn + placed_by(robot, m)[1] / robot.reach
+
+
+def _camera_of(m: Measurements) -> Camera:
+    """Return where the camera is by which frame has the other one nearer to its z axis.
+
+    A camera sees its target within its field of view; how a target is turned has no such limit.
+    """
+    off = {}
+    for camera, poses in (("to base", m), ("in hand", m.inverse())):
+        assert poses.position is not None
+        x, y, z = poses.position.T
+        off[camera] = float(np.quantile(np.arctan2(np.hypot(x, y), z), 0.9))
+    near, far = sorted(off, key=off.__getitem__)
+    # A field of view is at most 100 deg wide.
+    sure = off[near] < np.deg2rad(50.0) and MIN_CONE_RATIO * off[near] < off[far]
+    if not sure:
+        return ""
+    return "in hand" if near == "in hand" else "to base"
 
 
 def _by_model(
@@ -99,7 +165,7 @@ def _by_model(
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
     """Return the measurements of a table with these column sources, complete rows alone."""
     columns = Columns.of_file(raw).mapped(sources)
-    return from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints])
+    return as_poses(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
 
 
 def _orientation_error(robot: Robot, m: Measurements) -> float:

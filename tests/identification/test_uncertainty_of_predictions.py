@@ -162,7 +162,7 @@ def test_held_parameters_move_identified_ones() -> None:
     C = Covariance(tuple(names), np.diag([1e-6 if n == "tool_x" else 1e-24 for n in names]))
     q = np.column_stack([np.linspace(-1, 1, 40), np.zeros(40)])
     robot = replace(flat, knowledge=Knowledge((C,)))
-    result = identify(robot, arms.positions(flat, q, 1), ["a1", "theta1"])
+    result = identify(robot, arms.positions(flat, q, 1), ["a1", "theta1"], priors=False)
     bent = np.array([0.3, 1.0, 2.0])
     probe = np.column_stack([np.zeros(3), bent])
     assert sigma(result, probe) == pytest.approx(1e-3 * np.sqrt(2 * (1 - np.cos(bent))), rel=0.02)

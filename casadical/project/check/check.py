@@ -158,7 +158,8 @@ def _plausible(
     if slips.explains or slips.before.error > facts.MAX_MEDIAN_ERROR_OF_REACH * robot.reach:
         return [slip_finding(slips, robot, standard, m)], slips
     text = f"{m.source}: the nominal model, base and tool fitted, is {1e3 * slips.before.error:.3g} mm (median) from"
-    return [Finding("note", "units", f"{text} the data: units, signs and zeros fit")], None
+    fits = f"units, signs and zeros fit{', with each pose inverted' if m.inverted else ''}"
+    return [Finding("note", "units", f"{text} the data: {fits}")], None
 
 
 def _data_findings(

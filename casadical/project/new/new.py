@@ -21,6 +21,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
 from casadical.pose_selection import Workspace
@@ -29,7 +30,7 @@ from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import computed, placed_by, understood
+from casadical.project.robot_columns import Camera, as_poses, computed, placed_by, poses_in_words, understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
@@ -95,6 +96,7 @@ def new_problem(
     dh: Path | None = None,
     convention: str = "modified",
     data: Path | None = None,
+    camera: Camera = "",
     seed: int = 0,
     ask: Callable[[Question], str] | None = None,
     show: Callable[[Words | Table], None] | None = None,
@@ -108,6 +110,7 @@ def new_problem(
         table the robot is an example arm
     data : table of measured poses; None: poses are simulated from the seed and marked synthetic
         everywhere
+    camera : where the camera is that measured them, "in hand" or "to base"; empty: as they look
     seed : seed of simulated poses and of the split
     ask : takes a question on the table and returns one of its choices; None: the first choice,
         which is the most probable
@@ -131,7 +134,7 @@ def new_problem(
         lambda: read_table(data) if data else None,
     ]
     (texts, robot), given = each_of(steps)
-    understood = _understood(given, robot, ask, show) if given else Given()
+    understood = _understood(given, robot, camera, ask, show) if given else Given()
     if len(understood.tools) > 1 and show:
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(understood.tools)
         show(Words(f"Column 'tool' names {len(understood.tools)} measured points, {listed}: {place} has each."))
@@ -169,6 +172,7 @@ def new_problem(
 def _understood(
     raw: RawTable,
     robot: Robot,
+    camera: Camera,
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
 ) -> Given:
@@ -184,10 +188,17 @@ def _understood(
     tools, rare = tools_in(columns)
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
     turned = kind is not None and kind.angles > 0
-    tilt, said = _tilt(columns.without(left_out, "the table"), robot)
+    tilt, said, poses = _tilt(columns.without(left_out, "the table"), robot, camera)
     level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < LEVEL_TOLERANCE_DEG
     given = Given(
-        meaning.sources, left_out, tools, kind.name if kind else "", turned, turned if np.isnan(tilt) else not level
+        columns=meaning.sources,
+        left_out=left_out,
+        tools=tools,
+        kind=kind.name if kind else "",
+        turned=turned,
+        tilted=turned if np.isnan(tilt) else not level,
+        inverted=poses is not None and poses.inverted,
+        camera=poses.camera if poses is not None else camera,
     )
     rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
     said += [Words(f"Rows that are left out (leave_out in problem.toml): {rows}.")] if rows else []
@@ -203,23 +214,26 @@ def _understood(
     return given
 
 
-def _tilt(columns: Columns, robot: Robot) -> tuple[float, list[Words]]:
-    """Return the angle [deg] from the base's z axis to the instrument's, and a doubt of the data.
+def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[Words], Measurements | None]:
+    """Return the angle [deg] from the base's z axis to the instrument's, findings, and the poses.
 
-    The angle is NaN where it cannot be seen.
+    The angle is NaN where it cannot be seen; the poses are None where they cannot be read.
     """
     try:
-        m = from_columns(columns, [j.kind for j in robot.joints])
+        m = as_poses(from_columns(columns, [j.kind for j in robot.joints]), robot, camera=camera)
         placed, median = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
-        return np.nan, []
+        return np.nan, [], None
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
     tilt = (
         float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1))))
         if median < MAX_PLACEMENT_ERROR_OF_REACH * robot.reach
         else np.nan
     )
-    return tilt, [Words(doubt, "warning")] if computed(robot, m) else []
+    said = [Words(doubt, "warning")] if computed(robot, m) else []
+    if words := poses_in_words(m):
+        said.append(Words(f"{words[:-1]} (the nominal robot is {1e3 * median:.3g} mm off, median)."))
+    return tilt, said, m
 
 
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:

@@ -152,6 +152,8 @@ class Given:
     kind : kind of measurement
     turned : whether the kind has orientations of the tool
     tilted : whether the instrument is not levelled
+    inverted : whether poses are inverted in the table
+    camera : where the camera is that saw them, "in hand", "to base" or unknown
     """
 
     columns: Mapping[str, Source] = field(default_factory=dict)
@@ -160,6 +162,8 @@ class Given:
     kind: str = ""
     turned: bool = False
     tilted: bool = False
+    inverted: bool = False
+    camera: str = ""
 
 
 def problem_text(
@@ -204,6 +208,12 @@ def problem_text(
 def _column_lines(given: Given) -> str:
     """Return the keys `kind`, `columns` and `leave_out` of [[measurements]] as text."""
     lines = [f'kind = "{given.kind}"'] if given.kind else []
+    if given.inverted or given.camera:
+        inverted = f"inverted = {str(given.inverted).lower()}"
+        lines.append(f"{inverted:35s}# whether the table has poses of the fixed frame in the tool")
+    if given.camera:
+        camera = f'camera = "{given.camera}"'
+        lines.append(f'{camera:35s}# "in hand", with its target at rest; or "to base", with its target on the robot')
     if given.left_out:
         lines += ["leave_out = [                      # rows of the file"]
         lines += [f"    {row}, # {why}" for row, why in given.left_out.items()]

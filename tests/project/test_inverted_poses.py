@@ -1,0 +1,140 @@
+"""Poses of a camera: inverted ones are recognised, read so, said and kept; errors of orientation are told."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from casadical import InputError, Measurements, calibrate, read_problem
+from casadical.core.transforms import frame, from_rpy
+from casadical.identification.accuracy import predicted, turn_errors
+from casadical.project.check import precheck
+from casadical.project.new import new_problem
+from casadical.project.robot_columns import as_poses
+from casadical.robot.robot import Robot
+from casadical.robot.robot_file import robot_from
+
+DH = """joint,a_mm,alpha_deg,d_mm,theta_deg
+1,0,90,162.5,0
+2,-425,0,0,0
+3,-392.2,0,0,0
+4,0,90,133.3,0
+5,0,-90,99.7,0
+6,0,0,99.6,0
+"""
+JOINTS = [
+    {"alpha_deg": 0, "a_mm": 0, "d_mm": 162.5},
+    {"alpha_deg": 90, "a_mm": 0, "d_mm": 0},
+    {"alpha_deg": 0, "a_mm": -425, "d_mm": 0},
+    {"alpha_deg": 0, "a_mm": -392.2, "d_mm": 133.3},
+    {"alpha_deg": 90, "a_mm": 0, "d_mm": 99.7},
+    {"alpha_deg": -90, "a_mm": 0, "d_mm": 99.6},
+]
+# The camera on the flange looks along its z axis; its target lies in front of the robot.
+HAND_EYE = frame(from_rpy(np.array([0.05, -0.1, 1.5])), np.array([0.04, -0.06, 0.08]))
+TARGET = frame(from_rpy(np.array([3.0, 0.1, 0.4])), np.array([-0.5, 0.15, 0.05]))
+
+
+def ur5e() -> Robot:
+    robot = robot_from({"casadical": 1, "name": "arm", "joint": JOINTS}, "arm")
+    free = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="pose")
+    return replace(robot, base=free[0], tool=free[1])
+
+
+def seen(inverted: bool, poses: int = 30, seed: int = 0) -> Measurements:
+    """Poses of a camera on the flange in the frame of its target, 0.3 to 0.7 m away, or the inverse (of the target)."""
+    rng = np.random.default_rng(seed)
+    robot = ur5e()
+    q = rng.uniform(-2.6, 2.6, (60_000, 6))
+    given = replace(robot, base=replace(robot.base, T=np.linalg.inv(TARGET)), tool=replace(robot.tool, T=HAND_EYE))
+    m = Measurements(q, "position", position=np.zeros((len(q), 3)))
+    p, R = predicted(given, m)
+    x, y, z = -np.einsum("nji,nj->in", R, p)  # the target's place in the camera
+    near = (z > 0.3) & (z < 0.8) & (np.hypot(x, y) < 0.5 * z)
+    p, R, q = p[near][:poses], R[near][:poses], q[near][:poses]
+    assert len(q) == poses
+    p = p + rng.normal(0, 3e-4, p.shape)
+    R = R @ Rotation.from_rotvec(rng.normal(0, 5e-4, p.shape)).as_matrix()
+    m = Measurements(q, "pose", position=p, orientation=R, source="poses.csv")
+    return replace(m.inverse(), inverted=False) if inverted else m
+
+
+def written(folder: Path, m: Measurements) -> Path:
+    """A table as a script around OpenCV writes it: radians, metres, rotation vectors."""
+    vector = Rotation.from_matrix(m.orientation).as_rotvec()
+    columns = {f"j{k}": m.q[:, k - 1] for k in range(1, 7)}
+    columns |= {f"tvec_{c}": m.position[:, k] for k, c in enumerate("xyz")}
+    columns |= {f"rvec_{c}": vector[:, k] for k, c in enumerate("xyz")}
+    path = folder / "poses.csv"
+    pd.DataFrame(columns).to_csv(path, index=False)
+    return path
+
+
+def test_an_inverse_is_the_inverse() -> None:
+    m = seen(False)
+    twice = m.inverse().inverse()
+    np.testing.assert_allclose(twice.position, m.position, atol=1e-12)
+    T = [frame(R, p) for R, p in zip(m.orientation, m.position, strict=True)]
+    back = m.inverse()
+    np.testing.assert_allclose(back.position, [np.linalg.inv(each)[:3, 3] for each in T], atol=1e-12)
+    assert (back.inverted, twice.inverted) == (True, False)
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+def test_poses_are_read_as_the_robot_has_them(inverted: bool) -> None:
+    m = as_poses(seen(inverted), ur5e())
+    assert m.inverted == inverted
+    assert m.camera == "in hand"
+    np.testing.assert_allclose(m.position, seen(False).position, atol=1e-12)
+
+
+def test_new_says_and_keeps_what_the_robot_tells(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(DH)
+    said: list[str] = []
+    table = written(tmp_path, seen(True))
+    new_problem(
+        tmp_path / "arm", dh=tmp_path / "dh.csv", convention="standard", data=table,
+        show=lambda block: said.append(getattr(block, "text", "")),
+    )  # fmt: skip
+    assert any("Each pose is inverted" in text and "eye in hand" in text for text in said)
+    (kept,) = tomllib.loads((tmp_path / "arm" / "problem.toml").read_text())["measurements"]
+    assert (kept["inverted"], kept["camera"]) == (True, "in hand")
+    found = precheck(tmp_path / "arm")
+    assert found.ok
+    assert any("with each pose inverted" in f.text for f in found.findings)
+
+
+def test_a_declared_reading_is_taken_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(DH)
+    folder = tmp_path / "arm"
+    new_problem(folder, dh=tmp_path / "dh.csv", convention="standard", data=written(tmp_path, seen(True)))
+    text = (folder / "problem.toml").read_text()
+    (folder / "problem.toml").write_text(text.replace("inverted = true", "inverted = false"))
+    assert not any(m.inverted for _, m in read_problem(folder).parts())
+    with pytest.raises(InputError, match="orientations are"):
+        calibrate(folder)
+
+
+def test_inverted_needs_orientations() -> None:
+    with pytest.raises(InputError, match="inverted: has no effect on kind 'position'"):
+        as_poses(seen(False).positions_alone(), ur5e(), inverted=True)
+
+
+def test_errors_of_orientation_stand_beside_those_of_position(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(DH)
+    new_problem(
+        tmp_path / "arm", dh=tmp_path / "dh.csv", convention="standard", data=written(tmp_path, seen(True, poses=40))
+    )
+    result = calibrate(tmp_path / "arm")
+    (_, report), *_ = [(name, m) for name, m in result.problem.parts() if name == "report"]
+    off = Rotation.from_matrix(predicted(result.robot, report)[1].transpose(0, 2, 1) @ report.orientation).magnitude()
+    np.testing.assert_allclose(turn_errors(result.robot, report), off, atol=1e-9)
+    figures = result.to_json()["methods"]["KM"]["sets"]["report"]
+    assert figures["orientation"]["mean_deg"] == pytest.approx(np.rad2deg(off.mean()))
+    assert figures["before_placed"]["orientation"]["max_deg"] > 0
+    assert f"{figures['orientation']['mean_deg']:.3g} deg" in " ".join(str(result).split())
+    assert "deg: mean" in str(result)
