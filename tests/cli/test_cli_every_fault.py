@@ -51,10 +51,10 @@ def test_robot_table_and_poses_of_a_new_problem_are_told_at_once(tmp_path: Path)
 
 @pytest.mark.parametrize("tables", [3, MAX_FAULTS_SHOWN + 5])
 def test_what_is_not_told_is_counted(tables: int, capfd: pytest.CaptureFixture[str]) -> None:
-    faults = [Fault("poses.csv", (k,), "x_mm", "nan", "no number", "", "") for k in range(tables)]
+    faults = [Fault("poses.csv", (k,), "X [mm]", "nan", "no number", "", "") for k in range(tables)]
     refusal(FaultsError(faults, ["one.toml: wrong", "two.toml: wrong"]))
     told = capfd.readouterr().err
-    assert told.count("poses.csv") == min(tables, MAX_FAULTS_SHOWN)
+    assert told.count("poses.csv") == told.count("X [mm]") == min(tables, MAX_FAULTS_SHOWN)
     assert told.count("toml: wrong") == (2 if tables == 3 else 0)
     assert ("and 7 more" in told, "more" in told) == (tables > 3, tables > 3)
 

@@ -10,6 +10,8 @@ from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
 from casadical.core.linear_gaussian.noise import NoiseModel
 from casadical.core.linear_gaussian.normal_equations import (
+    marginalised,
+    normal_sums,
     reduced,
     root_of_inverse,
 )
@@ -129,3 +131,30 @@ def test_what_the_base_takes_is_right_beside_a_direction_that_is_hardly_held() -
     rows, turn = np.linalg.qr(rng.normal(size=(36, 4)))[0], np.linalg.qr(rng.normal(size=(4, 4)))[0]
     wide = replace(model, J=((rows * size) @ turn.T).reshape(12, 3, 4), prior=np.full(4, model.reference))
     assert wide.absorbed_by_base == pytest.approx((size**2 / (1 + size**2)).sum(), rel=1e-5)
+
+
+def test_sums_are_added_taken_off_and_moved() -> None:
+    rng = np.random.default_rng(0)
+    y, A, x = rng.normal(size=(6, 3)), rng.normal(size=(6, 3, 4)), rng.normal(size=4)
+    whole, part = normal_sums(y, A), normal_sums(y[:2], A[:2])
+    for found, expected in (
+        (whole.less(part), normal_sums(y[2:], A[2:])),
+        (whole.less(part).plus(part), whole),
+        (whole.moved(x), normal_sums(y + A @ x, A)),
+    ):
+        np.testing.assert_allclose(found.H, expected.H, atol=1e-12)
+        np.testing.assert_allclose(found.g, expected.g, atol=1e-12)
+        assert found.square == pytest.approx(expected.square)
+        assert found.count == expected.count
+
+
+def test_parameters_not_asked_for_are_integrated() -> None:
+    A = np.random.default_rng(0).normal(size=(20, 5))
+    H, g, kept, rest = A.T @ A, A.T @ np.arange(20.0), np.array([3, 0]), np.array([1, 2, 4])
+    P = np.diag([4.0, 1.0, 0.5])
+    own, score = marginalised(H, g, kept, np.linalg.inv(H[np.ix_(rest, rest)] + P))
+    whole = H.copy()
+    whole[np.ix_(rest, rest)] += P
+    covariance = np.linalg.inv(whole)
+    np.testing.assert_allclose(np.linalg.inv(own), covariance[np.ix_(kept, kept)])
+    np.testing.assert_allclose(np.linalg.solve(own, score), (covariance @ g)[kept])

@@ -128,12 +128,13 @@ def test_what_else_is_known_of_the_noise_is_added() -> None:
 
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
 def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> None:
-    model, rng = small_model(ratios, n=30), np.random.default_rng(2)
-    E = 0.02 * rng.normal(size=(30, 3, MAX_NARROW_GROUP_COLUMNS + 2))
-    r = model.r + E @ rng.normal(size=MAX_NARROW_GROUP_COLUMNS + 2)
-    model = replace(model, r=r, E=ArrayColumns(E), cause_prior=np.full(MAX_NARROW_GROUP_COLUMNS + 2, 8.0))
-    groups, chosen = [np.arange(MAX_NARROW_GROUP_COLUMNS + 1)], np.array([MAX_NARROW_GROUP_COLUMNS + 1])
-    assert_densities(model, Marginals(model).log_grids(groups, chosen), groups, chosen)
+    """Judged given one column, and given to one column."""
+    model, rng, last = small_model(ratios, n=30), np.random.default_rng(2), MAX_NARROW_GROUP_COLUMNS + 1
+    E = 0.02 * rng.normal(size=(30, 3, last + 1))
+    r = model.r + E @ rng.normal(size=last + 1)
+    model = replace(model, r=r, E=ArrayColumns(E), cause_prior=np.full(last + 1, 8.0))
+    for group, chosen in ((np.arange(last), np.array([last])), (np.array([last]), np.arange(last))):
+        assert_densities(model, Marginals(model).log_grids([group], chosen), [group], chosen)
 
 
 @pytest.mark.parametrize("ratios", [RATIOS, TWO], ids=["one component", "two components"])
