@@ -271,13 +271,16 @@ class Answer(_Loose):
 
 
 def relabelled(text: str) -> str:
-    """Return a label EFFECT or EFFECT@JOINT as in the key, in which some effects have no joint."""
+    """Return a label EFFECT or EFFECT@JOINT of the diagnosis in the form of the key.
+
+    There some effects have no joint.
+    """
     name, _, joint = text.partition("@")
     return label(name, int(joint) if joint.isdigit() else None)
 
 
 def json_line(data: Mapping[str, Any]) -> str:
-    """Return data as a line of JSON with its checksum."""
+    """Return data as a line of JSON with the SHA-256 of its text as an additional entry, sha256."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f'{text[:-1]},"sha256":"{sha256(text.encode())}"}}\n'
 

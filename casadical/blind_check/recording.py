@@ -137,7 +137,10 @@ class Subject:
     poses: pd.DataFrame | None = None
 
     def built(self, seed: int) -> Plant:
-        """Return the robot as built, with building errors drawn from a seed."""
+        """Return the robot as built, with building errors drawn from a seed.
+
+        Unless `level` is set, gravity is kept in the base frame while the base tilts.
+        """
         plant = perturb(self.nominal, seed, building=self.building)
         if self.level:
             return plant

@@ -218,7 +218,11 @@ def _stepwise_changes(
 
 
 def _model_given(information: evidence.SharedInformation, accepted: Sequence[_Accepted]) -> evidence.Model:
-    """Return the posterior of theta and the amplitudes of accepted changes from all campaigns."""
+    """Return the posterior of theta and of the amplitudes of accepted changes from all campaigns.
+
+    Theta is the deviation of the p shared parameters, in units of their scale; the amplitudes have
+    prior standard deviations of `kappa` times the usual sizes of their candidates.
+    """
     n, p = information.score.shape
     columns = [np.einsum("nk,pm->npkm", a.courses, a.candidate.columns).reshape(n, p, -1) for a in accepted]
     sizes = [np.tile(a.kappa * a.candidate.sizes, a.courses.shape[1]) for a in accepted]
@@ -437,7 +441,11 @@ def _placements(
     first, (before, after) = campaigns[0], campaigns[-2:]
 
     def between(own: Sequence[str]) -> tuple[Array, Array]:
-        """Return the difference of refitted parameters and its covariance; see `Between`."""
+        """Return the last campaign's values of `own` less those of the one before, with covariance.
+
+        own : names of k parameters that were fitted again in each campaign
+        Returns the difference, shape (k,), and its covariance, shape (k, k); see `Between`
+        """
         # X, Y: a campaign's shared parameters from the solved ones, theta and the changes so far.
         X, Y = (np.hstack([np.eye(model.p), model.columns[k]]) for k in (-2, -1))
         a, A, V = _refitted(before, own, names, first, X, model.mean)

@@ -292,7 +292,7 @@ def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
 
 
 def _places_of_robot(c: Estimate) -> dict[str, int]:
-    """Return the index in `names` of each parameter, by name, without those of the tool."""
+    """Return the index in `c.names` of each parameter by name, without those of the tool."""
     return {
         n: k
         for k, n in enumerate(c.names)

@@ -175,7 +175,10 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
 
 
 def _packed_places(k: int) -> Array:
-    """Return the index of each entry of a symmetric matrix in its packed lower triangle, (k, k)."""
+    """Return the place of each entry of a symmetric k x k matrix in its packed form, shape (k, k).
+
+    The packed form is the lower triangle row by row, k (k + 1) / 2 numbers.
+    """
     numbers = np.zeros((k, k), dtype=int)
     rows, columns = np.tril_indices(k)
     numbers[rows, columns] = numbers[columns, rows] = np.arange(len(rows))

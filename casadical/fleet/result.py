@@ -211,7 +211,11 @@ class Fleet(Result):
                     yield Words(words, "warning", "\n".join(places))
 
     def _types(self) -> Iterator[Table]:
-        """Yield one table of the types with the median errors of their robots [mm], or nothing."""
+        """Yield one table of robot types with the median of their robots' mean errors [mm].
+
+        It has the errors before and after calibration, and the 95 % quantile of the latter where a
+        type has enough robots. Without calibrated robots there is no table.
+        """
         rows, types = [], self.good.groupby("type", sort=False)
         large = bool((types.size() >= MIN_ROBOTS_FOR_QUANTILE).any())
         for kind, some in types:
@@ -239,7 +243,10 @@ class Fleet(Result):
         return some.sort_values("after_mm", ascending=False)
 
     def _to_look_at(self) -> Iterator[Table]:
-        """Yield the table of robots to check first, and that of notes on campaigns of others."""
+        """Yield the table of robots to check first, and that of unusual notes on other robots.
+
+        Empty tables are omitted.
+        """
         more, some, rows = self.grown, self._first(), []
         for r in records(some.head(MAX_ROWS_SHOWN)):
             said = ["error stands out"] if r["robot"] in self.outliers else []
@@ -251,13 +258,13 @@ class Fleet(Result):
             title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
             yield Table(title, ("robot", "after", "diagnosis", "changed", "note"), rows, frozenset({1}))
         others = self.good[~self.good["robot"].isin(some["robot"])]
-        noted = [(r["robot"], short(words)) for r in records(others) if (words := odd(r["notes"]))]
+        noted = [(r["robot"], short(words)) for r in records(others) if (words := without_outlier_notes(r["notes"]))]
         if noted:
             yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:MAX_ROWS_SHOWN])
 
     @property
     def _listed(self) -> list[dict[str, Any]]:
-        """The rows of all robots as dictionaries for the JSON file, without lists."""
+        """The rows of all robots as dictionaries by column for the JSON file, without lists."""
         told = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*told.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
@@ -275,13 +282,19 @@ def _found_in(row: Mapping[str, Any]) -> str:
 
 
 def short(error: str, letters: int = MAX_ERROR_LETTERS) -> str:
-    """Return the last line of an error message, cut between words to a number of letters."""
+    """Return the last line of an error message, cut between words if it has more than `letters`.
+
+    A cut line ends with " ...".
+    """
     line = (error.strip().splitlines() or [""])[-1]
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
 
 
-def odd(notes: str) -> str:
-    """Return the notes of a row without those on outliers, which many campaigns have."""
+def without_outlier_notes(notes: str) -> str:
+    """Return a robot's notes, separated by "; ", without those on poses left out as outliers.
+
+    Many campaigns have such poses.
+    """
     return "; ".join(note for note in notes.split("; ") if not note.endswith("left out as outliers"))
 
 

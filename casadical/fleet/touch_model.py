@@ -183,7 +183,11 @@ class TouchModel:
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:
-        """The usual candidates, then a crash (all zeros and the tool) and an unknown change."""
+        """The usual candidates, then a crash and an unknown change.
+
+        A crash changes all joint zeros and the tool at once; an unknown change displaces each
+        coordinate of each pose independently.
+        """
         usual = self.usual_candidates
         parts = [c for c in usual if c.kind in ("joint_zero", "tool")]
         columns, sizes = np.hstack([c.columns for c in parts]), np.concatenate([c.sizes for c in parts])
@@ -324,7 +328,10 @@ class TouchModel:
         return np.asarray(np.eye(len(candidate.sizes))[at])
 
     def _hypotheses(self) -> Iterator[_Hypotheses]:
-        """Yield the hypotheses of each candidate, course but a season, and level of noise."""
+        """Yield the hypotheses of each candidate, each course except "season" and each noise level.
+
+        Noise levels are those of `likelihood_terms`.
+        """
         y, (times, dated) = self._gaussian_model[0], self._times
         for c, course, weight, since, courses in weighted_hypotheses(self.candidates, self.weights, times, dated=dated):
             if course == "season":

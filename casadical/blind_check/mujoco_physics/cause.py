@@ -301,6 +301,6 @@ def beam_axes(length: Array) -> tuple[Array, Array, Array]:
 
 
 def triple(v: Array) -> tuple[float, float, float]:
-    """Return a vector as three floats."""
+    """Return a vector, shape (3,), as a tuple of three floats."""
     x, y, z = (float(c) for c in v)
     return x, y, z

@@ -74,7 +74,10 @@ def impossible(plant: Plant) -> dict[str, str]:
 
 
 def _links(plant: Plant) -> list[int]:
-    """Return the numbers of links that may bend or crack: 2 and 3, if long and loaded enough."""
+    """Return the numbers, from 1, of links that may bend or crack.
+
+    They are 2 and 3, if longer than 1 % of the reach and loaded with 0.1 % of the base's moment.
+    """
     least = 1e-3 * stretched_moments(plant, 0)[1]
     long = [k for k in (2, 3) if k <= plant.n and np.linalg.norm(length_of(plant, k)) > 0.01 * plant.reach]
     return [k for k in long if stretched_moments(plant, k)[0] > least]

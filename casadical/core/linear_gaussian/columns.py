@@ -118,7 +118,7 @@ class ArrayColumns:
         return np.asarray(every.combine(taken) if every else taken)
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns at some blocks as factors."""
+        """Return all columns at some blocks as factors, with the rows as intermediate variables."""
         every = np.arange(self.values.shape[2])
         return Factors(tuple((i, every, self.values[blocks, i].T) for i in range(self.values.shape[1])), len(every))
 
@@ -172,7 +172,10 @@ class SerialColumns:
         return np.asarray(taken)
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns as factors of the variables of a block and of the one before."""
+        """Return all columns as factors of the variables of a block, then of the block before it.
+
+        For white noise the latter are omitted.
+        """
         here, last, _, _ = self._blocks(blocks)
         own = self.columns.factors(self.order[here])
         if not self.noise.is_autocorrelated:
@@ -255,7 +258,7 @@ class Factors:
         return Factors(tuple(selected), len(columns))
 
     def combined(self, every: Combined) -> Factors:
-        """Return the factors of combinations of the columns."""
+        """Return the factors of the combinations `every` of these columns."""
         if every.plain:
             return self
         starts, made = np.array([a for a, _, _ in every.blocks]), []
@@ -269,7 +272,10 @@ class Factors:
         return Factors(tuple(made), every.width)
 
     def products(self, levers: Array) -> Array:
-        """Return the Gram matrix of the columns over all blocks, shape (columns, columns)."""
+        """Return the Gram matrix of the columns over all blocks, shape (columns, columns).
+
+        levers : derivatives of the rows by the intermediate variables, shape (n, m, variables)
+        """
         total = np.zeros((self.width, self.width))
         for s, own, values in self.blocks:
             for t, others, more in self.blocks:
@@ -277,7 +283,7 @@ class Factors:
         return total
 
     def before(self, others: Factors) -> Factors:
-        """Return the columns of both, with those of `others` after these."""
+        """Return the factors of both, with the columns of `others` numbered after these."""
         shifted = tuple((s, self.width + c, values) for s, c, values in others.blocks)
         return Factors((*self.blocks, *shifted), self.width + others.width)
 
@@ -314,7 +320,7 @@ class Combined:
 
     @cached_property
     def edges(self) -> list[int]:
-        """Return the index of each block's first combination, and at the end their number."""
+        """Return the index of each block's first combination, then the number of combinations."""
         widths = [b - a if V is None else V.shape[1] for a, b, V in self.blocks]
         return [0, *np.cumsum(widths, dtype=np.int64).tolist()]
 
@@ -329,7 +335,10 @@ class Combined:
         return all(V is None for _, _, V in self.blocks)
 
     def combine(self, M: Array) -> Array:
-        """Return products with combinations, given products M with columns, along the last axis."""
+        """Return products with the combinations from products with the columns.
+
+        M : products with the columns, along the last axis
+        """
         if self.plain:
             return M
         return np.concatenate([M[..., a:b] if V is None else M[..., a:b] @ V for a, b, V in self.blocks], axis=-1)
@@ -345,14 +354,20 @@ class Combined:
         return np.arange(*self.edges[k : k + 2]), V[columns - a].T @ values
 
     def per_combination(self, sizes: Array) -> Array:
-        """Return one number per combination, from one per column that is equal within a part."""
+        """Return one number per combination from one per column.
+
+        sizes : number of each column, equal within a part, shape (columns,)
+        """
         if self.plain:
             return sizes
         runs = zip(self.blocks, np.diff(self.edges), strict=True)
         return np.concatenate([sizes[a:b] if V is None else np.full(k, sizes[a]) for (a, b, V), k in runs])
 
     def sum_over_dropped(self, numbers: Array) -> float:
-        """Return the sum, over dropped directions, of numbers that are equal within a part."""
+        """Return the sum of the numbers of dropped directions, each that of its part's columns.
+
+        numbers : number of each column, equal within a part, shape (columns,)
+        """
         runs = zip(self.blocks, np.diff(self.edges), strict=True)
         return float(sum((b - a - k) * numbers[a] for (a, b, V), k in runs if V is not None))
 
@@ -369,7 +384,10 @@ class Combined:
         return np.concatenate([np.zeros(0, dtype=np.int64), *places])
 
     def values(self, x: Array) -> Array:
-        """Return parameters of columns, given those of combinations x, along the first axis."""
+        """Return the parameters of the columns from those of the combinations.
+
+        x : parameters of the combinations, along the first axis
+        """
         runs = zip(self.blocks, self.edges[:-1], self.edges[1:], strict=True)
         return np.concatenate([x[:0], *(x[i:j] if V is None else V @ x[i:j] for (_, _, V), i, j in runs)])
 

@@ -67,13 +67,16 @@ class Fit:
         return [slice(k, min(k + step, len(self.W))) for k in range(0, len(self.W), step)]
 
     def _whitened(self, blocks: Array | slice) -> Array:
-        """Compute and return the whitened columns of some blocks, shape (blocks m, p)."""
+        """Compute and return the whitened columns of some blocks, shape (len(blocks) m, p).
+
+        They are those of the base parameters, then those of the causes.
+        """
         causes = self._E.take(self._columns, blocks, self.combined)
         A = np.concatenate([self._base[blocks], causes], axis=2)
         return np.asarray((self.W[blocks] @ A).reshape(-1, A.shape[2]))
 
     def _columns_of(self, blocks: Array | slice) -> Array:
-        """Return the whitened columns of some blocks, shape (blocks m, p), cached or computed."""
+        """Return `_whitened` of some blocks, shape (len(blocks) m, p), cached or computed."""
         if self._cached_columns is None:
             return self._whitened(blocks)
         return np.asarray(
@@ -93,7 +96,10 @@ class Fit:
         return self.sums.less(total) if fewer is out else total
 
     def _solution(self, sums: NormalSums) -> Array:
-        """Return the posterior mean of the parameters from normal sums, shape (p,)."""
+        """Return the posterior mean of the parameters, shape (p,).
+
+        sums : normal sums of the blocks that count; the prior is added
+        """
         normal = sums.H + np.diag(self.prior**-2)
         scale = np.sqrt(np.diag(normal))
         right = (sums.g + self.mean / self.prior**2) / scale

@@ -71,7 +71,7 @@ class Chosen:
         return own if self.before is None else np.concatenate([self.before.axes(k, columns), own], axis=-1)
 
     def emptied(self, width: int) -> Chosen:
-        """Return the same model for `width` other columns, with empty caches."""
+        """Return the same model with empty caches for `width` other columns, to judge those."""
         V, b = ({k: CachedRows(width, rows.numbers) for k, rows in part.items()} for part in (self.V, self.b))
         return replace(self, V=V, b=b)
 
@@ -190,7 +190,7 @@ class Marginals:
         return self._chosen[key]
 
     def _base(self) -> Chosen:
-        """Return the model with the base parameters alone."""
+        """Return the model with the base parameters alone, without columns of causes."""
         model, P, sums = self.model, self.model.J.shape[2], self.sums
         weights, at = model.reference / model.prior, {}
         for k in model.near:
@@ -240,7 +240,10 @@ class Marginals:
         return Chosen(log_base, columns, new, combined, before, at, V, b)
 
     def _prepare(self, chosen: Chosen, groups: Sequence[Array]) -> None:
-        """Compute V and b of the columns of these groups and store them in `chosen`."""
+        """Compute V and b of columns, for all points in `near`, and store them in `chosen`.
+
+        groups : indices of the columns of each group; those that are stored are not computed again
+        """
         near, P, before = self.model.near, self.model.J.shape[2], chosen.before
         # Columns in the model are prepared too: a group may share some with them.
         asked = np.unique(np.concatenate(groups))

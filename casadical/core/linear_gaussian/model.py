@@ -133,7 +133,10 @@ class LinearModel:
         return cached
 
     def with_extended_cache(self, other: LinearModel) -> Self:
-        """Return this model, with the cached results of a model with fewer columns taken over."""
+        """Return this model, with the cached results of `other` taken over.
+
+        other : model with the same blocks and the first of these columns
+        """
         if "marginals" in other.cache:
             self.cache["marginals"] = other.marginals.extended(self)
         return self
@@ -210,7 +213,12 @@ class Projection:
     log_norm: float
 
     def columns(self, E: Array) -> Array:
-        """Return columns E, shape (n, m, k), whitened and projected, shape (n m + P, k)."""
+        """Return columns whitened and projected orthogonally to the base, shape (n m + P, k).
+
+        The last P rows are those of the prior of the base parameters.
+
+        E : columns before, shape (n, m, k)
+        """
         flat = (self.whitening @ E).reshape(-1, E.shape[2])
         out = -self.Q @ (self.Q[: len(flat)].T @ flat)
         out[: len(flat)] += flat

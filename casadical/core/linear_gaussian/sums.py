@@ -79,7 +79,10 @@ class GridSums:
 
     @property
     def columns(self) -> Array:
-        """Return whitened products of columns with base and residual, (columns, points, P + 1)."""
+        """Return whitened products of all columns with the P base columns and with the residual.
+
+        Their shape is (columns, points, P + 1), the residual's last; they are computed once.
+        """
         if self._columns is None:
             self._columns = self._products_with_base(self.E)
         return self._columns
@@ -226,7 +229,11 @@ class GridSums:
             self._accumulate_cross_products(sorted(some, key=lambda run: int(run[0])), new, points)
 
     def _accumulate_cross_products(self, runs: Sequence[Array], new: Array, points: Sequence[int]) -> None:
-        """Accumulate and cache products of new columns with runs at some points, in one pass."""
+        """Accumulate and cache whitened products of new columns with runs of columns, in one pass.
+
+        runs : indices of the columns of each run; new : indices of the new columns
+        points : indices of the grid points
+        """
         columns = np.concatenate(runs)
         E, R, every = self.E.only(new), self.E.only(columns), combined(columns, self.E.directions)
         edges = np.cumsum([0, *(combined(run, self.E.directions).width for run in runs)])
@@ -239,7 +246,10 @@ class GridSums:
                 self._cross[_key(run, k)].add(new, total[:, i, start:end])
 
     def _products_with_base(self, E: Columns) -> Array:
-        """Compute whitened products of columns with base and residual, (columns, points, P + 1)."""
+        """Compute whitened products of columns E with the P base columns and with the residual.
+
+        Their shape is (columns, points, P + 1), the residual's last.
+        """
         numbers = self.base.shape[1]
         total = np.zeros((E.shape[2], self._points, numbers))
         for blocks in self._parts(E):
@@ -285,7 +295,7 @@ class GridSums:
         return self._slices(max(E.shape[2], 1))
 
     def _slices(self, width: int) -> Iterator[slice]:
-        """Return slices of blocks for which `width` columns stay within the memory limit."""
+        """Return slices of all blocks such that `width` columns stay within the memory limit."""
         blocks, m = self._shape
         step = max(self._memory.min_blocks, self._memory.column_bytes // (8 * m * width))
         return (slice(first, min(first + step, blocks)) for first in range(0, blocks, step))
