@@ -385,7 +385,7 @@ def check_robot(
 
 
 def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequence[str]) -> None:
-    """Check the arguments of `check_robot`. Raises InputError."""
+    """Check that the arguments of `check_robot` are in their ranges. Raises InputError."""
     least = max(MIN_POSES, 3 * robot.n)
     if poses < least:
         raise InputError(f"{poses} poses; a campaign of {robot.name} needs at least {least}, or no robot is identified")

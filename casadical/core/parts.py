@@ -459,7 +459,10 @@ def lacks_masses(arm: Arm) -> bool:
 
 
 def with_estimated_masses(robot: A) -> A:
-    """Return the robot with the masses of all links estimated from its reach and marked as such."""
+    """Return the robot with masses [kg] and mass centres of all links estimated from its reach.
+
+    It is marked by `masses`, and their prior standard deviations are wide.
+    """
     shares = LINK_MASS_RATIO ** np.arange(robot.n)
     masses = LINK_MASS_PER_CUBED_REACH * robot.reach**3 * shares / shares.sum()
     joints = tuple(

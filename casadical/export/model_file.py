@@ -90,20 +90,22 @@ def robot_model(
     """Return a calibrated robot in the file format of another program, with what the format omits.
 
     source : robot file, whose values are taken, or problem folder, which is calibrated
-    form : mjcf, urdf; actuators, the drives by joint names; kinematics of a driver: ur,
-        standard_dh, modified_dh, xacro
+    form : "mjcf", "urdf", "actuators" (drive parameters by joint name) or a table of geometry for
+        other software: "ur", "standard_dh", "modified_dh", "xacro"
     nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
         own model
-    campaign : for mjcf: measured poses from which the robot is calibrated and diagnosed
-    effects : for mjcf: as of `casadical diagnose`
-    into : for mjcf: a user's model, whose joints have the names `joints`, by commas
-    springs : for mjcf: whether the user's model gets springs in addition to its joints
-    checksum : of the controller's own calibration, for `ur`
+    campaign : for "mjcf", table of measured poses from which the robot is calibrated and diagnosed
+    effects : for "mjcf", the effects to be diagnosed, as the option of `casadical diagnose`
+    into : for "mjcf", a user's MuJoCo model into which the calibrated geometry is written
+    joints : for `into`, names of the arm's joints in that model, separated by commas
+    springs : for `into`, whether compliant joints get springs in addition
+    checksum : for "ur", checksum of the controller's own calibration
     leave_out : whether effects that the format cannot represent are omitted; else they are refused
-    show : called with a line of progress
-    Returns `text` of the file, `lines` on what it leaves out and what that costs
-    Raises InputError: what is given has no part in this form, or effects have no place in it;
-        ConvergenceError: Ipopt finds no optimum.
+    show : function that is called with each line of progress
+    Returns the text of the file (`text`), and sentences on what it omits and the position error
+        that this causes (`lines`)
+    Raises InputError: an argument does not belong to this format, or the format cannot represent
+        an effect; ConvergenceError: Ipopt finds no optimum.
 
     Examples
     --------

@@ -298,7 +298,9 @@ def without_copies(
 ) -> tuple[list[Item], list[tuple[Item, Item]]]:
     """Return the items without copies, and a pair (copy, item that it repeats) for each copy.
 
-    same : whether two items are equal
+    The first of equal items counts as the original.
+
+    same : function that returns whether two items are equal
     """
     kept: list[Item] = []
     copies: list[tuple[Item, Item]] = []

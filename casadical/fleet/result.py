@@ -483,7 +483,11 @@ def common_departures(c: Common) -> Figure:
 
 
 def common_table(c: Common) -> Table:
-    """Return the table of a type's parameters: mean deviation, its standard error, spread."""
+    """Return the table of a robot type's parameters in readable units.
+
+    It has the mean deviation from the nominal value, its standard error, and the standard deviation
+    between the robots (spread).
+    """
     rows = [(name, f"{m:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit) for name, m, error, spread, unit in c.rows]
     strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
     head = ("parameter", "common", "std error", "spread", "unit")

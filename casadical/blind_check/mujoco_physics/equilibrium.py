@@ -199,7 +199,12 @@ class Engine:
         return float(self.data.qpos[self._row[joint]])
 
     def _arrange(self, stop: Stop) -> None:
-        """Reset the model and apply a pose's settings, payload and start."""
+        """Reset the simulator and apply the settings, payload and start coordinates of a pose.
+
+        Some coordinates keep their values from the pose before.
+
+        stop : the pose
+        """
         m, d = self.model, self.data
         kept = d.qpos[self._keeps].copy()
         self.mujoco.mj_resetData(m, d)

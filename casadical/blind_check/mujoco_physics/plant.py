@@ -253,7 +253,10 @@ def _radians(degrees: Any) -> float:
 
 
 def _table(robot: Mapping[str, Any], key: str, shape: tuple[int, ...]) -> Array:
-    """Return the array at a key of a mapping after a check of its shape. Raises InputError."""
+    """Return the numbers at a key of a robot's data as an array of a required shape.
+
+    Raises InputError: another shape, or numbers that are not finite.
+    """
     table = np.array(robot[key], float)
     if table.shape != shape or not np.isfinite(table).all():
         raise InputError(f"robot: {key} has shape {table.shape}; it must be finite numbers of shape {shape}")

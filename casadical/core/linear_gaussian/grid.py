@@ -68,7 +68,8 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
 def _explained(unit: Array, value: Array, square: Array) -> Array:
     """Return the sum of square / (unit + value) over the eigenvectors, shape (groups, units).
 
-    unit : shape (units,); value, square : shape (groups, width)
+    unit : (sigma / kappa)^2, shape (units,)
+    value, square : as of `gain`, shape (groups, width)
     """
     total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
     for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):

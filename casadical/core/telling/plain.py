@@ -77,7 +77,11 @@ def plain(value: Any) -> Any:
 
 
 def _by_keys(result: Any) -> dict[str, Any]:
-    """Return a dataclass as a dict of its marked fields and derived keys, or of all its fields."""
+    """Return a dataclass as a dict, plain data by key.
+
+    It has the fields whose metadata has a `Key` and the keys that `derived` adds; all fields if
+    there are none of either.
+    """
     marked = [(f.name, f.metadata.get("key")) for f in fields(result)]
     derived = tuple(getattr(result, "derived", ()))
     keys = [(name, key) for name, key in marked if key] + [(key.name, key) for key in derived]

@@ -46,7 +46,7 @@ def terminal(blocks: Sequence[Block]) -> RenderableType:
 
 
 def _rendered(block: Words | Table) -> RenderableType:
-    """Return a block as an object that a console of rich prints."""
+    """Return a block of text or a table as an object that a console of the library rich prints."""
     from rich.text import Text  # in which brackets are not markup
 
     if isinstance(block, Table):

@@ -69,7 +69,10 @@ def pose_size(command: Command) -> int:
 
 
 def _step(command: Command) -> "_Step":
-    """Return the least-squares step for the directions in which the joints move the tool."""
+    """Return the form of the least-squares step that suits a command.
+
+    Where the joints cannot reach all six directions of a pose, it corrects the position first.
+    """
     n, damping, (position, orientation) = len(command.lower), command.limits.damping**2, command.freedom
     if residual_size(command) == 6 and position + orientation < 6:
         return _PositionFirst(n, 6, damping, position, orientation)
@@ -133,9 +136,12 @@ class _PositionFirst(_Step):
         return (self.m + 3) * self.n + 2 * _factor_size(3)
 
     def factored(self, J: SX) -> tuple[SX, SX]:
-        """Return J, (6, n), with the factors of both problems as one vector, and the weakness.
+        """Return J with the factors of the position and orientation problems, and the weakness.
 
-        The weakness is the sum of those of position and orientation [rad^2/m^2].
+        J and the factors are one vector of `size` numbers. The weakness is the sum of those of
+        position and orientation [rad^2/m^2].
+
+        J : Jacobian of position and scaled orientation by the joints, shape (6, n)
         """
         Jp, Jo = J[:3, :], J[3:, :]
         L, inverse = self._factors(Jp)
@@ -178,10 +184,13 @@ def _flat(function: casadi.Function, q: SX) -> SX:
 
 
 def residual(target: SX, now: SX) -> SX:
-    """Return the residual of a target: position error [m], and for poses the scaled rotation [m].
+    """Return the residual of a target: position error [m], then for poses the scaled rotation [m].
 
-    The rotation vector is the one from `now` to `target` (small angles), times
-    `ORIENTATION_LENGTH_M`. Both arguments have 3 or 12 entries, in one common frame.
+    It has 3 or 6 entries. The rotation vector is the one from `now` to `target` (small angles),
+    times `ORIENTATION_LENGTH_M`.
+
+    target, now : position [m] and, for poses, the columns of the rotation matrix, 3 or 12 entries,
+        both in one frame
     """
     if target.numel() == 3:
         return target - now

@@ -228,8 +228,10 @@ def periodic_tables(function: casadi.Function) -> list[tuple[tuple[float, ...], 
 def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tuple[float, ...], float]:
     """Return the smallest spline table of one output that is accurate enough, and its error bound.
 
-    output : index of the output; samples : its values over one turn
-    Raises InputError: none is.
+    function : function of one angle that the table replaces
+    output : index of the output; samples : its values at equidistant angles over one turn
+    Returns the entries of the table, and the bound in the unit of the output
+    Raises InputError: none is accurate to `MAX_TABLE_ERROR`.
     """
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _HARMONIC_SAMPLES
     bound = np.inf

@@ -260,9 +260,11 @@ def forward(program: TapeProgram, q: Array) -> tuple[Array, Array]:
 
 
 def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array, Array]:
-    """Return outputs and status of a tape at readings q, which are clipped to a box.
+    """Return outputs of a tape, (k, outputs), and statuses, (k,), at readings clipped to a box.
 
-    tape, box : names of the tape and of the box
+    The outputs are zero where the status is NOT_FINITE.
+
+    q : readings, shape (k, n) [rad or m]; tape, box : names of the tape and of the box
     """
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
     x, status = boxed(q, program.boxes[box], program.sum_scale)
@@ -275,7 +277,10 @@ def _values(program: TapeProgram, q: Array, tape: str, box: str) -> tuple[Array,
 def correct(program: TapeProgram, q: Array) -> tuple[Array, Array]:
     """Return corrections to add to commanded joints, (k, n) [rad or m], and status, shape (k,).
 
-    q : commanded joints, shape (k, n) [rad or m]
+    With them the calibrated robot's tool is where the nominal robot has it at the command; they are
+    zero where the status is NOT_FINITE.
+
+    q : commanded joints, shape (k, n) [rad or m], which are clipped to the command's box
     """
     assert program.command is not None
     q = np.ascontiguousarray(q, NUMPY_TYPE[program.real])
@@ -303,7 +308,10 @@ def _limited(v: Array, limit: Any) -> tuple[Array, Array]:
 
 
 def _chord(program: TapeProgram, command: Command, x: Array) -> tuple[Array, Array]:
-    """Return joint corrections, (k, n) [rad or m], and the status of each, (k,).
+    """Return joint corrections by the chord method, (k, n) [rad or m], and statuses, (k,).
+
+    They start from zero and take the program's number of least-squares steps with the Jacobian at
+    the command.
 
     x : commanded joints within the box, shape (k, n) [rad or m]
     """

@@ -73,7 +73,7 @@ class Cell:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Return the unit of each joint's reading, rad or m."""
+        """Return the unit of each joint's reading, "rad" or "m", n words."""
         if self.folder:
             return self.folder.units or ("rad",) * self.folder.joints
         assert self.sources is not None
@@ -112,7 +112,10 @@ class Cell:
         return self._made[key]
 
     def _tool_models(self, sources: Sources) -> ToolModels:
-        """Return correction and models for robot files whose tool is set."""
+        """Return the correction, and functions of the tool poses of both robots, for one tool.
+
+        sources : robot files with this tool
+        """
         plain = command_of(sources, self.steps)
         corrector = model_corrector(plain)
         if self.orientation:

@@ -278,7 +278,10 @@ def _elements(name: str, value: Tree[Token]) -> list[tuple[str, Tree[Token]]]:
 
 
 def _tool_of(last: Tree[Token]) -> tuple[str, str]:
-    """Return the names of tool and work object of a motion, from its last argument."""
+    """Return the names of tool and work object of a motion, from its last argument, in lower case.
+
+    The tool is "" if it is no variable; without a work object it is "wobj0".
+    """
     tool = next((str(ref.children[0]).lower() for ref in parts(last, "ref")), "")
     options = (option for option in parts(last, "option") if str(option.children[0]).lower() == "wobj")
     works = [_variable(option) for option in options if parts(option, "ref")]
