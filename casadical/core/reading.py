@@ -25,30 +25,32 @@ from typing import Any
 from casadical.core.basics import InputError, shown
 from casadical.core.files import own_stream
 
-# Largest size of a table of measurements [bytes].
+# Largest size of a table of measurements [bytes]; larger files are refused.
 MAX_TABLE_BYTES = 500_000_000
-# Largest size of a TOML file, an XML file or a robot program [bytes].
+# Largest size of a TOML file, an XML file or a robot program [bytes]; larger ones are refused.
 MAX_TEXT_BYTES = 10_000_000
-# Largest size of a JSON file [bytes].
+# Largest size of a JSON file [bytes]; larger ones are refused.
 MAX_JSON_BYTES = 100_000_000
-# Largest size of an archive after unpacking [bytes].
+# Largest size of an archive after unpacking [bytes]; larger ones are refused.
 MAX_UNPACKED_BYTES = 100_000_000
 # Largest number of cells of a spreadsheet workbook; larger ones are refused.
 MAX_WORKBOOK_CELLS = 300_000
 # Largest number of values, rows times columns, of a plain CSV or Parquet table or a joint log;
 # larger ones are refused.
 MAX_TABLE_NUMBERS = 30_000_000
-# Largest number of items of one kind in a file: parameters, harmonics, joints, rows of a grid.
+# Largest number of items of one kind in a file (parameters, harmonics, joints, rows of a grid);
+# files with more are refused.
 MAX_ITEMS = 1000
-# Largest absolute value of a number in a file; squares and products of it are still finite doubles.
+# Largest absolute value of a number in a file; greater ones are refused, so that squares and
+# products are finite doubles.
 LARGEST_NUMBER = 1e100
 # Smallest absolute value of a number in a file other than zero; smaller ones are refused.
 SMALLEST_NUMBER = 1e-100
 # Largest length of a text in a file, such as a name or title [characters]; longer ones are refused.
 MAX_TEXT_CHARACTERS = 10_000
-# Largest depth of nested tables and lists in a file.
+# Largest depth of nested tables and lists in a file; files with a greater one are refused.
 MAX_NESTING = 50
-# Largest number of digits of an integer in JSON.
+# Largest number of digits of an integer in JSON; longer ones are refused.
 MAX_INTEGER_DIGITS = 100
 
 # Pattern of the encoding that the declaration of an XML file states.

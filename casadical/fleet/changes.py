@@ -53,7 +53,8 @@ MAX_AMOUNTS_SHOWN = 8
 MAX_USUAL_RATIO = 1.2
 # Probability that a ratio above MAX_USUAL_RATIO is reported by chance, over all campaigns together.
 FALSE_ALARM_PROBABILITY = 0.01
-# Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's reach.
+# Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's reach; a
+# greater one is reported as unusual.
 MAX_SIGMA_OF_REACH = 0.003
 # End of a sentence on unusual residuals.
 NO_KNOWN_CAUSE = (

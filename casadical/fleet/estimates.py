@@ -34,7 +34,7 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Number of random poses that stand for the measured ones of a robot file, which does not store
+# Number of random poses that replace the measured ones of a robot file, which does not store
 # them.
 DRAWN_POSES = 200
 
