@@ -136,8 +136,8 @@ class InvasiveWeeds:
     """A search in progress: ``while not search.stop(): search.tell(losses_of(search.ask()))``.
 
     dimension : number of coordinates
-    settings : of the search; None: the paper's
-    seed : of its own random generator
+    settings : settings of the search; None: the paper's
+    seed : seed of its own random generator
     start : shape (k, dimension): members to begin with instead of some of the random ones
 
     Examples

@@ -71,18 +71,19 @@ class Drive(TomlTable):
     friction : dry friction torque [N m]
     damping : viscous friction and all else that grows with speed [N m s/rad]
     bias : constant torque [N m]
-    torque_limit : at the joint [N m]; current_limit : of the motor [A]
-    speed_limit : of the joint [rad/s]
+    torque_limit : largest torque at the joint [N m]; current_limit : largest motor current [A]
+    speed_limit : largest speed of the joint [rad/s]
     gear_ratio : motor revolutions per revolution of the joint
-    torque_constant, rotor_inertia : on the motor's side [N m/A, kg m^2]
+    torque_constant : torque per current, on the motor's side [N m/A]
+    rotor_inertia : inertia of the rotor, on the motor's side [kg m^2]
     rotor_inertia_at_joint : rotor inertia times the gear ratio squared [kg m^2]
-    joint_stiffness : of the gear, between motor and joint [N m/rad]
+    joint_stiffness : stiffness of the gear, between motor and joint [N m/rad]
     encoder_side : the side of the gear on which the logged position is measured
     encoder_quantum : resolution of the logged position, at the joint [rad]
     current_quantum : resolution of the logged current [A]
     command_logged : description of the logged command (before or after limits, interpolation and so
         on)
-    delay : from the logged command to the servo [s]
+    delay : time from the logged command to the servo [s]
     command_filter : time constant of the filter of commands [s]
     read_skew : time between the readings of one joint and the next [s]
     floor : height of the tool point when the arm rests on the surface below, over the origin of the

@@ -58,7 +58,7 @@ def compare_files(
         change
     same_frame : whether all positions are in one measuring frame, so that a base that moved is a
         change
-    show : called with a line of progress
+    show : function that is called with each line of progress
     Returns what changed; of three campaigns or more, unusable ones are dropped and named in its
     notes
     Raises InputError: fewer than two campaigns that can be used, with what is wrong in them; a
@@ -118,7 +118,7 @@ def _understood_by(files: Sequence[Path]) -> Path | None:
 def later_tables(folder: Path) -> tuple[list[Path], float | None]:
     """Return the tables in a problem's folder `campaigns`, and the day of the problem's own table.
 
-    The day is that of a copy of the own table in the folder; None if there is none.
+    The day, in days since 1970, is that of a copy of the own table in the folder; None without one.
     """
     own = {read_bytes(table) for table in own_tables(folder)}
     tables = sorted((folder / CAMPAIGNS_FOLDER).glob("*.csv"))

@@ -43,7 +43,7 @@ DRAWN_POSES = 200
 class Estimate(Shown):
     """Information of one campaign on a robot's parameters.
 
-    robot : as the campaign identified it, with harmonics of its joints added at zero
+    robot : robot as the campaign identified it, with harmonics of its joints added at zero
     names : names of the k parameters that are not fixed, base and tool among them
     values : values about which the log likelihood is expanded, shape (k,) [SI]
     information : information matrix of the parameters, shape (k, k), in units of their scale

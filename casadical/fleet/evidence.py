@@ -120,7 +120,7 @@ def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_fr
 def candidates_of(robot: Robot, names: Sequence[str]) -> tuple[Candidate, ...]:
     """Return all candidates for changes in the parameters `names`, which span their columns.
 
-    robot : with the harmonics of its joints as its last effect
+    robot : robot with the harmonics of its joints as its last effect
     """
     chosen = [robot.parameters[n] for n in names]
     effects = [

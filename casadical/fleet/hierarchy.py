@@ -126,7 +126,7 @@ class Common:
         mean plus the variance between robots. Parameters that the fleet did not determine keep the
         value of the drawing, with a standard deviation of `MIN_SPREAD`.
 
-        robot : as drawn, with the nominal values of the type
+        robot : robot as drawn, with the nominal values of the type
         """
         own = [k for k, n in enumerate(self.names) if n in robot.parameters.names]
         names = tuple(self.names[k] for k in own)

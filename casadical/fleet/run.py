@@ -40,7 +40,7 @@ def run_fleet(
     scheduler : address of a Dask scheduler, as tcp://host:8786; None: processes of this machine
     workers : number of processes on this machine; None: one per core
     with_diagnosis : whether every robot is diagnosed, which takes longest
-    show : called with a line of progress
+    show : function that is called with each line of progress
     Returns all robots of the store that were asked for, and what they have in common
     Raises InputError: no robots, a store that cannot be used, a scheduler that does not answer.
     Rows that were computed before an error stay in the store.
@@ -231,7 +231,7 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
 def _refuse_other_versions(client: Any, scheduler: str) -> None:
     """Check that a scheduler has workers and all of them this version of casadical.
 
-    client : of the scheduler at the address `scheduler`
+    client : dask client of the scheduler at the address `scheduler`
     Raises InputError.
     """
     versions = client.run(locate, "casadical.__version__")

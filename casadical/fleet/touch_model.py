@@ -347,7 +347,7 @@ class TouchModel:
     def drawn(self, seed: int = 0) -> Draws:
         """Return `NUMBER_OF_DRAWS` posterior samples of the change and the remaining errors.
 
-        seed : of the random generator
+        seed : seed of the random generator
         """
         rng, every = np.random.default_rng(seed), list(self._hypotheses())
         prior = sum(float(h.weight.sum()) for h in every) / len(self.likelihood_terms)

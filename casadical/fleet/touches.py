@@ -447,7 +447,7 @@ def plan_touches(
         [remaining] is added; None: that error alone, or 0.1 mm without one
     room : workspace file; None: the robot's joint limits
     touched : touches of today, to which these are added
-    seed : of the search
+    seed : random seed of the search
     Returns a table with one row of readings and predicted position per touch. Raises InputError.
     """
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
@@ -465,19 +465,19 @@ def touched(
     fleet: str | Path | None = None,
     seed: int = 0,
 ) -> Touches:
-    """Return the verdict of touched points of one or several days on a calibrated robot.
+    """Return whether a calibrated robot is still valid, from points touched on one or several days.
 
     The points are positions in the measuring frame of the calibration.
 
     robot : as of `plan_touches`
-    tables : one per day; the last one by date is judged, the others are its history; of more than
-        30 the last 30 are used
+    tables : touched points, a file per day; the last one by date is judged, the others are its
+        history; of more than 30 the last 30 are used
     tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:
         twice what the file states
     noise_mm : standard deviation of a touched coordinate [mm]; None: not known
     fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
         None: those of `CHANGE_FREQUENCY`
-    seed : of the posterior samples
+    seed : random seed of the posterior samples
     Raises InputError: no positions, fewer than two of them, another frame or robot, a file without
         covariance.
     """

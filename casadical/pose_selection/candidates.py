@@ -286,7 +286,7 @@ def _later_column(name: str, logged: Array | None, warm: Array, states: Array, r
     Payload and approach are random, the temperature is by `warm`, `progress` is 1, and others are
     drawn from the campaign's values.
 
-    name : of the column; logged : the campaign's values, None: it has none
+    name : name of the column; logged : the campaign's values; None: it has none
     warm : whether the arm is to be warm at each pose, shape (K,); states : payloads [kg]
     """
     if name == "progress":

@@ -83,7 +83,7 @@ class Instrument:
         `POINT_SCALE`; it is taken at the robot's values.
 
         m : poses with model positions, for sockets with the column `SOCKET_COLUMN`
-        noise : of a distance, or of a coordinate in a socket, and of the joints
+        noise : noise of a distance, or of a coordinate in a socket, and of the joints
         """
         J, covariance = scaled_jacobian(robot, names, m), noise_covariance(robot, m, Noise(1e-12, noise.repeatability))
         n, k = len(m), len(self.places)

@@ -198,8 +198,8 @@ def forecast(
 
     most : largest number of poses, measured ones included
     workspace, circumstances, measured, free, noise, pool, instrument, prior : as of `select_poses`
-    task : shape (T, joints) [rad or m]: as of `select_poses`
-    seed : of everything random
+    task : as of `select_poses`, shape (T, joints) [rad or m]
+    seed : seed of all random numbers
     Raises InputError: nothing can be chosen.
 
     Examples
@@ -253,15 +253,15 @@ def place_instrument(
 
     robot : robot with base and tool as far as they are known
     kind : as of `Instrument`
-    places : shape (K, 3) [m]: candidates, in the measuring frame
+    places : candidates for the places, in the measuring frame, shape (K, 3) [m]
     count : required number of places
-    known : whether the places will be measured, too
+    known : whether the places will be measured, too, so that they are not unknown
     workspace : which poses can be measured
-    q : shape (n, joints) [rad or m]: poses that will be read by wires; None: random ones
+    q : poses that will be measured by wires, shape (n, joints) [rad or m]; None: random ones
     free : as of `select_poses`
-    task : shape (T, joints) [rad or m]: as of `select_poses`
-    noise : of a distance, or of a coordinate in a socket
-    seed : of the random generator
+    task : as of `select_poses`, shape (T, joints) [rad or m]
+    noise : noise of a distance, or of a coordinate in a socket; None: as of `select_poses`
+    seed : seed of the random generator
     Raises InputError: too few candidates, or a socket out of reach.
 
     Examples

@@ -16,7 +16,7 @@ from casadical.core.basics import Array, InputError
 class Iwo(Trainer):
     """Invasive weed optimisation of all weights.
 
-    settings : of the search
+    settings : settings of the search
     precision : precision in which the colony's losses are compared, "double" or, in about half the
         time, "single"; weights and all reported losses are double in both
     """

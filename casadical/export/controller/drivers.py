@@ -32,7 +32,7 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
     sources : calibrated and nominal robot
     form : `ur` (kinematics YAML of the UR ROS 2 description), `standard_dh`, `modified_dh` (CSV),
         or `xacro`
-    checksum : of the controller's own calibration, for `ur`: the driver compares it
+    checksum : checksum of the controller's own calibration, for `ur`: the driver compares it
     Raises InputError: another form, a robot with closed loops, or one that has not the structure of
     the form.
     """

@@ -143,7 +143,7 @@ def replay_campaign(
     m : measured positions of the campaign
     effects : effects to consider, as of `diagnose`
     seed : seed of the random choice of held-out poses
-    show : called with a line of progress
+    show : function that is called with each line of progress
     Raises InputError: the measurements cannot carry a diagnosis, or MuJoCo is not installed;
         ConvergenceError: Ipopt finds no optimum, or the simulator no equilibrium.
 
