@@ -13,6 +13,7 @@ from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 from casadical.core.telling.blocks import next_step
+from casadical.diagnosis.settings import SETTINGS
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -254,14 +255,14 @@ def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None,
 
 def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path]) -> Words:
     """Return the next command: to keep what was found, or to measure poses that decide more."""
-    from casadical.diagnosis.statements import MIN_DECISION_GAIN, gain_of
+    from casadical.diagnosis.statements import gain_of
 
     d, poses, typed = found.diagnosis, found.details.poses, sys.argv[1:]
     if any(cause.effects for cause in d.causes):
         return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
     if d.verdict == "none":
         return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
-    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= MIN_DECISION_GAIN:
+    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= SETTINGS.min_decision_gain:
         return next_step("for poses that tell more", *typed, "--next", "next.csv")
     u = found.details.unlisted
     unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()

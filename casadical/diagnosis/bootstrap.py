@@ -16,9 +16,6 @@ from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, RHO_GRID, Ev
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 
-# Draws that are evaluated at once, which bounds memory.
-DRAWS_PER_BATCH = 500
-
 
 @dataclass(frozen=True, eq=False)
 class Group:
@@ -63,8 +60,8 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
     projections = [e.projected(float(RHO_GRID[k])) for k in rhos]
     white = [p.columns(E) for p in projections]
     groups = [_groups(case, columns) for columns in white]
-    for first in range(0, draws, DRAWS_PER_BATCH):
-        noise = noise_alone(e, share, min(DRAWS_PER_BATCH, draws - first), rng)
+    for first in range(0, draws, 500):  # some draws at once, which bounds memory
+        noise = noise_alone(e, share, min(500, draws - first), rng)
         total = [
             log_likelihoods(columns, p.columns(noise), own, e.sigmas[sigmas], p.log_norm, e.count - e.absorbed)
             for columns, p, own in zip(white, projections, groups, strict=True)

@@ -16,20 +16,6 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-# Number of first causes from which sets are built.
-MAX_FIRST_CAUSES = 6
-# Number of sets of each larger size that are expanded.
-BEAM_WIDTH = 3
-# Log evidence [nats] that each additional cause of a set must gain.
-MIN_LOG_GAIN = 8.0
-# Probability of all listed sets against those with an unlisted cause from which no cause is in
-# doubt.
-MIN_LISTED_SHARE = 0.9
-# Number of causes up to which a set with an unlisted cause is expanded.
-MAX_UNLISTED_CAUSES = 2
-# Number of times that the best listed set is expanded to see whether a larger one is better.
-MAX_BEST_SET_UPDATES = 4
-
 # Causes of a set by label, with their settings.
 Chosen = Mapping[str, tuple[Effect, ...]]
 # Returns the ranking given each of some sets.
@@ -99,7 +85,7 @@ class _Search:
             labels
             for s in sets
             for labels, label, _ in s.more()
-            if labels <= self.listed and s.ranking.log_factor[label] > MIN_LOG_GAIN
+            if labels <= self.listed and s.ranking.log_factor[label] > SETTINGS.min_set_log_gain
         }
 
 
@@ -121,15 +107,24 @@ def most_probable_set(
     """
     search = _Search(rankings_given, variants, listed)
     root = search.take(_Set({}, 0.0, first))
-    frontier, width = [root], MAX_FIRST_CAUSES
+    # Sets are built from six first causes, and from three sets of each larger size.
+    frontier, width = [root], 6
     for _ in range(SETTINGS.max_causes - steps):
         frontier = search.expand(search.best(search.gaining(frontier), width))
         if not frontier:
             break
-        width = BEAM_WIDTH
-    _follow_unlisted(search, root)
+        width = 3
+    # The best set that begins with an unlisted cause is expanded up to two causes, so that the
+    # comparison is fair.
+    found, unlisted = root, [k for k in first.order if k not in listed and k in variants]
+    for k in range(2 if unlisted else 0):
+        label = unlisted[0] if not k else next((c for c in found.ranking.order if c in variants), None)
+        if label is None or found.ranking.log_factor[label] < SETTINGS.min_set_log_gain:
+            break
+        (found,) = search.expand([frozenset((*found.chosen, label))])
     none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
-    for _ in range(MAX_BEST_SET_UPDATES):
+    # The best listed set is expanded a few times to see whether a larger one is better.
+    for _ in range(4):
         listed_sets = [k for k in search.mass if k <= listed]
         if not listed_sets:
             return (), frozenset()
@@ -146,18 +141,8 @@ def most_probable_set(
     total = np.append(closed, none)
     there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
-    # If the listed sets are not that probable, each cause must be in sets of probability 0.95.
-    doubted = frozenset(c for c in best if share < MIN_LISTED_SHARE and without[c] > 1 - 0.95)
+    # Where all listed sets together are less probable than 0.9, against those with an unlisted cause,
+    # each cause must be in sets of probability 0.95.
+    doubted = frozenset(c for c in best if share < 0.9 and without[c] > 1 - 0.95)
     before, last = search.reached[best]
     return ((), frozenset()) if doubted == best else ((*before.chosen, last), doubted)
-
-
-def _follow_unlisted(search: _Search, root: _Set) -> None:
-    """Expand the best set that begins with an unlisted cause, so that the comparison is fair."""
-    unlisted = [k for k in root.ranking.order if k not in search.listed and k in search.variants]
-    found = root
-    for k in range(MAX_UNLISTED_CAUSES if unlisted else 0):
-        label = unlisted[0] if not k else next((c for c in found.ranking.order if c in search.variants), None)
-        if label is None or found.ranking.log_factor[label] < MIN_LOG_GAIN:
-            return
-        (found,) = search.expand([frozenset((*found.chosen, label))])

@@ -16,11 +16,9 @@ from casadical.core.statistics import best_of, robust_std
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Change
+from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.prior import Prior, probability_of_change
 from casadical.measurements.measurements import Noise
-
-# Probability of a change from which the earlier campaign's prior of a part is dropped.
-MIN_CHANGE_PROBABILITY = 0.5
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
@@ -43,7 +41,7 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
                 factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
         untested = [key for key in parts if key not in done]
         first = best_of(untested, factor.__getitem__, logs=True) if untested else None
-        if first is None or probability_of_change(factor[first]) < MIN_CHANGE_PROBABILITY:
+        if first is None or probability_of_change(factor[first]) < SETTINGS.min_change:
             return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)
         prior = prior.with_nothing_known(parts[first])

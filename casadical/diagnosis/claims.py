@@ -13,12 +13,6 @@ from casadical.diagnosis.search import End, State, Step, indistinguishable, next
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Lower bound of probabilities in denominators.
-MIN_PROBABILITY = 1e-12
-# A doubtful cause is kept only if it is at least this probable, together with the causes that the
-# data cannot distinguish from it.
-MIN_DOUBTFUL_PROBABILITY = 0.5
-
 
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
     """Return the state with only the causes that are certain, and why the search ended.
@@ -40,7 +34,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     further = SETTINGS.max_p_nothing_further
     certain = [s for s in there if _is_certain(state, s) and (alone or s.ranking.none <= further)]
     doubtful = [s for s in there if s not in certain and _is_listed(state, s)]
-    doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= MIN_DOUBTFUL_PROBABILITY]
+    doubtful = [s for s in doubtful if sum(s.ranking.probability[k] for k in s.labels) >= SETTINGS.min_doubtful]
     strongest = best_of(doubtful, _evidence, logs=True) if doubtful else None
     if strongest and all(_evidence(strongest) > _evidence(s) + TIE_TOLERANCE for s in certain):
         certain = [strongest, *certain]
@@ -140,7 +134,7 @@ def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> Ca
     unsaid = [k for k in state.listed(last) if k not in named_labels]
     likely = [k for k in unsaid if last.probability[k] >= SETTINGS.min_ambiguous][: SETTINGS.max_ambiguous]
     further = {k: last.probability[k] for k in likely}
-    if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < MIN_DOUBTFUL_PROBABILITY:
+    if not found or last.none > SETTINGS.max_p_nothing_further or sum(further.values()) < SETTINGS.min_doubtful:
         return found
     effects = state.by_label[likely[0]].variants[last.variant[likely[0]]]
     columns = np.union1d(state.columns(), state.case.group(effects))
@@ -160,16 +154,14 @@ def cause_set(state: State) -> CauseSet | None:
     # Odds of each set against the named one; another label of a cause in the set is no additional
     # cause.
     named_labels = {k for step in state.steps for k in step.labels}
-    odds = {
-        (*own, k): p / max(last.none, MIN_PROBABILITY) for k, p in last.probability.items() if k not in named_labels
-    }
+    odds = {(*own, k): p / max(last.none, 1e-12) for k, p in last.probability.items() if k not in named_labels}
     more = sum(odds.values())
     against, names = {}, {}
     for step, label in zip(state.steps, own, strict=True):
         ranking, rest = step.ranking, tuple(k for k in own if k != label)
         if len(step.labels) > 1:
             names[label] = {k: ranking.probability[k] for k in step.labels}
-        p = max(sum(ranking.probability[k] for k in step.labels), MIN_PROBABILITY)
+        p = max(sum(ranking.probability[k] for k in step.labels), 1e-12)
         others = {k: q / p for k, q in ranking.probability.items() if k not in step.labels}
         odds |= {(*rest, k): q for k, q in others.items()} | {rest: ranking.none / p}
         against[label] = (1 - p) / p

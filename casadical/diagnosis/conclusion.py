@@ -15,7 +15,7 @@ from casadical.diagnosis.cross_validation import (
     partitions,
     shrink_interval,
 )
-from casadical.diagnosis.held_out_gap import Stage, course
+from casadical.diagnosis.held_out_gap import course
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount, account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
@@ -110,11 +110,11 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
     return further if error < floor else None
 
 
-def _stages(state: State, noise: Noise) -> list[Stage]:
+def _stages(state: State, noise: Noise) -> list[tuple[str, Array, Noise]]:
     """Return the model's stages as it grows cause by cause, each with the noise that it leaves."""
     names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
     noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
-    return [Stage(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
+    return [(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
 
 
 def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:

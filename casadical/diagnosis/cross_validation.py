@@ -14,9 +14,6 @@ from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, SIGMA_GRID_M, 
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Number of folds of a partition of the poses.
-FOLDS = 5
-
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
     """Return the most probable noise of a log likelihood, shape (rhos, sigmas, ...).
@@ -126,11 +123,11 @@ def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
     alike : index of the unknown point of each pose, shape (n,); poses with the same point are
         spread over the folds
     """
-    folds = np.random.default_rng(seed).permutation(np.arange(n) % FOLDS)
+    folds = np.random.default_rng(seed).permutation(np.arange(n) % SETTINGS.folds)
     if alike is None:
         return folds
     spread = np.empty(n, dtype=folds.dtype)
-    spread[np.lexsort((folds, alike))] = np.arange(n) % FOLDS
+    spread[np.lexsort((folds, alike))] = np.arange(n) % SETTINGS.folds
     return spread
 
 

@@ -16,10 +16,11 @@ from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.noise_forms import NOISY_JOINT_FACTOR, noisy_joint
+from casadical.diagnosis.noise_forms import noisy_joint
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
-from casadical.diagnosis.search import MAX_P_NOTHING_UNDER_FORM, State, next_cause, search, search_with_forms
+from casadical.diagnosis.search import State, next_cause, search, search_with_forms
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.identification.identification import (
     Prepared,
@@ -38,8 +39,6 @@ from casadical.robot.robot import Robot
 
 __all__ = ["Diagnosis", "Masses", "diagnose"]
 
-# Start of the reason (a text) for fixed parameters where measurements do not determine the base.
-UNDETERMINED_BASE_REASON = "nothing at rest"
 
 # Treatment of wrong declared link masses: a candidate cause, or nuisance parameters of the base
 # model.
@@ -165,10 +164,10 @@ class _Question:
         if joint is None:
             return found
         self.show(f"causes beside the scatter of joint {joint}")
-        with_it, _, _ = search(case.with_scatter(joint, NOISY_JOINT_FACTOR), self.seed, 0, self.show)
-        if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > MAX_P_NOTHING_UNDER_FORM:
+        with_it, _, _ = search(case.with_scatter(joint, SETTINGS.noisy_joint_factor), self.seed, 0, self.show)
+        if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > SETTINGS.max_p_nothing_under_form:
             return found
-        plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / NOISY_JOINT_FACTOR))
+        plain = replace(with_it, case=with_it.case.with_scatter(joint, 1 / SETTINGS.noisy_joint_factor))
         plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()
         more = conclude(self.base, plain, next_cause(plain, plain.rankings[-1])[0], self.seed, p_nothing)
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
@@ -262,7 +261,8 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     if case.observations.plain:
         return tuple(said)
     held = (u.reason.split(";")[0] for u in found.identifiability.held)
-    said += dict.fromkeys(reason for reason in held if reason.startswith(UNDETERMINED_BASE_REASON))
+    # The reason for fixed parameters begins so where measurements do not determine the base.
+    said += dict.fromkeys(reason for reason in held if reason.startswith("nothing at rest"))
     stops = case.observations.stops
     if stops.most > 1:
         said.append(

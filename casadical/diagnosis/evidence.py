@@ -16,7 +16,7 @@ from typing import ClassVar, Self
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
+from casadical.core.linear_gaussian.columns import array_columns, serial_columns
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.linear_gaussian.model import LinearModel, Projection
@@ -40,27 +40,6 @@ KAPPA_GRID = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
 # Name of the noise component that the joints add (see `NoiseModel`).
 REPEATABILITY = "repeatability"
-
-# Scale of the Student's t prior of the logarithm of true over declared sigma: a declaration that is
-# wrong by a factor of three costs 4 nats and is overruled by a few dozen measured numbers.
-LOG_SD_OF_DECLARED = 0.2
-# Degrees of freedom of the Student's t prior of log(true / declared sigma); its heavy tails allow
-# for a wrong declaration.
-DECLARED_SIGMA_FREEDOM = 2.0
-# Scale of the Student's t prior of log(true / declared sigma) where sigma is half the largest error
-# that a data sheet states; it is wider, because the margin that makers leave differs.
-LOG_SD_OF_DATA_SHEET = 0.5
-
-# A direction of the base parameters counts as determined if the data carry at least this many times
-# the information of its prior.
-MIN_INFORMATION_RATIO = 100.0
-# Factor on the prior standard deviation of a base direction that the data determine.
-DETERMINED_PRIOR_FACTOR = 100.0
-# Outer node, in standard deviations, of the three-point Gauss-Hermite rule that integrates over the
-# logarithm of a table's noise ratio.
-HERMITE_NODE = 3.0**0.5
-# Weight of each outer node of the three-point Gauss-Hermite rule.
-HERMITE_WEIGHT = 1 / 6
 
 
 @dataclass(frozen=True)
@@ -145,7 +124,7 @@ class Evidence(LinearModel):
     def with_causes_alone(self, columns: Array) -> Self:
         """Return the model with these columns in the base, no candidates and noise as assumed."""
         alone = self.with_base(columns)
-        return replace(alone, E=ArrayColumns(np.zeros((*self.r.shape, 1))), cause_prior=None, unsure=())
+        return replace(alone, E=array_columns(np.zeros((*self.r.shape, 1))), cause_prior=None, unsure=())
 
     def forget(self) -> None:
         """Drop the large cached results, which are computed again when they are needed."""
@@ -164,19 +143,13 @@ class Evidence(LinearModel):
         for mask in self.unsure:
             numbers = int(mask.sum())
             spread = 1 / np.sqrt(2 * max(numbers * (1 - self.absorbed / max(self.count, 1)), 1.0))
-            for aside in (-HERMITE_NODE, HERMITE_NODE):
-                log_times, log_weight = float(aside * spread), float(np.log(HERMITE_WEIGHT) + HERMITE_NODE**2 / 2)
-                more.append(
-                    (log_weight - numbers * log_times, self._with_noisier_table(mask, float(np.exp(log_times))))
-                )
+            for aside in (-(3**0.5), 3**0.5):  # outer nodes, each of weight 1/6
+                log_times, log_weight = float(aside * spread), float(np.log(1 / 6) + 1.5)
+                weight = np.where(mask, 1 / float(np.exp(log_times)), 1.0)  # the table's noise is larger
+                E = serial_columns(self.E, np.arange(len(self.r)), SerialNoise(np.zeros(len(self.r)), weight))
+                r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
+                more.append((log_weight - numbers * log_times, replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())))
         return tuple(more)
-
-    def _with_noisier_table(self, mask: Array, times: float) -> Evidence:
-        """Return the model in which the masked numbers' noise is larger by a factor."""
-        weight, every = np.where(mask, 1 / times, 1.0), np.arange(len(self.r))
-        E = SerialColumns(self.E, every, SerialNoise(np.zeros(len(every)), weight))
-        r, J, Jq = self.r * weight, self.J * weight[:, :, None], self.Jq * weight[:, :, None]
-        return replace(self, r=r, J=J, Jq=Jq, E=E, unsure=())
 
     def averaged(self, own: Array, others: Iterable[Array]) -> Array:
         """Return log likelihoods averaged over the uncertain noise ratios of small tables.
@@ -187,7 +160,7 @@ class Evidence(LinearModel):
         if not self.unsure:
             return own
         weighed = [a + weight for (weight, _), a in zip(self.at_other_ratios, others, strict=True)]
-        return np.asarray(np.logaddexp.reduce([own + np.log(1 - 2 * HERMITE_WEIGHT * len(self.unsure)), *weighed]))
+        return np.asarray(np.logaddexp.reduce([own + np.log(1 - len(self.unsure) / 3), *weighed]))
 
     def log_base(self, also: Array | None = None) -> Array:
         """Return the log likelihood without an additional cause, shape (rhos, sigmas).
@@ -267,7 +240,9 @@ class BaseParameters:
         # A direction whose prior standard deviation moves all poses together by less than 1e-4
         # noise sigmas is unobservable: a curve at joint angles that no pose has, for example.
         axes, moved = e.prior[:, None] * axes, square > 1e-8
-        units = (axes * np.where(square > MIN_INFORMATION_RATIO, DETERMINED_PRIOR_FACTOR, 1.0))[:, moved]
+        # The data determine a direction if they carry 100 times the information of its prior, whose
+        # standard deviation is then 100 times wider.
+        units = (axes * np.where(square > 100.0, 100.0, 1.0))[:, moved]
         base = cls(e.J, e.delta0, e.prior, units, axes[:, ~moved])
         # One matrix product is three times as fast as a product for each pose.
         J = (e.J.reshape(-1, len(units)) @ units).reshape(*e.J.shape[:2], units.shape[1])
@@ -295,8 +270,11 @@ def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     total = mean[:, None] * e.sigmas**2
     log = -0.5 * freedom * (np.log(total / e.sigmas[-1] ** 2) + scatter**2 / total)
     if e.noise_prior.stated:
-        off = np.log(e.sigmas / e.noise_prior.stated) / (
-            LOG_SD_OF_DECLARED if e.noise_prior.declared else LOG_SD_OF_DATA_SHEET
-        )
-        log = log - 0.5 * (DECLARED_SIGMA_FREEDOM + 1) * np.log1p(off**2 / DECLARED_SIGMA_FREEDOM)
+        # log(true / declared sigma) has a Student's t prior of scale 0.2: a declaration that is
+        # wrong by a factor of three costs 4 nats and is overruled by a few dozen measured numbers.
+        # The scale is 0.5 where sigma is half the largest error of a data sheet, because the margin
+        # that makers leave differs.
+        off = np.log(e.sigmas / e.noise_prior.stated) / (0.2 if e.noise_prior.declared else 0.5)
+        # The heavy tails of two degrees of freedom allow for a wrong declaration.
+        log = log - 1.5 * np.log1p(off**2 / 2)
     return np.asarray(log)

@@ -19,24 +19,6 @@ from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
-# Number of columns of panels in the figure of joint curves.
-CURVE_PANEL_COLUMNS = 2
-_GAP = (
-    "The gap, here and everywhere in this report: mean distance of measured from computed positions over poses that "
-    f"the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % interval over "
-    "poses. Noise alone: what a perfect model would leave, simulated through the same fit."
-)
-_EACH = "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
-_CURVES = (
-    "With the base model, all other causes and the curves of the other joints in the model. Shaded: angles near which "
-    "there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares are of the log "
-    "evidence that is lost when a joint's curve is left out."
-)
-_SPACE = (
-    "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
-    "in the direction of the error (measured less computed), after a fit to all poses, longer than it by the factor in "
-    "the legend."
-)
 # Title and caption of the figure of each table of a localisation.
 _WHERE = {
     "joints": (
@@ -64,8 +46,16 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     more = more or Details()
     floor = floor_of(d, more)
     yield gap_course(d, more.networks or (), floor)
-    yield errors_by_pose(d.held_out, caption=_EACH, floor=floor)
-    yield workspace(d.fitted, d.identification.robot, _SPACE)
+    hint = (
+        "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
+    )
+    yield errors_by_pose(d.held_out, caption=hint, floor=floor)
+    caption = (
+        "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured "
+        "point in the direction of the error (measured less computed), after a fit to all poses, longer than it by the "
+        "factor in the legend."
+    )
+    yield workspace(d.fitted, d.identification.robot, caption)
     if more.where:
         yield from where_figures(more.where)
     if more.curves:
@@ -176,7 +166,10 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
     notes = [Note(f"{value:.3f} mm", high[k], k, gap=8) for k, value in enumerate(values)]
     return Figure(
         "gap", "Gap on held-out poses", [bars], Axis("mean position error [mm]", (0, max(high))), rows=names,
-        height=112 + 36 * len(rows), caption=_GAP, marks=notes, right=76,
+        height=112 + 36 * len(rows), marks=notes, right=76,
+        caption="The gap, here and everywhere in this report: mean distance of measured from computed positions over "
+        f"poses that the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % "
+        "interval over poses. Noise alone: what a perfect model would leave, simulated through the same fit.",
     )  # fmt: skip
 
 
@@ -200,7 +193,7 @@ def curve_figure(curves: JointCurves) -> Figure:
     y = Axis(ends=(-most, most), count=5)
     titles = (f"{100 * c.share:.0f} %" if c.seen else "not seen" for c in curves.joints)
     panels = [
-        Panel(k // CURVE_PANEL_COLUMNS + 1, k % CURVE_PANEL_COLUMNS + 1, f"joint {c.joint}: {title}", x, y)
+        Panel(k // 2 + 1, k % 2 + 1, f"joint {c.joint}: {title}", x, y)
         for k, (c, title) in enumerate(zip(curves.joints, titles, strict=True))
     ]
     return Figure(
@@ -209,9 +202,11 @@ def curve_figure(curves: JointCurves) -> Figure:
         series=[series for k, c in enumerate(curves.joints) for series in _curve(c, k, most)],
         x=Axis("reading [deg]"),
         y=Axis("error [urad]"),
-        caption=_CURVES,
+        caption="With the base model, all other causes and the curves of the other joints in the model. Shaded: angles "
+        "near which there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares "
+        "are of the log evidence that is lost when a joint's curve is left out.",
         shared="xy",
-        height=150 * -(-len(panels) // CURVE_PANEL_COLUMNS) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
+        height=150 * -(-len(panels) // 2) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
         panels=panels,
     )
 

@@ -147,8 +147,6 @@ def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]]
 
 # Folder of the package, whose code is hashed.
 PACKAGE_FOLDER = Path(__file__).parents[1]
-# Subpackages on whose code a formula depends.
-FORMULA_PACKAGES = ("core", "effects", "robot", "diagnosis")
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,7 +236,11 @@ def cached_formulas(s: Seams) -> FormulaCache:
 @lru_cache(maxsize=1)
 def code_hash(package: Path) -> str:
     """Return the hash of a package's code that composes formulas; package : its folder."""
+    # A formula depends on the code of these subpackages.
     files = sorted(
-        path for room in FORMULA_PACKAGES for kind in ("*.py", "*.toml") for path in (package / room).rglob(kind)
+        path
+        for room in ("core", "effects", "robot", "diagnosis")
+        for kind in ("*.py", "*.toml")
+        for path in (package / room).rglob(kind)
     )
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()

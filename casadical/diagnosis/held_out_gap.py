@@ -12,7 +12,6 @@ import pandas as pd
 from casadical.core.basics import Array, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.diagnosis.cross_validation import (
-    FOLDS,
     held_out_errors,
     noise_mean_square,
     random_folds,
@@ -23,6 +22,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.observations import row_slices
 from casadical.diagnosis.refit import refit_measurements, row_errors
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.identification.fit_statistics import steps_without
 from casadical.measurements.measurements import Noise
@@ -30,8 +30,6 @@ from casadical.measurements.measurements import Noise
 if TYPE_CHECKING:
     from casadical.compensator import Trainer
 
-# Bootstrap samples of the poses for intervals.
-BOOTSTRAP_DRAWS = 1000
 # Columns of the table of `course`.
 COURSE_COLUMNS = (
     "model",
@@ -46,21 +44,13 @@ COURSE_COLUMNS = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class Stage:
-    """The model at one stage of the search.
+def course(
+    case: Case, stages: Sequence[tuple[str, Array, Noise]], folds: Sequence[Array], noise: Noise, seed: int
+) -> pd.DataFrame:
+    """Return a table with a row for each stage of the search, all on the same inlier poses.
 
-    added : what was added last; columns : of all causes in it, shape (k,); noise : what it leaves
-        as noise
-    """
-
-    added: str
-    columns: Array
-    noise: Noise
-
-
-def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: Noise, seed: int) -> pd.DataFrame:
-    """Return a table with a row for each stage, all on the same inlier poses.
+    stages : what was added last, the columns of all causes in the model, shape (k,), and the noise
+        that it leaves
 
     model : "base", or "+ label"
     gap_mm : mean held-out position error over partitions into fifths; low_mm, high_mm : its 95 %
@@ -77,14 +67,14 @@ def course(case: Case, stages: Sequence[Stage], folds: Sequence[Array], noise: N
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
     floor = noise_mean_square(e, noise)
     rows = []
-    for stage in stages:
-        runs = np.stack([held_out_errors(e, stage.columns, stage.noise, f) for f in folds])
+    for added, columns, own in stages:
+        runs = np.stack([held_out_errors(e, columns, own, f) for f in folds])
         error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
-        loo, block = (held_out_errors(e, stage.columns, stage.noise, f).mean() for f in (alone, blocks))
-        resampled = resampled_means(np.stack([error, square]), seed, BOOTSTRAP_DRAWS)
+        loo, block = (held_out_errors(e, columns, own, f).mean() for f in (alone, blocks))
+        resampled = resampled_means(np.stack([error, square]), seed, 1000)
         of_error, of_square = np.quantile(resampled, [0.025, 0.975], axis=1).T
         rooted = 1e3 * np.sqrt(np.maximum([square.mean(), *of_square], 0.0))
-        rows.append((stage.added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
+        rows.append((added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
     return pd.DataFrame(rows, columns=list(COURSE_COLUMNS))
 
 
@@ -92,13 +82,13 @@ def time_blocks(case: Case) -> Array:
     """Return the fifth of the campaign in which each inlier was measured, (n_inliers,)."""
     order, alike = np.argsort(case.order, kind="stable"), case.evidence.alike
     if alike is None:
-        return np.asarray(FOLDS * order // len(order))
+        return np.asarray(SETTINGS.folds * order // len(order))
     # An unknown point that is measured in one block only could not be predicted; so each point's
     # poses are divided into blocks.
     blocks = np.empty(len(order), dtype=np.int64)
     for point in np.unique(alike):
         own = np.flatnonzero(alike == point)
-        blocks[own[np.argsort(order[own])]] = FOLDS * np.arange(len(own)) // len(own)
+        blocks[own[np.argsort(order[own])]] = SETTINGS.folds * np.arange(len(own)) // len(own)
     return blocks
 
 
@@ -194,11 +184,11 @@ def network_gap(
     folds = random_folds(len(e.r), seed)
     before, used = np.empty(len(e.r)), np.empty(len(e.r))
     ratios, refused = [], 0
-    for fold in range(FOLDS):
-        show(f"network {fold + 1} of {FOLDS}")
+    for fold in range(SETTINGS.folds):
+        show(f"network {fold + 1} of {SETTINGS.folds}")
         test = folds == fold
         remaining = 1e3 * residual_of_fit_without(e, columns, noise, test)
-        net = Compensator.fit(q[~test], remaining[~test], trainer=trainer, folds=FOLDS, seed=seed)
+        net = Compensator.fit(q[~test], remaining[~test], trainer=trainer, folds=SETTINGS.folds, seed=seed)
         before[test] = np.linalg.norm(remaining[test], axis=1)
         used[test] = np.linalg.norm(remaining[test] - net.correction_mm(q[test]), axis=1)
         ratios.append(net.choice.after.mean_mm / net.choice.before.mean_mm)

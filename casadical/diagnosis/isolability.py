@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.statistics import ranked
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Result
@@ -30,29 +30,12 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case, base_prior_sigmas, column_indices, widths
 from casadical.diagnosis.linearisation import signatures
 from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.identification.undetermined import undetermined
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
-
-# Largest number of poses by which effects are compared; of more poses, evenly spaced ones are used.
-MAX_SIMILARITY_POSES = 500
-# Memory of the columns that are processed at once [bytes].
-MAX_COLUMN_BYTES = 16_000_000
-# Number of columns whose spans are compared with all others at once.
-MAX_COLUMNS_AT_ONCE = 512
-# Noise of a laser tracker [m] and of the joints' repeatability [rad].
-TYPICAL_NOISE = Noise(20e-6, 8e-6)
-
-# Share of an effect's energy absorbed by the base model above which the effect is invisible.
-MAX_ABSORBED_SHARE = 0.98
-# Multiple of its usual size, needed to find an effect, above which the effect is invisible.
-MAX_FINDABLE_MULTIPLE = 5.0
-# Effects with a smaller rms displacement [mm] do not act at all.
-MIN_SIZE_MM = 1e-6
-# Multiples of the usual size from which a cause may be ruled out.
-RULED_OUT_MULTIPLES = (1.0, 2.0, MAX_FINDABLE_MULTIPLE)
 
 # Explanation of the table's columns.
 NOTES = (
@@ -130,7 +113,7 @@ def isolability(
     m: Measurements | None = None,
     effects: Sequence[str | Effect | type[Effect]] | Literal["standard", "extended"] = "standard",
     *,
-    noise: Noise = TYPICAL_NOISE,
+    noise: Noise | None = None,
     whole: bool = False,
 ) -> Isolability:
     """Return the isolability of effects at the poses of a (planned) campaign.
@@ -140,7 +123,8 @@ def isolability(
         calibrated geometry and noise
     m : poses, measured or planned; None for a diagnosis
     effects : see `diagnose`
-    noise : expected noise
+    noise : expected noise; by default that of a laser tracker, 0.02 mm, and of joints that repeat to
+        8 urad
     whole : whether an effect counts as one cause in all its joints together instead of joint by
         joint
     Raises InputError: a name that is no effect, or where poses are missing.
@@ -159,6 +143,7 @@ def isolability(
     possible, missing = choose(candidates, m, robot.loads)
     used = tuple(dict.fromkeys(e for c in possible for v in c.variants for e in v))
     m, _ = derive(m, [c for e in used for c in e.conditions], robot.loads)
+    noise = noise or Noise(20e-6, 8e-6)
     values = robot.parameters.values
     E, J, Jq = signatures(robot, used, m, values)
     evidence = Evidence(
@@ -166,7 +151,7 @@ def isolability(
         J,
         0 * values,
         base_prior_sigmas(robot),
-        ArrayColumns(E * widths(used)),
+        array_columns(E * widths(used)),
         noise.sigma,
         Jq=Jq,
     )
@@ -218,9 +203,8 @@ def _judged(
     effects = table.groupby("label", sort=False).mean()
     # At a noncentrality of 36 one among about a hundred candidates is found nine times in ten.
     effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
-    some = (
-        evidence if n <= MAX_SIMILARITY_POSES else evidence.at(np.linspace(0, n - 1, MAX_SIMILARITY_POSES).astype(int))
-    )
+    # Effects are compared on at most 500 poses, evenly spaced.
+    some = evidence if n <= 500 else evidence.at(np.linspace(0, n - 1, 500).astype(int))
     seen = some.projected(rho).columns(some.take(np.arange(some.width)))
     return Isolability(effects, _alike(seen, columns, owner), missing)
 
@@ -233,7 +217,8 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     rho : ratio of joint repeatability to the instrument's sigma. Columns are processed in blocks,
         because there may be many poses.
     """
-    step = max(1, MAX_COLUMN_BYTES // (24 * len(evidence.r)))
+    # The columns that are processed at once take 16 MB.
+    step = max(1, 16_000_000 // (24 * len(evidence.r)))
     projections = [evidence.projected(ratio) for ratio in (0.0, rho)]
     squares = []
     for first in range(0, evidence.width, step):
@@ -253,7 +238,8 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):
         alike = np.flatnonzero(widths == width)
-        for some in np.array_split(alike, min(1 + len(alike) * width // MAX_COLUMNS_AT_ONCE, len(alike))):
+        # About 512 columns are compared with all others at once.
+        for some in np.array_split(alike, min(1 + len(alike) * width // 512, len(alike))):
             U, s, _ = np.linalg.svd(np.stack([E[:, columns[k]] for k in some]), full_matrices=False)
             # Directions with a singular value below 1e-6 of an effect's largest one are round-off.
             there = s > 1e-6 * np.maximum(s.max(axis=1, keepdims=True), 1e-30)
@@ -295,15 +281,14 @@ def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
     if poses is None:
         return {}
     seen = poses.effects.drop(index=[c.label for c in d.causes], errors="ignore")
-    idle = seen["size_mm"] < MIN_SIZE_MM
-    absorbed = ~idle & (seen["absorbed"] > MAX_ABSORBED_SHARE)
-    weak = ~idle & ~absorbed & (seen["findable_from"] > MAX_FINDABLE_MULTIPLE)
+    idle = seen["size_mm"] < SETTINGS.min_size_mm
+    absorbed = ~idle & (seen["absorbed"] > SETTINGS.max_absorbed_share)
+    weak = ~idle & ~absorbed & (seen["findable_from"] > SETTINGS.max_findable_multiple)
+    most = 100 * SETTINGS.max_absorbed_share
     reasons = {
         "as nothing here causes them (no masses in the robot file, an idle joint)": seen.index[idle],
-        f"as the base model takes up {100 * MAX_ABSORBED_SHARE:.0f} % or more of each in these poses": seen.index[
-            absorbed
-        ],
-        f"against this noise, unless {MAX_FINDABLE_MULTIPLE:.0f} times their usual size": seen.index[weak],
+        f"as the base model takes up {most:.0f} % or more of each in these poses": seen.index[absorbed],
+        f"against this noise, unless {SETTINGS.max_findable_multiple:.0f} times their usual size": seen.index[weak],
     }
     return {why: gathered(labels) for why, labels in reasons.items() if len(labels)}
 
@@ -320,12 +305,15 @@ def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
         return {}
     noise = unlisted.beside.noise[""]
     poses = of_case(d.case, noise, d.effects(unlisted=unlisted))
-    seen = poses.effects[(poses.effects["size_mm"] >= MIN_SIZE_MM) & (poses.effects["absorbed"] <= MAX_ABSORBED_SHARE)]
+    seen = poses.effects[
+        (poses.effects["size_mm"] >= SETTINGS.min_size_mm) & (poses.effects["absorbed"] <= SETTINGS.max_absorbed_share)
+    ]
     named = {label for c in d.causes for label in (c.label, *c.indistinguishable)} | set(d.in_question)
     last = unlisted.beside.log_factor
     labels: dict[str, list[str]] = {}
+    multiples = (1.0, 2.0, SETTINGS.max_findable_multiple)
     for label in (c.label for c in d.case.candidates if c.listed and c.label in seen.index and c.label not in named):
-        times = [t for t in RULED_OUT_MULTIPLES if float(seen.loc[label, "findable_from"]) <= t]  # type: ignore[arg-type]
+        times = [t for t in multiples if float(seen.loc[label, "findable_from"]) <= t]  # type: ignore[arg-type]
         if times and last.get(label, 0.0) < 0:
             labels.setdefault(f"{times[0]:g}", []).append(label)
-    return {f"{t:g}": labels[f"{t:g}"] for t in RULED_OUT_MULTIPLES if f"{t:g}" in labels}
+    return {f"{t:g}": labels[f"{t:g}"] for t in multiples if f"{t:g}" in labels}

@@ -9,14 +9,14 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.linear_gaussian.marginals import MAX_CHANGED_BLOCK_SHARE, NO_COLUMNS
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.parameters import Parameter
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
 from casadical.diagnosis.instrument_columns import with_camera_columns, with_far_ends
-from casadical.diagnosis.linearisation import ColumnCache, EffectColumns
+from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.observations import Observations, Ratios, combined_table, observe, stops_in
@@ -29,18 +29,6 @@ from casadical.measurements.kinds.position import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
-
-# Residual beyond which a pose is a gross outlier, in robust standard deviations (scaled median
-# absolute deviations).
-GROSS_RESIDUAL_SPREADS = 5.0
-# Likelihoods are averaged over the noise ratio of tables with fewer numbers than this; that of
-# larger ones is known to 7 %.
-MAX_UNSURE_TABLE_NUMBERS = 100
-# Number of small tables over whose noise ratio likelihoods are averaged.
-MAX_UNSURE_TABLES = 2
-# Smallest share of all numbers at which likelihoods are averaged over a table's noise ratio;
-# smaller tables have too little influence.
-MIN_UNSURE_TABLE_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +106,7 @@ class Case:
         noise.
         """
         e = self.evidence
-        return e.r if e.size is None else e.r * e.size
+        return e.r if e.size is None else np.asarray(e.r * e.size)
 
     @property
     def evidence(self) -> Evidence:
@@ -213,7 +201,7 @@ class Case:
             whole = replace(
                 whole,
                 reference=residual_sd,
-                E=replace(whole.E, growth=residual_sd / most, first=None, cached=ColumnCache()),
+                E=replace(whole.E, growth=residual_sd / most, first=None, cached={}),
             )
         return replace(self, whole=whole)
 
@@ -236,7 +224,8 @@ class Case:
         if np.array_equal(kept, self.kept):
             return self
         more = replace(self, kept=kept)
-        if (kept != self.kept).sum() <= MAX_CHANGED_BLOCK_SHARE * self.kept.sum():
+        # Few changed poses are subtracted from the sums, or added; with many the sums are computed again.
+        if (kept != self.kept).sum() <= 0.2 * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
             more.evidence.with_updated_cache(self.evidence, lost, gained)
             if self.form.stays:
@@ -387,9 +376,9 @@ def _problem(
     residual_sd = robust_std(r)
     # Only gross outliers are removed: an effect that splits the residuals into two clusters must
     # not lose one of them.
-    kept = seen.measured.any(axis=1) & (
-        np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= GROSS_RESIDUAL_SPREADS * residual_sd
-    )
+    # A pose is a gross outlier beyond five robust standard deviations (scaled median absolute
+    # deviations).
+    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= 5.0 * residual_sd)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
     again = replicates(seen.m, r, kept, seen.apart, seen.measured)
     lengths = [length for length, _ in seen.ratios.sigmas]
@@ -437,8 +426,10 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
                 masks.append(mask)
     counts = [int(mask.sum()) for mask in masks]
     rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
-    least = MIN_UNSURE_TABLE_SHARE * int(seen.measured.sum())
-    return tuple(masks[k] for k in rising if least <= counts[k] < MAX_UNSURE_TABLE_NUMBERS)[:MAX_UNSURE_TABLES]
+    # Tables with a smaller share of all numbers have too little influence.
+    least = 0.1 * int(seen.measured.sum())
+    # The noise ratio of tables with 100 numbers is known to 7 %.
+    return tuple(masks[k] for k in rising if least <= counts[k] < 100)[:2]
 
 
 def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:

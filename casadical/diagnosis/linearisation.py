@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Combined, Directions, Factors, directions_of
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Directions, Factors, directions_of
 from casadical.diagnosis.formula_cache import Part, plan
 from casadical.diagnosis.seams import POSES_PER_CALL, Seams, over_poses, seams_of
 from casadical.effects import Effect
@@ -169,20 +170,8 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
     return linear.columns(effects), linear.J, linear.Jq
 
 
-@dataclass(eq=False)
-class ColumnCache:
-    """Cached results of `EffectColumns`; None until they were computed.
-
-    factors : seam derivatives of the columns at all poses; sizes : of the parameters, shape
-        (columns,) [SI]
-    """
-
-    factors: Factors | None = None
-    sizes: Array | None = None
-
-
 @dataclass(frozen=True, eq=False)
-class EffectColumns:
+class EffectColumns(Columns):
     """Jacobian columns of effects in units of their parameters' sizes, made on demand.
 
     linear : linearisation at all poses
@@ -192,7 +181,7 @@ class EffectColumns:
     directions : observable directions of the effects' parts (see `core.linear_gaussian.columns`);
         empty until `with_directions`
     poses : indices of the linearisation's poses at which the columns are, shape (n,); None for all
-    cached : what was computed before
+    cached : what was computed before: `sizes` and the factors of all columns at all poses
     """
 
     linear: Linearisation
@@ -201,16 +190,17 @@ class EffectColumns:
     first: EffectColumns | None = None
     directions: Directions = ()
     poses: Array | None = None
-    cached: ColumnCache = field(repr=False, default_factory=ColumnCache)
+    cached: dict[str, Any] = field(repr=False, default_factory=dict)
 
     @property
     def sizes(self) -> Array:
         """Return the typical size of every parameter, shape (columns,) [SI]."""
-        if self.cached.sizes is None:
+        if "sizes" not in self.cached:
             earlier = np.zeros(0) if self.first is None else self.first.sizes
             own = [self.growth * size for e in self._own for size, _ in e.sizes().values()]
-            self.cached.sizes = np.concatenate([earlier, own])
-        return self.cached.sizes
+            self.cached["sizes"] = np.concatenate([earlier, own])
+        sizes: Array = self.cached["sizes"]
+        return sizes
 
     @cached_property
     def held(self) -> Array:
@@ -244,13 +234,14 @@ class EffectColumns:
     @property
     def _all(self) -> Factors:
         """Return all columns at all poses of the linearisation as cached seam derivatives."""
-        if self.cached.factors is None:
+        if "factors" not in self.cached:
             if self.first is None:
-                self.cached.factors = self._factors_at(self.linear)
+                self.cached["factors"] = self._factors_at(self.linear)
             else:
                 own = EffectColumns(self.linear, self._own, self.growth)
-                self.cached.factors = self.first._all.before(own._all)
-        return self.cached.factors
+                self.cached["factors"] = self.first._all.before(own._all)
+        factors: Factors = self.cached["factors"]
+        return factors
 
     def _factors_at(self, linear: Linearisation) -> Factors:
         return linear.factors(self._parts, self.sizes)
@@ -260,30 +251,19 @@ class EffectColumns:
         """Return whether the seam derivatives at all poses are small enough to cache (100 MB)."""
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
-    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns at some poses as derivatives of the seam variables."""
+    def factors(self, blocks: Array | slice = WHOLE_AXIS, columns: Array | None = None) -> Factors:
+        """Return columns, all by default, at some poses as derivatives of the seam variables."""
         poses = self._among_all(blocks)
-        return self._all.at(poses) if self._cacheable else self._factors_at(self.linear.at(poses))
+        if not self._cacheable:
+            if columns is None:
+                return self._factors_at(self.linear.at(poses))
+            some, places = self._owning(columns)
+            return some._factors_at(some.linear.at(poses)).only(places)
+        return self._all.at(poses) if columns is None else self._all.only(columns).at(poses)
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
         """Return the Jacobian by the seam variables at some poses, shape (poses, 3, seams)."""
         return self.linear.S[self._among_all(blocks)]
-
-    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
-        """Return some columns at some poses, shape (poses, 3, len(columns)) [m per unit of size].
-
-        every : combinations of the columns to return instead
-        """
-        factors = self._factors_of(columns, blocks)
-        return (factors.combined(every) if every else factors).columns_at(self.levers(blocks))
-
-    def _factors_of(self, columns: Array, blocks: Array | slice) -> Factors:
-        """Return some columns at some poses as derivatives of the seam variables."""
-        poses = self._among_all(blocks)
-        if self._cacheable:
-            return self._all.only(columns).at(poses)
-        some, places = self._owning(columns)
-        return some._factors_at(some.linear.at(poses)).only(places)
 
     def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
         """Return the columns of the effects that own these, and the indices of these among them."""
@@ -296,8 +276,9 @@ class EffectColumns:
     def only(self, columns: Array) -> EffectColumns:
         """Return some of the columns, in rising order, either all or none of each effect."""
         some, _ = self._owning(columns)
-        some.cached.sizes = self.sizes[columns]
-        some.cached.factors = self._all.only(columns) if self._cacheable else None
+        some.cached["sizes"] = self.sizes[columns]
+        if self._cacheable:
+            some.cached["factors"] = self._all.only(columns)
         return some
 
     def at(self, blocks: Array) -> EffectColumns:
@@ -315,16 +296,11 @@ class EffectColumns:
                 normal = np.zeros((len(part), len(part)))
                 for start in range(0, self.shape[0], POSES_PER_CALL):
                     poses = slice(start, start + POSES_PER_CALL)
-                    normal += self._factors_of(first + part, poses).products(self.levers(poses))
+                    normal += self.factors(poses, first + part).products(self.levers(poses))
                 # A direction of a part is unobservable if one size of it moves all poses together
                 # by less than this [m].
                 directions.append((first + part, directions_of(normal, 3e-9)))
         return replace(self, directions=tuple(directions))
-
-    def after(self, column: int) -> EffectColumns:
-        """Return the columns from this one on; it must be the first of an effect."""
-        some = self.effects[int(np.searchsorted(self._edges, column)) :]
-        return EffectColumns(self.linear, some, self.growth, poses=self.poses)
 
     def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
         """Return the columns with those of additional effects behind them.

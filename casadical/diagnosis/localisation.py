@@ -31,31 +31,14 @@ from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import about_vertical, sines
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
 
-# Largest number of poses at which the contributions of causes are computed.
-MAX_CAUSE_POSES = 1000
-# Iterations of the maximum-likelihood updates of the variances.
-LIKELIHOOD_ROUNDS = 40
-# Draws from the posterior of the parts' errors.
-POSTERIOR_DRAWS = 200
 # Grid of a part's variance, relative to the variance that would explain an equal part of the whole.
 VARIANCE_FACTORS = np.geomspace(1e-4, 1e2, 61)
-# Draws of each part's variance; each is shared by several draws from the posterior.
-VARIANCE_DRAWS = 20
-# Error that counts as one in the columns of smooth errors [rad or m].
-UNIT_ERROR = 30e-6
-# Harmonics of a joint's own reading [cycles per turn], in addition to the slow ones of every joint.
-FAST_HARMONICS = range(3, 13)
-# Name of the part to which causes at the measured point belong.
-INSTRUMENT_PART = "instrument"
-# Number of variables of a twist among the seam variables.
-TWIST_VARIABLES = 6
-# Names of kinematic parameters with the number of their link.
-_NUMBERED = re.compile(r"(alpha|a|beta|b|d)(\d+)")
 
 
 def components(case: Case, noise: Noise, columns: Array, seed: int, remains: float) -> dict[str, Array]:
@@ -67,11 +50,11 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
     rng = np.random.default_rng(seed)
     energy, remaining = _of_causes(case, noise, columns, rng)
     for part in _part_jacobians(case):
-        energy.setdefault(part, np.zeros(POSTERIOR_DRAWS))
+        energy.setdefault(part, np.zeros(SETTINGS.posterior_draws))
     # Less probable errors lie outside of a 95 % interval.
     if remains > 0.025:
         smooth = _of_smooth_errors(case, noise, remaining, rng)
-        there = rng.permutation(POSTERIOR_DRAWS) < round(remains * POSTERIOR_DRAWS)
+        there = rng.permutation(SETTINGS.posterior_draws) < round(remains * SETTINGS.posterior_draws)
         for part, drawn in smooth.items():
             energy[part] = energy[part] + there * drawn
     return energy
@@ -89,8 +72,9 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
     E = [(part, _products(lever[indices], functions)) for part, lever in _part_jacobians(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
         if joint.kind == "revolute":
-            own = sines(case.m.q[indices, j - 1], FAST_HARMONICS)
-            E.append((f"joint {j}", UNIT_ERROR * case.whole.Jq[indices][:, :, [j - 1]] * own[:, None]))
+            # A joint's own reading has fast harmonics, too [cycles per turn].
+            own = sines(case.m.q[indices, j - 1], range(3, 13))
+            E.append((f"joint {j}", SETTINGS.unit_error * case.whole.Jq[indices][:, :, [j - 1]] * own[:, None]))
     some = remaining.at(np.searchsorted(np.flatnonzero(case.kept), indices))
     projection = some.projected(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
@@ -123,14 +107,21 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
     first = len(fit.prior) - len(columns)
     # The root is triangular: nothing is drawn for the base, whose number of directions depends on
     # round-off.
-    mean, spread = fit.x[first:], fit.root.T[first:, first:] @ rng.standard_normal((len(columns), POSTERIOR_DRAWS))
+    drawn = rng.standard_normal((len(columns), SETTINGS.posterior_draws))
+    mean, spread = fit.x[first:], fit.root.T[first:, first:] @ drawn
     remaining = np.asarray(e.r - (e.take(columns) @ mean))
-    poses = _sample(np.arange(len(e.r)), MAX_CAUSE_POSES, rng)
+    # The contributions of causes are computed at 1000 poses at most.
+    poses = _sample(np.arange(len(e.r)), 1000, rng)
     assert isinstance(e.E, EffectColumns)
     E, some = e.E.only(columns).at(poses), e.at(poses)
     S, signal = E.levers(), dict[str, Array]()
+    joints = range(1, case.given.n + 1)
+    frames = [*(f"link {j}" for j in joints[:-1]), "tool", "base", "tool"]
+    # A frame has the six variables of a twist.
+    places = [*(f"joint {j}" for j in joints), *(frame for frame in frames for _ in range(6))]
     for variable, own, values in E.factors().blocks:
-        part, drawn = _part_of(variable, case.given.n), values.T @ (mean[own, None] + spread[own])
+        part = places[variable] if variable < len(places) else "instrument"
+        drawn = values.T @ (mean[own, None] + spread[own])
         signal[part] = signal.get(part, 0.0) + S[:, :, variable, None] * drawn[:, None]
     # Rows are whitened without joint repeatability, so that the squares are those of position
     # errors.
@@ -142,19 +133,12 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
 def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:
     """Return the mean square of each signal in every draw, at poses drawn with replacement.
 
-    signals : shape (rows, POSTERIOR_DRAWS) each
+    signals : shape (rows, draws) each
     """
     n, numbers = e.r.shape[:2]
-    times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), POSTERIOR_DRAWS).T, numbers, axis=0)
+    times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), SETTINGS.posterior_draws).T, numbers, axis=0)
     # The rows after those of the poses belong to the base's priors and are no errors of a pose.
     return [(times * rows[: n * numbers] ** 2).sum(axis=0) / e.count for rows in signals]
-
-
-def _part_of(variable: int, joints: int) -> str:
-    """Return the part of the robot to which a seam variable (by index) belongs."""
-    frames = [*(f"link {j}" for j in range(1, joints)), "tool", "base", "tool"]
-    places = [*(f"joint {j}" for j in range(1, joints + 1)), *(f for f in frames for _ in range(TWIST_VARIABLES))]
-    return places[variable] if variable < len(places) else INSTRUMENT_PART
 
 
 def _products(lever: Array, functions: Array) -> Array:
@@ -170,7 +154,8 @@ def _part_jacobians(case: Case) -> dict[str, Array]:
     names = case.given.parameters.names
     columns: dict[str, list[int]] = {}
     for k, name in enumerate(names):
-        if hit := _NUMBERED.fullmatch(name):
+        # A kinematic parameter's name ends in the number of its link.
+        if hit := re.fullmatch(r"(alpha|a|beta|b|d)(\d+)", name):
             columns.setdefault("base" if hit[2] == "0" else f"link {hit[2]}", []).append(k)
         elif name.startswith(("base_", "tool_")):
             columns.setdefault(name[:4], []).append(k)
@@ -178,10 +163,10 @@ def _part_jacobians(case: Case) -> dict[str, Array]:
             columns.setdefault("loop", []).append(k)
     n = case.robot.n
     moved = [k for k in ("base", *(f"link {i}" for i in range(1, n)), "loop") if k in columns]
-    links = {k: UNIT_ERROR * case.base.J[:, :, columns[k]] for k in moved}
+    links = {k: SETTINGS.unit_error * case.base.J[:, :, columns[k]] for k in moved}
     last = [*columns.get(f"link {n}", []), *columns.get("tool", [])]
-    tool = {"tool": UNIT_ERROR * case.base.J[:, :, last]} if last else {}
-    joints = {f"joint {j + 1}": UNIT_ERROR * case.whole.Jq[:, :, [j]] for j in range(n)}
+    tool = {"tool": SETTINGS.unit_error * case.base.J[:, :, last]} if last else {}
+    joints = {f"joint {j + 1}": SETTINGS.unit_error * case.whole.Jq[:, :, [j]] for j in range(n)}
     return {**joints, **links, **tool}
 
 
@@ -213,7 +198,7 @@ def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]
     sigma : lower bound of the noise, which grows where no group explains the residual
     """
     size, variance = _even_variances(y, K), sigma**2
-    for _ in range(LIKELIHOOD_ROUNDS):
+    for _ in range(40):
         root = root_of_inverse(_total(K, size, variance))
         inverse = root.T @ root
         z = inverse @ y
@@ -231,7 +216,7 @@ def _even_variances(y: Array, K: Array) -> Array:
 def _drawn_variances(
     y: Array, groups: list[Array], K: Array, size: Array, sigma: float, rng: np.random.Generator
 ) -> Array:
-    """Return draws of the groups' variances, shape (VARIANCE_DRAWS, groups).
+    """Return draws of the groups' variances, shape (draws, groups).
 
     Each is drawn from its likelihood given the maximum-likelihood variances of the others.
     """
@@ -248,7 +233,8 @@ def _drawn_variances(
         # The prior is uniform in the standard deviation (Gelman 2006).
         log += 0.5 * np.log(VARIANCE_FACTORS)
         share = np.cumsum(np.exp(log - log.max()))
-        sizes.append(even * np.exp(np.interp(rng.random(VARIANCE_DRAWS) * share[-1], share, np.log(VARIANCE_FACTORS))))
+        drawn = rng.random(SETTINGS.variance_draws) * share[-1]
+        sizes.append(even * np.exp(np.interp(drawn, share, np.log(VARIANCE_FACTORS))))
     return np.stack(sizes, axis=1)
 
 
@@ -264,7 +250,7 @@ def _total(K: Array, size: Array, variance: float) -> Array:
 
 
 def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.random.Generator) -> list[Array]:
-    """Return posterior draws of each group's coefficients, shape (columns, POSTERIOR_DRAWS).
+    """Return posterior draws of each group's coefficients, shape (columns, draws).
 
     Draws follow Matheron's rule.
     axes : directions of the base's parameters, as columns, whose priors are the last rows. Noise is
@@ -273,7 +259,7 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     """
     K = products_of_rows(groups)
     size, sigma = variances_of_groups(y, K, sigma)
-    draws, each = [], POSTERIOR_DRAWS // VARIANCE_DRAWS
+    draws, each = [], SETTINGS.posterior_draws // SETTINGS.variance_draws
     for own in _drawn_variances(y, groups, K, size, sigma, rng):
         prior = [np.sqrt(v) * rng.standard_normal((g.shape[1], each)) for v, g in zip(own, groups, strict=True)]
         prior_signal = sum(g @ f for f, g in zip(prior, groups, strict=True))
@@ -284,10 +270,6 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 
 
-# Bootstrap samples of the poses.
-BOOTSTRAP_DRAWS = 500
-# Name of the row that sums up the parts of other kinds.
-OTHER_PARTS = "elsewhere"
 # Columns of the tables (see `Localisation`).
 PART_COLUMNS = ("part", "share", "low", "high", "rms_mm")
 DIRECTION_COLUMNS = ("frame", *PART_COLUMNS)
@@ -358,7 +340,7 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
     split = _BootstrapShares(case, seed)
     return Localisation(
         joints=_parts(parts, "joint"),
-        links=_parts(parts, "link", "base", "loop", "tool", INSTRUMENT_PART),
+        links=_parts(parts, "link", "base", "loop", "tool", "instrument"),
         directions=_directions(case, split),
         regions=split.table(*_regions(case)),
         payload=split.table(*_payload(case)),
@@ -376,7 +358,8 @@ def _parts(energy: dict[str, Array], *kinds: str) -> pd.DataFrame:
     mine = {part: drawn for part, drawn in energy.items() if part.startswith(kinds)}
     if energy:
         others = (drawn for part, drawn in energy.items() if part not in mine)
-        mine[OTHER_PARTS] = sum(others, np.zeros(POSTERIOR_DRAWS))
+        # The last row sums up the parts of other kinds.
+        mine["elsewhere"] = sum(others, np.zeros(SETTINGS.posterior_draws))
     whole, rows = np.maximum(np.sum([*energy.values()], axis=0), 1e-30), []
     for part, drawn in mine.items():
         share = drawn / whole
@@ -395,7 +378,7 @@ class _BootstrapShares:
         self.kept = case.kept
         self.r = case.lengths
         n = len(self.r)
-        self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), BOOTSTRAP_DRAWS).astype(float)
+        self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), 500).astype(float)
 
     def shares(self, squares: Array) -> tuple[Array, Array, Array]:
         """Return share, low and high of each column of squares, shape (parts,) each.

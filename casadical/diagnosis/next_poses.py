@@ -9,7 +9,7 @@ determined). The truth with the smallest factor so far has the largest weight.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from math import log, sqrt
 from typing import NamedTuple
@@ -32,22 +32,12 @@ from casadical.pose_selection.candidates import LaterPoses, campaign_payloads, l
 from casadical.pose_selection.workspace import Workspace
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """Prediction of one cause at all poses of the pool, as residuals of the base model.
-
-    mean : predicted residual, shape (K, 3) [m]
-    spread : root of its covariance spread @ spread.T, shape (K, 3, parameters) [m]
-    """
-
-    mean: Array
-    spread: Array
-
-
-def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> Prediction:
+def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> tuple[Array, Array]:
     """Return the prediction at new poses of base model and one cause fitted to the case's data.
 
     variant : effects of the cause; poses : linearisation of the base model at the new poses
+    Returns the predicted residual, shape (K, 3) [m], and a root of its covariance root @ root.T,
+    shape (K, 3, parameters) [m].
     """
     old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.kept))
     E = poses.columns(variant)
@@ -59,7 +49,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     new = np.concatenate([J, E * widths(variant)], axis=2)
     # The prior standard deviation of a cause's parameters is two sizes.
     fit = new_fit(replace(old, cause_prior=np.full(old.width, 2.0)), case.group(variant), noise, combined=False)
-    return Prediction(new @ fit.x, new @ fit.root.T)
+    return new @ fit.x, new @ fit.root.T
 
 
 def noise_covariance_at(noise: Noise, poses: Linearisation) -> Array:
@@ -70,14 +60,15 @@ def noise_covariance_at(noise: Noise, poses: Linearisation) -> Array:
 class Predictive:
     """A cause's predictive distribution at all poses, updated with the data at the chosen poses.
 
+    mean, root : prediction before any data (see `predict_cause`); noise : its covariance
     own : covariance of the data at each pose, shape (K, 3, 3) [m^2]
     inverse, volume : its inverse, shape (K, 3, 3), and its log determinant, shape (K,)
     """
 
-    def __init__(self, prediction: Prediction, noise: Array) -> None:
-        self.first, self.noise = prediction, noise
-        self._covariance: Array = np.eye(prediction.spread.shape[2])
-        self._set(prediction.spread @ prediction.spread.transpose(0, 2, 1) + noise)
+    def __init__(self, mean: Array, root: Array, noise: Array) -> None:
+        self.mean, self.root, self.noise = mean, root, noise
+        self._covariance: Array = np.eye(root.shape[2])
+        self._set(root @ root.transpose(0, 2, 1) + noise)
 
     def _set(self, own: Array) -> None:
         self.own, self.inverse = own, np.linalg.inv(own)
@@ -85,9 +76,8 @@ class Predictive:
 
     def learn(self, pose: int) -> Array:
         """Update with the data at a pose (Kalman filter); return the gain, shape (K, 3, 3)."""
-        spread = self.first.spread
-        toward = self._covariance @ spread[pose].T
-        gain = np.asarray((spread.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
+        toward = self._covariance @ self.root[pose].T
+        gain = np.asarray((self.root.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
         self._covariance = self._covariance - toward @ self.inverse[pose] @ toward.T
         self._set(self.own - gain @ self.own[pose] @ gain.transpose(0, 2, 1))
         return gain
@@ -102,8 +92,8 @@ class Comparison:
 
     def __init__(self, model: Predictive, truth: Predictive) -> None:
         self.model, self.truth = model, truth
-        self.mean: Array = truth.first.mean - model.first.mean
-        self.root: Array = truth.first.spread
+        self.mean: Array = truth.mean - model.mean
+        self.root: Array = truth.root
 
     def gains(self) -> Array:
         """Return each pose's gain of the expected log Bayes factor for the truth, shape (K,)."""
@@ -150,16 +140,6 @@ def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[flo
     return picked, course
 
 
-# Number of candidate poses that are drawn.
-DEFAULT_POOL_SIZE = 800
-# Number of settings of a cause that are compared, in addition to the most likely ones.
-MAX_VARIANTS_PER_CAUSE = 2
-# Log likelihood [nats] by which compared settings may be less likely than the best ones.
-MAX_LOG_LIKELIHOOD_DEFICIT = 4.0
-# Readings beyond the campaign's range by less than this are not reported as new [rad or m].
-RANGE_TOLERANCE = 0.02
-# Share of the peak gravity torque below which a joint counts as idle.
-IDLE_TORQUE_SHARE = 0.15
 # Label that stands for no cause at all.
 NO_CAUSE = "none"
 
@@ -173,7 +153,7 @@ def next_poses(
     beside: Sequence[str] | None = None,
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
-    pool: int = DEFAULT_POOL_SIZE,
+    pool: int = 800,
 ) -> pd.DataFrame:
     """Return a table of the next n poses to measure, the most informative first.
 
@@ -219,7 +199,7 @@ def next_poses(
     drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
     poses = linearise(case.given, drawn.m, case.values)
     noise_there = noise_covariance_at(noise, poses)
-    models = [(c.label, Predictive(predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
+    models = [(c.label, Predictive(*predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]
     rivals = [(a in labels, b in labels, p, r) for (a, p), (b, r) in combinations(models, 2) if a != b]
     asked = [(p, r) for first, second, p, r in rivals if first and second]
     also = [(p, r) for first, second, p, r in rivals if first != second]
@@ -256,8 +236,10 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
         variants = known[label].variants
         grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
         likely = np.logaddexp.reduce(grids.reshape(len(variants), -1), axis=1)
-        allowed = np.flatnonzero(likely > likely.max() - MAX_LOG_LIKELIHOOD_DEFICIT)
-        spread = allowed[np.linspace(0, len(allowed) - 1, MAX_VARIANTS_PER_CAUSE).astype(int)]
+        # Settings less likely than the best ones by 4 nats are not compared.
+        allowed = np.flatnonzero(likely > likely.max() - 4.0)
+        # Two settings are compared in addition to the most likely ones.
+        spread = allowed[np.linspace(0, len(allowed) - 1, 2).astype(int)]
         others = spread.tolist() if label in labels else []
         for k in dict.fromkeys([first_of_best(likely, logs=True), *others]):
             causes.append(_Cause(label, variants[k], likely_noise(grids[k], case.evidence.sigmas)))
@@ -296,7 +278,8 @@ def table_of(
 def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
     """Return in words what is new in each pose compared with the campaign."""
     own = case.m.conditions
-    lower, upper = case.m.q.min(axis=0) - RANGE_TOLERANCE, case.m.q.max(axis=0) + RANGE_TOLERANCE
+    # Readings beyond the campaign's range by less than this are not new [rad or m].
+    lower, upper = case.m.q.min(axis=0) - 0.02, case.m.q.max(axis=0) + 0.02
     payloads = campaign_payloads(case.robot, case.m)
     words = []
     for k in picked:
@@ -364,8 +347,7 @@ def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
-    idle, usual = (
-        (np.abs(case.torques(m)) < IDLE_TORQUE_SHARE * case.given.torque_scale).mean(axis=0) for m in (new, case.m)
-    )
+    # A joint is idle below this share of its peak gravity torque.
+    idle, usual = ((np.abs(case.torques(m)) < 0.15 * case.given.torque_scale).mean(axis=0) for m in (new, case.m))
     more = np.flatnonzero(idle > np.minimum(2 * usual, usual + 0.3))
     return [f"{round(idle[j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

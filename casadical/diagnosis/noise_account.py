@@ -14,14 +14,9 @@ from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
-
-# Ratio of the estimated noise to its independent figure from which it contains structure, if the
-# excess is significant.
-MIN_NOISE_EXCESS_FACTOR = 1.4
-# Largest probability, by an F test, at which noise above its independent figure is significant.
-NOISE_EXCESS_CHANCE = 1e-3
 
 
 class Rule(StrEnum):
@@ -190,17 +185,17 @@ def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder
         return True, rule, allowed
     logs = e.log_base(columns)
     share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
-    below = share[e.sigmas < noise_prior.declared / MIN_NOISE_EXCESS_FACTOR].sum()
-    wrong = max(share[e.sigmas > MIN_NOISE_EXCESS_FACTOR * noise_prior.stated].sum(), below)
+    below = share[e.sigmas < noise_prior.declared / SETTINGS.min_noise_excess_factor].sum()
+    wrong = max(share[e.sigmas > SETTINGS.min_noise_excess_factor * noise_prior.stated].sum(), below)
     # The declared sigma is overruled if it is wrong by the factor with a probability above 0.99.
     return (False, Rule.FIT, taken) if wrong > 0.99 else (False, rule, allowed)
 
 
 def _exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
-    """Return whether one standard deviation exceeds another significantly (F test).
+    """Return whether one standard deviation exceeds another significantly (F test at 0.1 %).
 
     above, below : degrees of freedom of the larger and of the smaller one
     """
-    if larger <= MIN_NOISE_EXCESS_FACTOR * smaller:
+    if larger <= SETTINGS.min_noise_excess_factor * smaller:
         return False
-    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < NOISE_EXCESS_CHANCE)
+    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < 1e-3)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import SerialColumns
+from casadical.core.linear_gaussian.columns import serial_columns
 from casadical.core.linear_gaussian.fit import Fit
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.linear_gaussian.noise import SerialNoise, serial_noise
@@ -64,7 +64,7 @@ def prewhitened(e: Evidence, form: Form, order: Array) -> Evidence:
     order : indices of the poses in the order of measuring, shape (n,)
     """
     own, noise = e.at(order), form.serial(len(order))
-    E = SerialColumns(e.E, order, noise)
+    E = serial_columns(e.E, order, noise)
     return replace(own, r=noise.whiten(own.r), J=noise.whiten(own.J), Jq=form.repeatability(own.Jq), E=E)
 
 

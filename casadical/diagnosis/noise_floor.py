@@ -10,12 +10,8 @@ from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements, Noise
 
-# Prior share of outlier poses, for which the instrument's noise is inflated.
-OUTLIER_SHARE = 0.01
 # Equally probable factors by which an outlier's noise standard deviation is inflated.
 OUTLIER_NOISE_FACTORS = np.geomspace(3.0, 300.0, 9)
-# Logged columns that must be equal for two poses to count as repeated.
-_CIRCUMSTANCE = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
 
 
 @dataclass(frozen=True)
@@ -50,7 +46,12 @@ def replicates(
     apart : index of the target of each pose, shape (n,), if there are several
     measured : mask of the numbers that were measured, shape (n, 3); all by default
     """
-    circumstances = [values for name, values in m.conditions.items() if _CIRCUMSTANCE.fullmatch(name)]
+    # These logged columns must be equal for two poses to count as repeated.
+    circumstances = [
+        values
+        for name, values in m.conditions.items()
+        if re.fullmatch(r"payload_kg|approach\d+|(tool|session)_.*", name)
+    ]
     circumstances += [] if apart is None else [apart]
     # Readings that are equal after rounding to 1e-3 rad or m are one pose. Residuals are compared,
     # so that the small modelled difference between such poses does not count as scatter.
@@ -93,7 +94,7 @@ def outlier_probability(distance: Array) -> float:
 
     distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
 
-    With prior probability `OUTLIER_SHARE` the noise of a pose is inflated by one of
+    With a prior probability of 1 % the noise of a pose is inflated by one of
     `OUTLIER_NOISE_FACTORS`.
     """
     wide = (
@@ -101,11 +102,7 @@ def outlier_probability(distance: Array) -> float:
         - 0.5 * distance / OUTLIER_NOISE_FACTORS[:, None] ** 2
         + 0.5 * distance
     )
-    odds = (
-        np.log(OUTLIER_SHARE / (1 - OUTLIER_SHARE))
-        + np.logaddexp.reduce(wide, axis=0)
-        - np.log(len(OUTLIER_NOISE_FACTORS))
-    )
+    odds = np.log(0.01 / 0.99) + np.logaddexp.reduce(wide, axis=0) - np.log(len(OUTLIER_NOISE_FACTORS))
     return float(-np.expm1(-np.logaddexp(0, odds).sum()))
 
 

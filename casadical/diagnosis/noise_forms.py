@@ -27,21 +27,6 @@ from casadical.measurements.measurements import Noise
 # Labels of the instrument's forms of noise in rankings and reports.
 AR_NOISE = "noise that follows itself"
 HEAVY_TAILS = "noise with heavy tails"
-# AR(1) coefficients that are tried: correlation of a pose's noise with that of the previous pose.
-AR_COEFFICIENTS = (0.4, 0.6, 0.8, 0.9)
-# The best coefficient is refined by this step to both sides before causes are searched under it.
-AR_COEFFICIENT_STEP = 0.07
-# Prior share of the poses whose noise is larger, in the model of heavy tails.
-TAIL_SHARE = 0.05
-# Factor on the noise of the poses in the tails, in the model of heavy tails.
-TAIL_NOISE_FACTOR = 4.0
-# Number of rounds in which the poses in the tails of the noise are identified.
-MAX_TAIL_ROUNDS = 3
-# Repeatability error of a noisy joint over that of the other joints.
-NOISY_JOINT_FACTOR = 8.0
-# Log evidence of autocorrelated over white noise [nats] from which causes and expressions are
-# judged again under it.
-MIN_AR_LOG_GAIN = 10.0
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
@@ -110,12 +95,11 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
     plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(e.Jq.shape[2])
     kinds: list[tuple[str, Sequence[Form], int]] = []
     if of_instrument:
-        kinds += [
-            (AR_NOISE, [ar_form(ar_coefficient, len(e.r), e.count / len(e.r)) for ar_coefficient in AR_COEFFICIENTS], 1)
-        ]
+        numbers = e.count / len(e.r)
+        kinds += [(AR_NOISE, [ar_form(share, len(e.r), numbers) for share in SETTINGS.ar_coefficients], 1)]
         kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
     kinds += [
-        (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=NOISY_JOINT_FACTOR)], len(joints))
+        (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=SETTINGS.noisy_joint_factor)], len(joints))
         for j in joints
     ]
     rivals = []
@@ -156,11 +140,10 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
             (float(np.logaddexp.reduce(grid, axis=None)), form, grid) for form, grid in zip(forms, grids, strict=True)
         ]
 
-    tried = judged(AR_COEFFICIENTS)
+    tried = judged(SETTINGS.ar_coefficients)
     best = best_of(tried, lambda k: k[0], logs=True)[1].stays
-    log, form, grid = best_of(
-        (*tried, *judged([best - AR_COEFFICIENT_STEP, best + AR_COEFFICIENT_STEP])), lambda k: k[0], logs=True
-    )
+    step = SETTINGS.ar_coefficient_step
+    log, form, grid = best_of((*tried, *judged([best - step, best + step])), lambda k: k[0], logs=True)
     return form, likely_noise(grid, e.sigmas), log - float(np.logaddexp.reduce(e.log_base(chosen), axis=None))
 
 
@@ -170,8 +153,8 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
     A better form is one with a different coefficient and enough evidence to judge causes again.
     """
     form, noise, gain = best_ar_form(case, chosen)
-    moved = abs(form.stays - case.form.stays) > AR_COEFFICIENT_STEP / 2
-    return (form, noise, gain) if moved and gain >= MIN_AR_LOG_GAIN else None
+    moved = abs(form.stays - case.form.stays) > SETTINGS.ar_coefficient_step / 2
+    return (form, noise, gain) if moved and gain >= SETTINGS.min_ar_log_gain else None
 
 
 def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
@@ -199,23 +182,19 @@ def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | Non
     """Return a form (default: white) with larger noise at poses that are far out; None without."""
     usual = usual or Form()
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
-    log_odds = np.log(TAIL_SHARE / (1 - TAIL_SHARE)) - numbers * np.log(TAIL_NOISE_FACTOR)
+    share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
+    log_odds = np.log(share / (1 - share)) - numbers * np.log(factor)
     times, form = np.ones(n), usual
     grid = problem.log_likelihood(usual) if usual.stays else problem.e.log_base(problem.chosen)
-    for _ in range(MAX_TAIL_ROUNDS):
+    for _ in range(3):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
         square = ((problem.residual(form, rho) * times[:, None]) ** 2).sum(axis=1) / noise.sigma**2
-        before, times = (
-            times,
-            np.where(log_odds + 0.5 * square * (1 - TAIL_NOISE_FACTOR**-2) > 0, TAIL_NOISE_FACTOR, 1.0),
-        )
+        before, times = times, np.where(log_odds + 0.5 * square * (1 - factor**-2) > 0, factor, 1.0)
         if np.array_equal(before, times):
             break
         out = int((times > 1).sum())
-        weight = (
-            out * np.log(TAIL_SHARE) + (n - out) * np.log(1 - TAIL_SHARE) - numbers * out * np.log(TAIL_NOISE_FACTOR)
-        )
+        weight = out * np.log(share) + (n - out) * np.log(1 - share) - numbers * out * np.log(factor)
         form = replace(usual, times=times, log_weight=usual.log_weight + float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

@@ -29,9 +29,6 @@ from casadical.measurements.measurements import Measurements, same_readings
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Logged columns that belong to the stop and not to a single reading.
-_OF_STOP = re.compile(r"payload_kg|approach\d+|(tool|session)_.*")
-
 
 @dataclass(frozen=True, eq=False)
 class Stops:
@@ -149,7 +146,8 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
     shared = [c for c in sets[0].conditions if all(c in m.conditions for m in sets)]
     logged = {c: np.concatenate([m.conditions[c] for m in sets]) for c in shared}
     q = np.concatenate([m.q for m in sets])
-    own = (values for c, values in logged.items() if _OF_STOP.fullmatch(c))
+    # These logged columns belong to the stop and not to a single reading.
+    own = (values for c, values in logged.items() if re.fullmatch(r"payload_kg|approach\d+|(tool|session)_.*", c))
     key = _distinct_indices(np.column_stack([same_readings(q), *own]))
     clock = next((logged[c] for c in ("time_s", "pose") if c in logged), None)
     if clock is not None:

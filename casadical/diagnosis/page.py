@@ -9,15 +9,12 @@ from casadical.core.telling.figure import Figure
 from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
-from casadical.diagnosis.joint_curves import CURVE_COLUMNS, JointCurves
+from casadical.diagnosis.joint_curves import CURVE_COLUMNS
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import correlated, parameter_tables, unidentifiable_table
-
-# Character at which a browser may break a long name.
-ZERO_WIDTH_SPACE = "\u200b"
 
 
 def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
@@ -32,6 +29,10 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     if layers := layer_rows(d, floor_of(d, more)):
         columns = ("layer, beside those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
         layered = [Table("Layer by layer: errors on held-out poses, mm", columns, layers, frozenset(range(1, 5)))]
+    curves: list[Block] = []
+    if more.curves:
+        lines = [tuple(cell.replace("+-", "±") for cell in row) for row in more.curves.rows()]
+        curves = [Table("Curves", CURVE_COLUMNS, lines, frozenset({1, 2}))]
     sections = [
         Section(
             "Verdict",
@@ -51,9 +52,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
                 *figures_named(figures, "causes"),
             ],
         ),
-        Section(
-            "Joint error curves", [*figures_named(figures, "curves"), *(_curves(more.curves) if more.curves else ())]
-        ),
+        Section("Joint error curves", [*figures_named(figures, "curves"), *curves]),
         *([more.laws.section()] if more.laws else []),
         Section("What these poses cannot tell", [*_said(said, "CANNOT", "MISSING")]),
         Section("Replayed in a simulator", replayed),
@@ -80,9 +79,8 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
     yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
     if d.effects():
         first = next(c for c in d.causes if c.effects)
-        yield Tile(
-            "Leading cause", first.label.replace("_", f"_{ZERO_WIDTH_SPACE}"), "", f"probability {first.confidence:.3f}"
-        )
+        # A browser may break a long name at a zero-width space.
+        yield Tile("Leading cause", first.label.replace("_", "_\u200b"), "", f"probability {first.confidence:.3f}")
     if d.has_rest:
         before, after, share = left_over(d)
         yield Tile(
@@ -126,11 +124,6 @@ def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
     if sizes:
         head = ("cause", "parameter", "value", "std error", "unit")
         yield Table("Size of the causes", head, sizes, frozenset({2, 3}))
-
-
-def _curves(curves: JointCurves) -> Iterator[Block]:
-    rows = [tuple(cell.replace("+-", "±") for cell in row) for row in curves.rows()]
-    yield Table("Curves", CURVE_COLUMNS, rows, frozenset({1, 2}))
 
 
 def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:

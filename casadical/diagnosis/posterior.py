@@ -11,6 +11,7 @@ from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best, ranked
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
+from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
@@ -91,11 +92,6 @@ class Rival:
     noise: Noise
 
 
-# Factor on the prior of an additional cause at a joint that has a cause already: it is more likely
-# a flaw of the first cause's equation.
-SAME_JOINT_PRIOR_FACTOR = 0.05
-
-
 def rank(
     case: "Judged", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
 ) -> Ranking:
@@ -144,6 +140,6 @@ def prior_weights(
     part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
     part["unknown"] = prior["unknown"] / (2 if rare else 1)
     return {
-        c.label: part[c.name] / max(names[c.name], 1) * (SAME_JOINT_PRIOR_FACTOR if c.joint in taken else 1.0)
+        c.label: part[c.name] / max(names[c.name], 1) * (SETTINGS.same_joint_prior_factor if c.joint in taken else 1.0)
         for c in open_
     }

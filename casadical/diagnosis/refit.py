@@ -1,6 +1,6 @@
 """Nonlinear refit: base model and causes identified together by Ipopt."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,19 +82,15 @@ def row_errors(found: Identification, sets: Sequence[Measurements], test: Array)
 
     Unknown points are at the identification's estimates, not refitted to these rows.
     """
-    where = found.unknown_points
-    parts = [(k, m[test[at]]) for k, (m, at) in enumerate(zip(sets, row_slices(sets), strict=True)) if test[at].any()]
-    return np.concatenate([_length_errors(found, k, m, where) for k, m in parts])
-
-
-def _length_errors(found: Identification, k: int, m: Measurements, where: Mapping[str, Array]) -> Array:
-    """Return the norm of each row's length residuals, shape (n,) [m]; k : index of the set."""
-    kind = find_kind(m.kind)
-    names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
-    points = np.array([where[name] for name in names]).reshape(-1, 3)
-    block = make_block(found.robot, m, (), 1.0, 1.0, points, np.arange(len(m)))
-    r, _ = block.evaluate(np.zeros(0), np.zeros((len(m), 3)))
-    return np.asarray(np.linalg.norm(r[:, : kind.lengths], axis=1))
+    where, errors = found.unknown_points, []
+    for k, (every, at) in enumerate(zip(sets, row_slices(sets), strict=True)):
+        m, kind = every[test[at]], find_kind(every.kind)
+        if len(m):
+            points = np.array([where[f"{k}/{name}"] for name in kind.point_names(m.arrays)]).reshape(-1, 3)
+            block = make_block(found.robot, m, (), 1.0, 1.0, points, np.arange(len(m)))
+            r, _ = block.evaluate(np.zeros(0), np.zeros((len(m), 3)))
+            errors.append(np.linalg.norm(r[:, : kind.lengths], axis=1))
+    return np.concatenate(errors)
 
 
 def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:

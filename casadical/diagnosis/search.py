@@ -23,18 +23,6 @@ from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.structure import lines_of
 from casadical.effects import Effect, TransmissionRipple
-from casadical.measurements.measurements import Noise
-
-# Number of joints that must show an effect of several joints at once.
-MIN_JOINTS_AT_ONCE = 3
-# Log evidence [nats], given the others, by which a joint shows an effect of several joints; joints
-# with less are removed from it.
-MIN_JOINT_LOG_EVIDENCE = 3.0
-# Number of times that causes are searched again under another form of noise.
-MAX_FORM_SEARCHES = 3
-# Under autocorrelated noise a cause is detected only if "nothing" is less probable than this,
-# because the form of such noise is not known for certain.
-MAX_P_NOTHING_UNDER_FORM = 1e-3
 
 # Why the search ended: no additional cause is detected, candidates cannot be distinguished, an
 # unlisted cause is detected, or the last cause was claimed.
@@ -121,13 +109,14 @@ class State:
         """Return the ranking without effects of several joints that too few joints show."""
         there = 1 - ranking.none
         likely = [self.by_label[k] for k, p in ranking.probability.items() if p > SETTINGS.min_ambiguous * there]
+        # At least three joints must show an effect of several joints at once.
+        least = SETTINGS.min_joint_log_evidence
         lost = {
             c.label
             for c in likely
             if c.together
             and c.label != keep
-            and sum(g > MIN_JOINT_LOG_EVIDENCE for g in self._gains(c.variants[ranking.variant[c.label]], chosen))
-            < MIN_JOINTS_AT_ONCE
+            and sum(g > least for g in self._gains(c.variants[ranking.variant[c.label]], chosen)) < 3
         }
         if not lost:
             return ranking
@@ -182,7 +171,7 @@ class State:
         variant = self.by_label[label].variants[ranking.variant[label]]
         if self.by_label[label].together:
             gains = self._gains(variant, self.columns(given))
-            variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > MIN_JOINT_LOG_EVIDENCE)
+            variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > SETTINGS.min_joint_log_evidence)
         case, effects = refined(self.case, label, variant, self.columns(given), ranking.noise[label])
         return case, Step(ranking, tuple(labels), effects)
 
@@ -198,17 +187,14 @@ class State:
         case, step = self.refined(ranking, labels, steps)
         if not step.effects:
             return self
-        return replace(self, case=case, steps=(*steps, step))._screened(ranking.noise[labels[0]])
-
-    def _screened(self, noise: Noise) -> State:
-        """Return the state with outliers determined anew, with hysteresis in the limit."""
-        case = self.case
-        _, distance = errors_and_distances(case.whole, self.columns(), noise, case.kept)
+        state = replace(self, case=case, steps=(*steps, step))
+        _, distance = errors_and_distances(case.whole, state.columns(), ranking.noise[labels[0]], case.kept)
+        # The limit has a hysteresis, so that the search does not alternate.
         limit = np.where(case.kept, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
         screened = case.screened(distance < limit)
         if screened is not case:
             case.judged.forget()
-        return replace(self, case=screened)
+        return replace(state, case=screened)
 
     def revisited(self) -> State:
         """Return the state with each cause replaced where another one is more probable."""
@@ -254,7 +240,8 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         lines.update(lines_of(given.case, given.columns(), noise, form))
         given.case.judged.forget()
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)
-        there = other.steps and other.rankings[0].none <= MAX_P_NOTHING_UNDER_FORM and gain + other.log_gain > least
+        detected = other.steps and other.rankings[0].none <= SETTINGS.max_p_nothing_under_form
+        there = detected and gain + other.log_gain > least
         return (other, other_end) if there else None
 
     # Effects with many parameters fit autocorrelated noise; so this noise is tried first without
@@ -262,7 +249,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     if any(e.parts for s in state.steps for e in s.effects):
         before, state, end = state, *(where_noise_follows(State(case), state.log_gain, first=True) or (state, end))
         lone = before is not state
-    for _ in range(MAX_FORM_SEARCHES):
+    for _ in range(SETTINGS.max_form_searches):
         found = where_noise_follows(state)
         if not found:
             break

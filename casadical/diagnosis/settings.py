@@ -7,6 +7,8 @@ from dataclasses import dataclass
 class Settings:
     """Thresholds of the search for causes and of its verdict; probabilities unless said otherwise.
 
+    A value without a study is one that several places share.
+
     max_p_nothing : a first cause is detected if the probability of "nothing" is below this, at any
         number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of pure
         noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are below, 0.2
@@ -36,6 +38,61 @@ class Settings:
         anchors and hoses leave 0.08 and 0.11 (seeds 77)
     max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
         them above which the causes are no explanation
+    min_joint_log_evidence : log evidence [nats], given the others, by which a joint shows an
+        effect of several joints; joints with less are removed from it
+    max_form_searches : number of times that causes are searched again under another form of
+        noise
+    max_p_nothing_under_form : under autocorrelated noise a cause is detected only if "nothing"
+        is less probable than this, because the form of such noise is not known for certain
+    min_set_log_gain : log evidence [nats] that each additional cause of a set must gain
+    min_change : probability of a change from which the earlier campaign's prior of a part is
+        dropped
+    min_doubtful : a doubtful cause is kept only if it is at least this probable, together with
+        the causes that the data cannot distinguish from it
+    same_joint_prior_factor : factor on the prior of an additional cause at a joint that has a
+        cause already: it is more likely a flaw of the first cause's equation
+    folds : number of folds of a partition of the poses
+    min_ar_log_gain : log evidence of autocorrelated over white noise [nats] from which causes
+        and expressions are judged again under it
+    ar_coefficients : AR(1) coefficients that are tried: correlation of a pose's noise with that
+        of the previous pose
+    ar_coefficient_step : the best coefficient is refined by this step to both sides before
+        causes are searched under it
+    tail_share : prior share of the poses whose noise is larger, in the model of heavy tails
+    tail_noise_factor : factor on the noise of the poses in the tails, in the model of heavy
+        tails
+    noisy_joint_factor : repeatability error of a noisy joint over that of the other joints
+    min_noise_excess_factor : ratio of the estimated noise to its independent figure from which
+        it contains structure, if the excess is significant
+    max_law_poses : number of poses, spread over the campaign, on which laws are searched: the
+        time grows with it
+    min_alias_correlation : a law is a listed effect under another name if their columns
+        correlate by more than this
+    min_law_score : score that a law needs to be claimed
+    min_law_margin : margin over the best rival's score that a law needs to be claimed
+    indistinguishable_law_margin : laws with scores within this of the best one are reported as
+        indistinguishable
+    max_exact_laws : number of laws, the best by screening, whose evidence is computed exactly
+    min_moved_laws : number of laws of an instrument's beam whose station is refined in any case
+    max_driver_value : a driver with a larger value is the rounding error of a load divided by
+        zero
+    max_slow_cycles : greatest frequency of slow waves over an angle [cycles per revolution]
+    max_absorbed_share : share of an effect's energy absorbed by the base model above which the
+        effect is invisible
+    max_findable_multiple : multiple of its usual size, needed to find an effect, above which
+        the effect is invisible
+    min_size_mm : effects with a smaller rms displacement [mm] do not act at all
+    posterior_draws : draws from the posterior of the parts' errors
+    variance_draws : draws of each part's variance; each is shared by several draws from the
+        posterior
+    unit_error : error that counts as one in the columns of smooth errors [rad or m]
+    near_threshold_odds_ratio : a probability is reported as just above or below the threshold
+        of a decision if their odds differ by at most this factor
+    min_decision_gain : additional poses are suggested only if they raise the probability of the
+        right decision by this much
+    max_structure_chance : largest probability by chance, among all tests, at which a dependence
+        on a driver, or of outliers on a joint, is significant
+    max_joint_harmonic : harmonics of an angle that are tested together [cycles per turn]
     """
 
     max_p_nothing: float = 0.1
@@ -55,6 +112,40 @@ class Settings:
     max_unexplained: float = 0.2
     max_flaw: float = 0.05
     max_block_ratio: float = 1.05
+    min_joint_log_evidence: float = 3.0
+    max_form_searches: int = 3
+    max_p_nothing_under_form: float = 1e-3
+    min_set_log_gain: float = 8.0
+    min_change: float = 0.5
+    min_doubtful: float = 0.5
+    same_joint_prior_factor: float = 0.05
+    folds: int = 5
+    min_ar_log_gain: float = 10.0
+    ar_coefficients: tuple[float, ...] = (0.4, 0.6, 0.8, 0.9)
+    ar_coefficient_step: float = 0.07
+    tail_share: float = 0.05
+    tail_noise_factor: float = 4.0
+    noisy_joint_factor: float = 8.0
+    min_noise_excess_factor: float = 1.4
+    max_law_poses: int = 600
+    min_alias_correlation: float = 0.95
+    min_law_score: float = 12.0
+    min_law_margin: float = 3.0
+    indistinguishable_law_margin: float = 5.0
+    max_exact_laws: int = 24
+    min_moved_laws: int = 4
+    max_driver_value: float = 1e6
+    max_slow_cycles: float = 16.0
+    max_absorbed_share: float = 0.98
+    max_findable_multiple: float = 5.0
+    min_size_mm: float = 1e-6
+    posterior_draws: int = 200
+    variance_draws: int = 20
+    unit_error: float = 30e-6
+    near_threshold_odds_ratio: float = 1.5
+    min_decision_gain: float = 0.1
+    max_structure_chance: float = 1e-3
+    max_joint_harmonic: int = 3
 
 
 SETTINGS = Settings()

@@ -21,36 +21,6 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.effects import Effect
 from casadical.measurements.measurements import Noise
 
-# Number of times that the steps are halved when none of them improves the settings.
-MAX_HALVINGS = 2
-# Gain of log evidence [nats] below which a step does not count as an improvement.
-MIN_SETTING_GAIN = 0.3
-# Number of rounds in which a cause's settings are moved by steps.
-MAX_SETTING_ROUNDS = 10
-# Whole numbers are tried within this share of a fractional setting (and within one of it).
-WHOLE_NUMBER_RANGE = 0.12
-# Log evidence [nats] that a whole number may lack and still be preferred to the fraction.
-WHOLE_NUMBER_BONUS = 2.0
-# Log evidence [nats] that an additional setting must gain over the fraction: it must gain this plus
-# the bonus over a whole number.
-TRIED_SETTING_PRICE = 5.0
-# Steps by which an additional setting is refined, in its own unit.
-FINE_STEPS = (0.0, -0.6, -0.3, 0.3, 0.6)
-# Log evidences within this tolerance [nats] are tied: a step between two poses fits equally well
-# wherever it lies between them.
-EQUAL_LOG_EVIDENCE = 1e-6
-# Number of rounds in which the sizes of an effect's parts are learnt.
-MAX_SIZE_ROUNDS = 8
-# Change of the logarithm of all sizes at which learning has converged.
-SIZE_TOLERANCE = 0.05
-# The size of an effect's part is learnt only if the data determine more of its parameters than
-# this.
-MIN_DETERMINED_PARAMETERS = 1.0
-# Lower bound of the factor by which a part's size is learnt.
-MIN_SIZE_FACTOR = 0.05
-# Upper bound of the factor by which a part's size is learnt.
-MAX_SIZE_FACTOR = 8.0
-
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
     """Return copies of an effect with one setting moved, each setting in turn (see `Effect`).
@@ -93,17 +63,17 @@ def refined(
         case, effect = case.with_sizes(variant[0], *learnt)
         return case, (effect,)
     halved = 0
-    for _ in range(MAX_SETTING_ROUNDS):
+    for _ in range(10):
         trial: list[tuple[Effect, ...]] = [variant, *((e,) for e in neighbours(variant[0], 0.5**halved))]
         if len(trial) == 1:
             break
         case = case.with_variants(label, trial[1:])
         log = _log_evidence(case, trial, chosen)
         best = _best(case, trial, log, chosen)
-        if log[best] - log[0] < MIN_SETTING_GAIN:
+        if log[best] - log[0] < 0.3:  # nats
             halved += 1
         variant = trial[best]
-        if halved == MAX_HALVINGS:
+        if halved == 2:
             break
     case, effect = _between_poses(case, label, variant[0])
     return _with_probable_settings(case, label, effect, chosen)
@@ -140,31 +110,34 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     (name,) = whole
     read = float(getattr(effect, name))
 
-    near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(WHOLE_NUMBER_RANGE * read, 1.0)]
+    # Whole numbers are tried within a share of a fractional setting, and within one of it.
+    near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(0.12 * read, 1.0)]
     plain = [_with(effect, **{name: k}) for k in near]
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]
     case = case.with_variants(label, every[1:])
     log = _log_evidence(case, every, chosen)
-    price = {(e,): TRIED_SETTING_PRICE for e in joined} | {(e,): -WHOLE_NUMBER_BONUS for e in plain}
+    # A whole number may lack 2 nats and still be preferred to the fraction; an additional setting
+    # must gain 5 nats over the fraction, and 7 nats over a whole number.
+    price = {(e,): 5.0 for e in joined} | {(e,): -2.0 for e in plain}
     log = log - np.array([price.get(v, 0.0) for v in every])
     best = every[first_of_best(log, logs=True)][0]
     if best not in joined:
         return case, (best,)
     (other,) = {other for other, _ in tried}
     value = float(getattr(best, other))
-    fine: list[tuple[Effect, ...]] = [(_with(best, **{other: value + step}),) for step in FINE_STEPS]
+    fine: list[tuple[Effect, ...]] = [(_with(best, **{other: value + step}),) for step in (0.0, -0.6, -0.3, 0.3, 0.6)]
     case = case.with_variants(label, fine)
     return case, fine[first_of_best(_log_evidence(case, fine, chosen), logs=True)]
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
     """Return the index of the best settings; ties are decided by the outliers, then by order."""
-    equal = np.flatnonzero(log >= log.max() - EQUAL_LOG_EVIDENCE)
+    equal = np.flatnonzero(log >= log.max() - 1e-6)  # settings between which the poses cannot tell
     if len(equal) > 1 and not case.kept.all():
         every = case.with_inliers(np.ones_like(case.kept))
         of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
-        equal = equal[of_all >= of_all.max() - EQUAL_LOG_EVIDENCE]
+        equal = equal[of_all >= of_all.max() - 1e-6]
     return int(equal[0])
 
 
@@ -191,7 +164,7 @@ def learnt_sizes(
     prior, mean = fit.prior.copy(), fit.mean
     factors, scale, rows = dict.fromkeys(parts, 1.0), 1.0, len(fit.y)
     square = float(fit.y @ fit.y)
-    for _ in range(MAX_SIZE_ROUNDS):
+    for _ in range(8):
         normal = sums.H / scale + np.diag(prior**-2)
         root = root_of_inverse(normal)
         x = root.T @ (root @ (sums.g / scale + mean / prior**2))
@@ -199,14 +172,16 @@ def learnt_sizes(
         residual_square = square - 2 * sums.g @ x + x @ sums.H @ x
         before = (scale, *factors.values())
         # The lower bound prevents that the noise shrinks to zero with more parameters than rows.
-        scale = max(float(residual_square / (rows - determined.sum())), MIN_SIZE_FACTOR**2)
+        scale = max(float(residual_square / (rows - determined.sum())), 0.05**2)
         for part, at in places_of.items():
             count = float(determined[at].sum())
-            if count > MIN_DETERMINED_PARAMETERS:
+            # A part's size is learnt only if the data determine more than one of its parameters.
+            if count > 1.0:
                 unit = prior[at] / factors[part]
                 factor = float(np.sqrt(((x[at] / unit) ** 2).sum() / count))
-                factors[part] = float(np.clip(factor, MIN_SIZE_FACTOR, MAX_SIZE_FACTOR))
+                factors[part] = float(np.clip(factor, 0.05, 8.0))
                 prior[at] = unit * factors[part]
-        if np.abs(np.log(np.array((scale, *factors.values())) / np.array(before))).max() < SIZE_TOLERANCE:
+        # It has converged where no size changes by more than 5 %.
+        if np.abs(np.log(np.array((scale, *factors.values())) / np.array(before))).max() < 0.05:
             break
     return factors, Noise(noise.sigma * float(np.sqrt(scale)), noise.repeatability * float(np.sqrt(scale)))

@@ -13,9 +13,6 @@ from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-# Largest number of forms in a description.
-MAX_SMOOTH_FORMS = 4
-
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     """Return the forms that best describe the remaining error, and the gap with them, or None.
@@ -45,7 +42,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
         return label, by_label[label].variants[ranking.variant[label]]
 
     while (
-        len(forms) < MAX_SMOOTH_FORMS
+        len(forms) < 4
         and ranking.none <= SETTINGS.max_p_nothing_further
         and ranking.probability[ranking.order[0]] > 0.5
     ):

@@ -11,7 +11,6 @@ import pandas as pd
 from casadical.core.telling.template import paragraphs, sentence
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
 from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
-from casadical.diagnosis.changes import MIN_CHANGE_PROBABILITY
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import depends_on_time
 from casadical.diagnosis.isolability import cannot_tell, indistinguishable, invisible
@@ -22,12 +21,6 @@ from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.gravity import in_words as gravity_in_words
 
-# A probability is reported as just above or below the threshold of a decision if their odds differ
-# by at most this factor.
-NEAR_THRESHOLD_ODDS_RATIO = 1.5
-# Additional poses are suggested only if they raise the probability of the right decision by this
-# much.
-MIN_DECISION_GAIN = 0.1
 # Words that precede a statement about a topic where it stands alone as a sentence; the most
 # important topics come first.
 SUBJECTS = {
@@ -171,9 +164,9 @@ def _side_of_threshold(probability: float, threshold: float) -> str:
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
     return (
         "above"
-        if 1 <= times < NEAR_THRESHOLD_ODDS_RATIO
+        if 1 <= times < SETTINGS.near_threshold_odds_ratio
         else "below"
-        if 1 / NEAR_THRESHOLD_ODDS_RATIO < times < 1
+        if 1 / SETTINGS.near_threshold_odds_ratio < times < 1
         else ""
     )
 
@@ -216,11 +209,11 @@ def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
 _TEMPLATES = Path(__file__).parent
 # Names that the templates use in addition to the diagnosis.
 _SAYS: dict[str, Any] = {
-    "NEW": MIN_CHANGE_PROBABILITY,
+    "NEW": SETTINGS.min_change,
     "DETECT": SETTINGS.max_p_nothing,
     "CLAIM": SETTINGS.min_claim,
     "SET_CLAIM": SETTINGS.min_set,
-    "LITTLE": MIN_DECISION_GAIN,
+    "LITTLE": SETTINGS.min_decision_gain,
     "timed": lambda causes: any(depends_on_time(c.effects) for c in causes),
     "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),
     "undeclared": lambda d: any(m.sigma is None for m in d.case.observations.sets),

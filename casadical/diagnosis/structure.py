@@ -11,7 +11,7 @@ in the order of measuring.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -29,30 +29,12 @@ from casadical.diagnosis.cross_validation import residual_of_fit_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
+from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Largest probability by chance, among all tests, at which a dependence on a driver, or of outliers
-# on a joint, is significant.
-MAX_CHANCE = 1e-3
-# Number of poses that are tested, spread over the campaign.
-MAX_POSES = 600
-# Number of poses that are tested under autocorrelated noise: the first ones, in sequence.
-MAX_AUTOCORRELATED_POSES = 4000
-# Harmonics of an angle that are tested together [cycles per turn].
-MAX_JOINT_HARMONIC = 3
-# Largest frequency of the lines of a joint's own angle that are tested one by one [cycles per
-# turn].
-MAX_LINE_CYCLES = 140.0
-# A residual has Gaussian tails if the degrees of freedom of its squares are at least this share of
-# the measured numbers.
-MIN_FREEDOM_SHARE = 0.6
-# Noise counts as isotropic if Mauchly's test gives a larger probability.
-MIN_ISOTROPY_CHANCE = 1e-4
-# Rows whose distances to all others are computed at once, which bounds memory.
-ROWS_PER_BLOCK = 512
 # Driver of consecutive poses.
 PREVIOUS_POSE = "the pose before"
 
@@ -122,7 +104,7 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     best = first_of_best(total)
     # A sum of k logarithms has a gamma distribution of shape k.
     chance = len(total) * float(gammaincc(len(residuals), total[best]))
-    return best + 1 if chance < MAX_CHANCE else None
+    return best + 1 if chance < SETTINGS.max_structure_chance else None
 
 
 # Drivers and their functions, shape (n, functions) each.
@@ -140,14 +122,16 @@ class _WhitenedResidual:
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
         kept = np.flatnonzero(case.kept)
         self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
-        n, most = len(order), min(len(order), MAX_AUTOCORRELATED_POSES if form.stays else MAX_POSES)
+        # The tested poses are spread over the campaign; under autocorrelated noise they are the
+        # first ones, in sequence.
+        n, most = len(order), min(len(order), 4000 if form.stays else 600)
         # Autocorrelated noise can be whitened only over consecutive poses.
         self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
         self._form = form if form.times is None else replace(form, times=form.times[self.pick])
         self._m, self.at = m[kept[order]], kept[order[self.pick]]
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
-        self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma}).W / noise.sigma
+        self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma})[0] / noise.sigma
         # Orthonormal basis of what a fit with priors absorbs.
         whole = e.with_base(columns)
         A = self.rows(whole.J) * noise.sigma
@@ -181,7 +165,8 @@ class _WhitenedResidual:
         sure = _significant(tests, len(tests))
         # Of a joint's lines only the most significant one is kept.
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}
-        tails = self.freedom >= MIN_FREEDOM_SHARE * (self.e.count - self._absorbed)
+        # The tails are Gaussian if the squares have this share of the numbers' degrees of freedom.
+        tails = self.freedom >= 0.6 * (self.e.count - self._absorbed)
         # At most three drivers are reported.
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
@@ -216,7 +201,11 @@ class _WhitenedResidual:
 
     def _groups(self) -> Iterator[_Group]:
         """Yield the tests in groups: along one direction, drivers of equal numbers of functions."""
-        functions = _by_width((name, g[self.pick]) for name, g in _drivers(self.case.robot, self._m, self._places))
+        functions: dict[int, tuple[tuple[str, Array], ...]] = {}
+        for name, values in _drivers(self.case.robot, self._m, self._places):
+            g = values[self.pick]
+            if len(g) and np.ptp(g, axis=0).max() > 0:  # a constant explains nothing
+                functions[g.shape[1]] = (*functions.get(g.shape[1], ()), (name, g))
         for along, v in self._directions():
             own, cycles = dict(functions), dict[str, tuple[int, float]]()
             if hit := re.fullmatch(r"joint (\d+)", along):
@@ -300,14 +289,15 @@ class _WhitenedResidual:
             square = -(n - 1 - 17 / 18) * float(np.log(max(value.prod(), 1e-300) / value.mean() ** 3))
             # Chi-square tail with six instead of five degrees of freedom, which has a closed form.
             chances.append(-square / 2 + np.log1p(square / 2 + square**2 / 8))
-        return bool(min(chances) > log(MIN_ISOTROPY_CHANCE / len(chances)))
+        # Mauchly's test of isotropy at a level of 0.01 %
+        return bool(min(chances) > log(1e-4 / len(chances)))
 
 
 def _nearest(q: Array) -> Array:
     """Return the index of the row nearest to each row, shape (n,); the first among equals."""
     square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
-    for first in range(0, len(q), ROWS_PER_BLOCK):
-        some = slice(first, first + ROWS_PER_BLOCK)
+    for first in range(0, len(q), 512):  # some rows at once, which bounds memory
+        some = slice(first, first + 512)
         apart = square[some, None] + square - 2 * q[some] @ q.T
         apart[np.arange(len(apart)), first + np.arange(len(apart))] = np.inf
         # Squared distances are rounded, because many poses on a grid are equally near up to
@@ -324,7 +314,7 @@ def _pairs(nearest: Array) -> Array:
 def _significant(found: Sequence[Structure], tried: int) -> list[Structure]:
     """Return the dependences significant among this many tests, the most significant first."""
     among = [replace(s, log_chance=s.log_chance + log(tried)) for s in found]
-    return sorted((s for s in among if s.log_chance < log(MAX_CHANCE)), key=lambda s: s.log_chance)
+    return sorted((s for s in among if s.log_chance < log(SETTINGS.max_structure_chance)), key=lambda s: s.log_chance)
 
 
 def about_vertical(p: Array) -> Array:
@@ -360,10 +350,10 @@ def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Arr
     """
     q, n = m.q, m.q.shape[1]
     for j in range(n):
-        yield f"q{j + 1}", sines(q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
+        yield f"q{j + 1}", sines(q[:, j], range(1, SETTINGS.max_joint_harmonic + 1))
     for i, j in combinations(range(n), 2):
-        yield f"q{i + 1} + q{j + 1}", sines(q[:, i] + q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
-        yield f"q{i + 1} - q{j + 1}", sines(q[:, i] - q[:, j], range(1, MAX_JOINT_HARMONIC + 1))
+        yield f"q{i + 1} + q{j + 1}", sines(q[:, i] + q[:, j], range(1, SETTINGS.max_joint_harmonic + 1))
+        yield f"q{i + 1} - q{j + 1}", sines(q[:, i] - q[:, j], range(1, SETTINGS.max_joint_harmonic + 1))
     R, about = predicted(robot, m)[1], about_vertical(p)
     yield "time", _cosines(m.conditions["progress"])
     places = {"radius": np.hypot(p[:, 0], p[:, 1]), "azimuth": np.arctan2(p[:, 1], p[:, 0]), "height": p[:, 2]}
@@ -381,15 +371,6 @@ def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Arr
             yield f"the tool's {axis} against {other}", _cosines((R[:, :, k] * about[:, :, direction]).sum(axis=1))
 
 
-def _by_width(functions: Iterable[tuple[str, Array]]) -> dict[int, tuple[tuple[str, Array], ...]]:
-    """Return the drivers by their number of functions, without constant ones."""
-    groups: dict[int, list[tuple[str, Array]]] = {}
-    for name, g in functions:
-        if len(g) and np.ptp(g, axis=0).max() > 0:
-            groups.setdefault(g.shape[1], []).append((name, g))
-    return {width: tuple(some) for width, some in groups.items()}
-
-
 def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:
     """Return the lines of a joint's own angle, and (joint, cycles per turn) of each by name.
 
@@ -397,7 +378,8 @@ def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dic
         readings resolves.
     """
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
-    cycles = np.arange(MAX_JOINT_HARMONIC + step, MAX_LINE_CYCLES, step)
+    # The lines of a joint's own angle are tested one by one up to 140 cycles per turn.
+    cycles = np.arange(SETTINGS.max_joint_harmonic + step, 140.0, step)
     names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
     return tuple((name, sines(angle, [f])) for name, (_, f) in names.items()), names
 

@@ -12,12 +12,6 @@ from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readin
 
 # Width of the full report [characters].
 PAGE_WIDTH = 112
-# Topics whose label precedes each of their statements, not only the first.
-REPEATED_LABELS = ("CANNOT", "MISSING")
-# Largest number of causes in the short answer.
-MAX_BRIEF_CAUSES = 6
-# Length of a note in the short answer [characters]: three lines of a terminal.
-MAX_NOTE_LENGTH = 290
 
 
 def page_of(d: Diagnosis, more: Details | None = None) -> str:
@@ -40,7 +34,8 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
     rows: list[tuple[str, str]] = []
     last = ""
     for s in statements(d, more):
-        rows.append((f"{s.about if s.about != last or s.about in REPEATED_LABELS else '':<7}", s.text))
+        # The label of these topics precedes each of their statements, not only the first.
+        rows.append((f"{s.about if s.about != last or s.about in ('CANNOT', 'MISSING') else '':<7}", s.text))
         tables: list[Table] = []
         if s.about == "WHICH" and d.causes:
             tables = [*_sized(d)]
@@ -97,9 +92,9 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
         columns = ("cause", "probability", "error less, 95 %", "what the data show")
-        yield Table("", columns, rows[:MAX_BRIEF_CAUSES], frozenset({1, 2}))
-    if len(rows) > MAX_BRIEF_CAUSES:
-        yield Words(f"and {len(rows) - MAX_BRIEF_CAUSES} more")
+        yield Table("", columns, rows[:6], frozenset({1, 2}))
+    if len(rows) > 6:
+        yield Words(f"and {len(rows) - 6} more")
 
 
 def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
@@ -120,9 +115,9 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
     return [*first, *[s for s in every if s.about == "NOISE" and s not in first][:1]]
 
 
-def _short(text: str) -> str:
-    """Return a text cut to `MAX_NOTE_LENGTH`, if possible at the end of a clause."""
-    if len(text) <= MAX_NOTE_LENGTH:
+def _short(text: str, length: int = 290) -> str:
+    """Return a text cut to three lines of a terminal, if possible at the end of a clause."""
+    if len(text) <= length:
         return text
-    whole, part, _ = text[:MAX_NOTE_LENGTH].rpartition("; ")
-    return f"{whole if part else text[:MAX_NOTE_LENGTH].rpartition(' ')[0]} ..."
+    whole, part, _ = text[:length].rpartition("; ")
+    return f"{whole if part else text[:length].rpartition(' ')[0]} ..."

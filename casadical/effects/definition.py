@@ -37,13 +37,6 @@ from casadical.effects.formula_effect import (
 )
 from casadical.effects.settings import MAX_SETTING_COUNT, NEAR_JOINTS, setting
 
-# Slope of the ramp between stops that is closest to tanh(x).
-TANH_SLOPE = 0.76
-# Value of the stops of the ramp that is closest to tanh(x).
-TANH_STOP = 0.92
-# Greatest difference between tanh(x) and the ramp between stops that is closest to it.
-TANH_MAX_ERROR = 0.083
-
 
 def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with a changed gear ratio of the effect's joint.
@@ -97,9 +90,11 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
     """
     if v["bend"] <= 0:
         return simulator.without_sign(effect.label)
-    stiffness = effect.knee * simulator.peak_torque(effect.joint) / (TANH_SLOPE * v["bend"])
-    spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * TANH_MAX_ERROR * v['bend']:.1f} urad"
-    return simulator.with_drive(effect, spring, give=TANH_STOP * v["bend"], give_stiffness=stiffness)
+    # The ramp between stops that is closest to tanh(x) has slope 0.76 and stops at 0.92; it differs
+    # by up to 0.083.
+    stiffness = effect.knee * simulator.peak_torque(effect.joint) / (0.76 * v["bend"])
+    spring = f"joint{effect.joint}_bed, a soft spring between stops, within {1e6 * 0.083 * v['bend']:.1f} urad"
+    return simulator.with_drive(effect, spring, give=0.92 * v["bend"], give_stiffness=stiffness)
 
 
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:

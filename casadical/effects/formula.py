@@ -21,18 +21,6 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.reading import LARGEST_NUMBER
 
-# Largest length of a formula.
-MAX_FORMULA_CHARACTERS = 400
-# Largest number of names, numbers and operations in a formula.
-MAX_FORMULA_NODES = 120
-# Largest depth of nested operations in a formula.
-MAX_FORMULA_DEPTH = 20
-# Largest exponent in a formula.
-MAX_FORMULA_POWER = 6
-# Smallest absolute value of a number in a formula other than zero.
-SMALLEST_CONSTANT = 1e-15
-# Largest absolute value of a number in a formula.
-LARGEST_CONSTANT = 1e9
 # Number of arguments, CasADi function and numpy function, by name.
 _FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
     "sin": (1, ca.sin, np.sin),
@@ -90,7 +78,14 @@ def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
     Raises InputError that states what is wrong, in which column, and what is allowed.
     """
     tree = _tree(text)
-    _refuse_complex(text, tree)
+    count, level, row = 0, 0, [tree]
+    while row:
+        count, level = count + len(row), level + 1
+        if level > 20:
+            raise _error_at(text, row[0], "nested more than 20 levels deep")
+        row = [child for node in row for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
+    if count > 120:
+        raise _error_at(text, tree, f"{count} names, numbers and operations; at most 120 are allowed")
     names: dict[str, None] = {}
     components = _check(text, tree, names)
     for node in _names_of(tree):
@@ -189,8 +184,8 @@ def _tree(text: str) -> ast.expr:
     """Return the syntax tree of a formula. Raises InputError."""
     if not text.strip():
         raise InputError("formula: it is empty; a formula such as 'a * max(0, abs(tau3) - 0.3)' is needed")
-    if len(text) > MAX_FORMULA_CHARACTERS:
-        raise InputError(f"formula: it has {len(text)} characters; at most {MAX_FORMULA_CHARACTERS} are allowed")
+    if len(text) > 400:
+        raise InputError(f"formula: it has {len(text)} characters; at most 400 are allowed")
     for k, c in enumerate(text, 1):
         if not (c.isascii() and (c.isalnum() or c in "_ .,+-*/()[]")):
             raise _error_at(text, k, f"character {c!r}; allowed are letters, digits and _ . , + - * / ( ) [ ]")
@@ -210,18 +205,6 @@ def _names_of(tree: ast.expr) -> list[ast.Name]:
     return [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
 
 
-def _refuse_complex(text: str, tree: ast.expr) -> None:
-    """Check that a formula is not too long or deeply nested. Raises InputError."""
-    count, level, row = 0, 0, [tree]
-    while row:
-        count, level = count + len(row), level + 1
-        if level > MAX_FORMULA_DEPTH:
-            raise _error_at(text, row[0], f"nested more than {MAX_FORMULA_DEPTH} levels deep")
-        row = [child for node in row for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
-    if count > MAX_FORMULA_NODES:
-        raise _error_at(text, tree, f"{count} names, numbers and operations; at most {MAX_FORMULA_NODES} are allowed")
-
-
 def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     """Return the number of components of a node, 1 or 3, and add its names to `names`.
 
@@ -231,10 +214,8 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
         value = node.value
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise _error_at(text, node, f"{value!r} is no number")
-        if value and not SMALLEST_CONSTANT <= abs(value) <= LARGEST_CONSTANT:  # also an integer that is no double
-            raise _error_at(
-                text, node, f"number out of range; allowed are 0 and {SMALLEST_CONSTANT:g} to {LARGEST_CONSTANT:g}"
-            )
+        if value and not 1e-15 <= abs(value) <= 1e9:  # also an integer that is no double
+            raise _error_at(text, node, "number out of range; allowed are 0 and 1e-15 to 1e+09")
         return 1
     if isinstance(node, ast.Name):
         names[node.id] = None
@@ -244,7 +225,16 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     if isinstance(node, ast.BinOp) and type(node.op) in _OPERATOR_SIGNS:
         return _checked_operation(text, node, names)
     if isinstance(node, ast.Call):
-        return _checked_call(text, node, names)
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if name not in ARGUMENT_COUNTS:
+            raise _error_at(text, node, f"unknown function {name!r}; allowed are {', '.join(ARGUMENT_COUNTS)}")
+        if node.keywords or len(node.args) != ARGUMENT_COUNTS[name]:
+            raise _error_at(
+                text, node, f"{name} takes {ARGUMENT_COUNTS[name]} argument{'s'[: ARGUMENT_COUNTS[name] - 1]}"
+            )
+        if any(_check(text, each, names) != 1 for each in node.args):
+            raise _error_at(text, node, f"{name} takes no three components")
+        return 1
     if isinstance(node, ast.List):
         if len(node.elts) != 3 or any(_check(text, each, names) != 1 for each in node.elts):
             raise _error_at(text, node, "brackets hold three components, [x, y, z]")
@@ -259,26 +249,14 @@ def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> in
     sign = _OPERATOR_SIGNS[type(node.op)]
     if sign == "**":
         power = node.right.value if isinstance(node.right, ast.Constant) else None
-        if left != 1 or not isinstance(power, int) or not 1 <= power <= MAX_FORMULA_POWER:
-            raise _error_at(text, node.right, f"a power must be a whole number from 1 to {MAX_FORMULA_POWER}")
+        if left != 1 or not isinstance(power, int) or not 1 <= power <= 6:
+            raise _error_at(text, node.right, "a power must be a whole number from 1 to 6")
         return 1
     if sign in "+-" and left != right:
         raise _error_at(text, node, "one side has three components, the other one")
     if (sign == "/" and right == 3) or (sign == "*" and left == right == 3):
         raise _error_at(text, node, "three components can be multiplied or divided by a number only")
     return max(left, right)
-
-
-def _checked_call(text: str, node: ast.Call, names: dict[str, None]) -> int:
-    """Return the number of components of a function call, 1. Raises InputError."""
-    name = node.func.id if isinstance(node.func, ast.Name) else ""
-    if name not in ARGUMENT_COUNTS:
-        raise _error_at(text, node, f"unknown function {name!r}; allowed are {', '.join(ARGUMENT_COUNTS)}")
-    if node.keywords or len(node.args) != ARGUMENT_COUNTS[name]:
-        raise _error_at(text, node, f"{name} takes {ARGUMENT_COUNTS[name]} argument{'s'[: ARGUMENT_COUNTS[name] - 1]}")
-    if any(_check(text, each, names) != 1 for each in node.args):
-        raise _error_at(text, node, f"{name} takes no three components")
-    return 1
 
 
 def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:

@@ -79,9 +79,6 @@ JOINT_NAME = re.compile(r"q|tau|approach|move")
 NUMBERED_NAME = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
-# Names of an instrument's range [m], direction about the vertical [rad], and cosine between beam
-# and target.
-_BEAM_NAMES = ("r", "azimuth", "incidence")
 # Name of the sense of an instrument head's last rotation about the vertical, -1 to 1.
 HEAD_NAME = "head"
 # Default direction of a target in the flange frame, the third axis.
@@ -231,9 +228,11 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     formula = parse(text, frozenset(own))
     if formula.components != SEAMS[seam].components:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
+    # r is the instrument's range [m], azimuth its direction about the vertical [rad], incidence the
+    # cosine between beam and target.
     there = {
         *own,
-        *(_BEAM_NAMES if seam in (*STATION_SEAMS, "distance") else ()),
+        *(("r", "azimuth", "incidence") if seam in (*STATION_SEAMS, "distance") else ()),
         *([HEAD_NAME] if seam in STATION_SEAMS else ()),
     }
     there |= set(_POINT_NAMES if seam in (*STATION_SEAMS, "distance", "point") else ())
@@ -371,10 +370,6 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
     return moved
 
 
-# Pattern of the name of a law's factor.
-_FACTOR_NAME = re.compile(r"[a-z]")
-
-
 @lru_cache(maxsize=1024)
 def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
     """Check the formula of a law, once for all stations where it is tried. Raises InputError."""
@@ -421,7 +416,7 @@ class Law(FormulaEffect):
         if (
             not names
             or len(set(names)) < len(names)
-            or not all(_FACTOR_NAME.fullmatch(n) and n not in "tr" for n in names)
+            or not all(re.fullmatch("[a-z]", n) and n not in "tr" for n in names)
         ):
             raise InputError(f"law: factors = {names}; allowed are different single letters, not t or r, one at least")
         if not any(self.towards):

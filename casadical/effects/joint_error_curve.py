@@ -13,12 +13,8 @@ from casadical.effects.base import Context, Counterparts, Effect
 
 # Prior standard deviation of a harmonic of a joint without other information [rad].
 TYPICAL_HARMONIC_RAD = 60e-6
-# Order above which the prior size of a harmonic is inversely proportional to its order.
-DEFAULT_KNEE_ORDER = 17
 # Highest harmonic of each curve.
 DEFAULT_ORDERS = 60
-# Number of poses from which the readings determine more harmonics.
-MIN_POSES_FOR_EXTENDED_ORDERS = 400
 # Highest harmonic of each curve where there are that many poses.
 EXTENDED_ORDERS = 90
 
@@ -35,7 +31,8 @@ class JointErrorCurve(Effect):
 
     spread: tuple[float, ...] = (TYPICAL_HARMONIC_RAD,) * 6
     orders: int = DEFAULT_ORDERS
-    knee: int = DEFAULT_KNEE_ORDER
+    # Above this order the prior size of a harmonic is inversely proportional to its order.
+    knee: int = 17
 
     name = "joint_error_curve"
     on_list = "standard"
@@ -73,11 +70,8 @@ class JointErrorCurve(Effect):
 
     def for_poses(self, count: int) -> "JointErrorCurve":
         """Return the effect with more harmonics where there are enough poses."""
-        return (
-            replace(self, orders=EXTENDED_ORDERS)
-            if count >= MIN_POSES_FOR_EXTENDED_ORDERS and self.orders == DEFAULT_ORDERS
-            else self
-        )
+        # The readings of so many poses determine more harmonics.
+        return replace(self, orders=EXTENDED_ORDERS) if count >= 400 and self.orders == DEFAULT_ORDERS else self
 
     @property
     def parts(self) -> dict[int, Array]:

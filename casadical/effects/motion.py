@@ -18,7 +18,6 @@ from casadical.effects.plugins import known_effects
 
 # The class of a cause, which may be requested with all its settings.
 Cause = type[DefinedEffect]
-LISTED_CAUSES_FILE = Path(__file__).with_name("motion.effect.toml")
 
 
 @cache
@@ -29,7 +28,7 @@ def motion_effects() -> Mapping[str, type[DefinedEffect]]:
     """
     installed = {k: kind for k, kind in known_effects().items() if kind.on_list == "motion"}
     own = {k: kind for k, kind in installed.items() if issubclass(kind, DefinedEffect)}
-    return {**read_definitions(LISTED_CAUSES_FILE, __name__), **own}
+    return {**read_definitions(Path(__file__).with_name("motion.effect.toml"), __name__), **own}
 
 
 def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:

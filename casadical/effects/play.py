@@ -9,9 +9,6 @@ from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Counterparts, Effect, setting
 
-# Friction torques of the candidates, as shares of the joint's peak gravity torque.
-FRICTION_GRID = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
-
 
 @dataclass(frozen=True)
 class Backlash(Effect):
@@ -43,7 +40,8 @@ class Backlash(Effect):
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
         """Return the effect at every joint with all frictions and widths of the grid."""
-        return (cls(j, f, f * w) for j in arm.numbers for f in FRICTION_GRID for w in (0.3, 0.6, 1.2))
+        frictions = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # shares of the peak gravity torque
+        return (cls(j, f, f * w) for j in arm.numbers for f in frictions for w in (0.3, 0.6, 1.2))
 
     @property
     def conditions(self) -> tuple[str, ...]:

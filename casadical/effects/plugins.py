@@ -8,7 +8,7 @@ A plug-in is a class in another package, under the entry point group `casadical.
 
 from collections.abc import Iterable, Mapping
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 
 from casadical.core.basics import InputError
 from casadical.effects import registry
@@ -29,24 +29,18 @@ def known_effects() -> Mapping[str, type[Effect]]:
     classes = {kind.name: kind for kind in own}
     for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name):
         origin = f"plug-in {point.name} = {point.value!r}" + (f" of {point.dist.name}" if point.dist else "")
-        kind = _loaded_effect(point, origin)
+        try:
+            kind = point.load()
+        except Exception as error:  # whatever another package's module raises
+            raise InputError(f"{origin}: cannot be loaded ({error!r}); repair or uninstall it") from error
+        if not (isinstance(kind, type) and issubclass(kind, Effect)):
+            raise InputError(f"{origin}: is {kind!r}; it must be a subclass of {Effect.__module__}.{Effect.__name__}")
         if point.name != kind.name:
             raise InputError(f"{origin}: its class is named {kind.name!r}; both need the same name")
         if kind.name in classes:
             raise InputError(f"{origin}: there is a {kind.name!r} already; rename it, or uninstall one")
         classes[kind.name] = kind
     return classes
-
-
-def _loaded_effect(point: EntryPoint, origin: str) -> type[Effect]:
-    """Return the class of an entry point. Raises InputError: it fails to load, or is no effect."""
-    try:
-        kind = point.load()
-    except Exception as error:  # whatever another package's module raises
-        raise InputError(f"{origin}: cannot be loaded ({error!r}); repair or uninstall it") from error
-    if not (isinstance(kind, type) and issubclass(kind, Effect)):
-        raise InputError(f"{origin}: is {kind!r}; it must be a subclass of {Effect.__module__}.{Effect.__name__}")
-    return kind
 
 
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:

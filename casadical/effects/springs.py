@@ -12,9 +12,6 @@ from casadical.core.parts import Arm, Body
 from casadical.core.transforms import Symbolic, apply, small_frame, translate
 from casadical.effects.base import Balancer, Context, Counterparts, Effect, setting
 
-# Phases of the candidates of a balancing spring, readings of joint 2.
-PHASE_GRID_RAD = tuple(float(p) for p in np.deg2rad(np.arange(0, 360, 30)))
-
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
@@ -27,7 +24,8 @@ class GravityCompensator(Effect):
 
     # The closer to 1, the more sharply the torque changes where the spring is shortest.
     anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
-    phase: float = setting(0.0, PHASE_GRID_RAD, steps=True, signed=True)
+    # Phases of the candidates of a balancing spring, readings of joint 2.
+    phase: float = setting(0.0, tuple(np.deg2rad(np.arange(0, 360, 30)).tolist()), steps=True, signed=True)
 
     name = "gravity_compensator"
     on_list = "standard"

@@ -292,7 +292,7 @@ class TouchModel:
         noises = [share * v if self.noise is None else self.noise**2 for share in shares]
         for noise, unexplained in [(n, r) for n in noises for r in (max(v - n, 0.0), v)]:
             whole = S + noise * np.eye(len(y)) + unexplained * same
-            (W,) = whitening_of(whole[None]).W
+            (W,), _ = whitening_of(whole[None])
             z, roots = W @ y, -np.log(np.diag(W))
             levels.append((-0.5 * float(z @ z) - float(roots.sum()), W.T @ W, z, roots))
         return levels

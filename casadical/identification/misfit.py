@@ -274,10 +274,10 @@ def _normal_equations(
     for rows in poses:
         n, numbers = rows.r.shape
         joints = NoiseModel((n, numbers), {"repeatability": rows.Jq})
-        whitening = joints.whitening({"repeatability": np.array(rhos)})
-        white, Jw, U = (whitening @ some for some in (rows.r[:, :, None], rows.J, rows.U))
+        W, log_det = joints.whitening({"repeatability": np.array(rhos)})
+        white, Jw, U = (W @ some for some in (rows.r[:, :, None], rows.J, rows.U))
         white, Jw, seen = _without_points(white[:, :, 0], Jw, U)
-        spread += 0.5 * whitening.log_det + seen
+        spread += 0.5 * log_det + seen
         own = np.zeros(len(white), dtype=int) if part is None else part[done : done + len(white)]
         done += len(white)
         for k in np.unique(own).tolist():

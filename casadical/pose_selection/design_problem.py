@@ -99,7 +99,7 @@ def _rows(
     if instrument is not None:
         return instrument.rows(robot, names, m, noise)
     J = scaled_jacobian(robot, names, m)
-    return np.asarray(whitening_of(noise_covariance(robot, m, noise)) @ J)
+    return np.asarray(whitening_of(noise_covariance(robot, m, noise))[0] @ J)
 
 
 def prepare(

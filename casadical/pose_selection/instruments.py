@@ -102,7 +102,7 @@ class Instrument:
             covariance = beam @ covariance @ beam.transpose(0, 2, 1)
         whole = seen if self.known else np.concatenate([seen, places], axis=2)
         own = (noise.sigma / POINT_SCALE) ** 2 * np.eye(self.numbers)
-        return whitening_of(covariance + own) @ whole
+        return np.asarray(whitening_of(covariance + own)[0] @ whole)
 
     def table(self, m: Measurements) -> pd.DataFrame:
         """Return a plan's columns at poses m: name of the socket, or nominal wire lengths [mm]."""

@@ -102,7 +102,7 @@ def _thresholds() -> str:
     rows = [
         ("prior of nothing / a listed effect / the unknown, first cause", _shares(first)),
         ("the same, for a further cause", _shares(further)),
-        ("prior factor of a further cause at a joint that has one", f"{which.SAME_JOINT_PRIOR_FACTOR:g}"),
+        ("prior factor of a further cause at a joint that has one", f"{SETTINGS.same_joint_prior_factor:g}"),
         ("something is there if P(nothing) is at most", f"{d.max_p_nothing:g}"),
         ("the same for a further cause", f"{d.max_p_nothing_further:g}"),
         (

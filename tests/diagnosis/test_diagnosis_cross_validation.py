@@ -30,7 +30,7 @@ def refit(e: Evidence, columns: np.ndarray, use: np.ndarray) -> tuple[np.ndarray
     A, b = [], []
     for k in np.flatnonzero(use):
         W = np.linalg.inv(np.linalg.cholesky(NOISE.sigma**2 * np.eye(3) + NOISE.repeatability**2 * e.Jq[k] @ e.Jq[k].T))
-        A.append(W @ np.hstack([e.J[k], e.E.values[k][:, columns]]))
+        A.append(W @ np.hstack([e.J[k], e.take(np.arange(e.width))[k][:, columns]]))
         b.append(W @ e.r[k])
     prior = np.concatenate([e.prior, np.full(len(columns), CAUSE_PRIOR_SIGMA)])
     mean = np.concatenate([e.delta0, np.zeros(len(columns))])
@@ -47,7 +47,7 @@ def test_held_out_errors_are_those_of_refits(folds: np.ndarray) -> None:
     for fold in np.unique(folds):
         x, _ = refit(e, columns, folds != fold)
         for k in np.flatnonzero(folds == fold):
-            expected[k] = np.linalg.norm(e.r[k] - np.hstack([e.J[k], e.E.values[k][:, columns]]) @ x)
+            expected[k] = np.linalg.norm(e.r[k] - np.hstack([e.J[k], e.take(np.arange(e.width))[k][:, columns]]) @ x)
     np.testing.assert_allclose(held_out_errors(e, columns, NOISE, folds), expected, rtol=1e-7)
 
 
@@ -61,7 +61,7 @@ def test_estimates_and_remainders_are_those_of_a_refit() -> None:
     x, _ = refit(e, columns, kept)
     length, distance = errors_and_distances(e, columns, NOISE, kept)
     for k in (4, 7):  # one that was left out anyway, and one that is now
-        A = np.hstack([e.J[k], e.E.values[k][:, columns]])
+        A = np.hstack([e.J[k], e.take(np.arange(e.width))[k][:, columns]])
         assert length[k] == pytest.approx(np.linalg.norm(e.r[k] - A @ x))
         alone, cov = refit(e, columns, kept & (np.arange(14) != k))
         left, spread = e.r[k] - A @ alone, e.covariance(NOISE)[k] + A @ cov @ A.T

@@ -57,7 +57,7 @@ def test_wider_noise_grid_holds_the_usual_one() -> None:
 def test_column_inside_the_base_says_nothing() -> None:
     """A cause that a freely known base parameter reproduces gains no evidence, however large its columns."""
     e = small_problem()
-    E = np.concatenate([e.E.values, 1e-2 * e.J[:, :, [3]]], axis=2)
+    E = np.concatenate([e.take(np.arange(e.width)), 1e-2 * e.J[:, :, [3]]], axis=2)
     known = Evidence(e.r, e.J, e.delta0, np.full(5, 1e3), E, Jq=e.Jq)
     grids = known.log_grids([np.array([4])])
     gain = grids[0] - known.log_base()[:, :, None]

@@ -12,7 +12,7 @@ from casadical.compensator import LevenbergMarquardt
 from casadical.diagnosis.cross_validation import held_out_errors, random_folds
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.evidence import SIGMA_GRID_M
-from casadical.diagnosis.held_out_gap import Stage, check_refit, course, depends_on_time, network_gap, time_blocks
+from casadical.diagnosis.held_out_gap import check_refit, course, depends_on_time, network_gap, time_blocks
 from casadical.diagnosis.isolability import isolability
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import replicates
@@ -60,12 +60,12 @@ def test_noise_is_taken_off() -> None:
     for signal in (60e-6, 120e-6):
         c, rms = doctored(signal, 0)
         folds = [random_folds(len(c.m), 0)]
-        row = course(c, [Stage("base", NOTHING, noise)], folds, noise, 0).iloc[0]
+        row = course(c, [("base", NOTHING, noise)], folds, noise, 0).iloc[0]
         # The wild signal pulls at the base a little: 40 parameters for 360 readings.
         assert row["model_mm"] == pytest.approx(rms, rel=0.15)
         assert row["model_low_mm"] <= row["model_mm"] <= row["model_high_mm"]
     c, _ = doctored(0.0, 1)
-    row = course(c, [Stage("base", NOTHING, noise)], [random_folds(len(c.m), 0)], noise, 0).iloc[0]
+    row = course(c, [("base", NOTHING, noise)], [random_folds(len(c.m), 0)], noise, 0).iloc[0]
     assert row["model_mm"] < 0.5 * row["gap_mm"]
 
 

@@ -151,7 +151,7 @@ def wide_problem(n: int) -> Evidence:
 def test_a_wide_group_is_the_normal_density(n: int, chosen: list[int]) -> None:
     e, also, group = wide_problem(n), np.array(chosen, dtype=np.int64), np.arange(MAX_NARROW_GROUP_COLUMNS + 1)
     grid, base = e.log_grids([group], also)[0], e.log_base(also)
-    J, E = e.J.reshape(3 * n, -1), e.E.values.reshape(3 * n, -1)
+    J, E = e.J.reshape(3 * n, -1), e.take(np.arange(e.width)).reshape(3 * n, -1)
     for rho, sigma, kappa in ((0, 12, 0), (3, 17, 2), (5, 25, 4)):
         C = np.zeros((3 * n, 3 * n))
         for k, Jq in enumerate(e.Jq):

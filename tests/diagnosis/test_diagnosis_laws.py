@@ -28,10 +28,8 @@ from casadical.diagnosis.laws.beams import Beam, stations
 from casadical.diagnosis.laws.contest import aliases, held_out, with_law
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
 from casadical.diagnosis.laws.forms import (
-    FINE_WAVE,
+    FORMS,
     FORMS_BY_KIND,
-    LINEAR,
-    WAVE,
     Driver,
     drivers_of,
     values_of,
@@ -102,9 +100,7 @@ def discovered(seed: int, hidden: str = "nothing") -> Discovery:
     return discover(robot(NAME), from_table(table(seed, hidden), 6))
 
 
-@pytest.mark.parametrize(
-    "form", {f.name: f for fs in FORMS_BY_KIND.values() for f in (*fs, FINE_WAVE)}.values(), ids=lambda f: f.name
-)
+@pytest.mark.parametrize("form", FORMS.values(), ids=lambda f: f.name)
 def test_the_formula_that_is_written_out_is_the_one_that_was_judged(form) -> None:
     x = np.random.default_rng(0).uniform(-1.5, 1.0, 40)
     grid = form.grid(x)
@@ -218,7 +214,11 @@ def test_memory_and_waves_by_the_load_are_written_out_as_they_were_judged(text: 
     assert np.abs(known[text.removeprefix("tau2*")]).max() <= 1
     (seam,) = seams_with_columns(linear, [Law(2, "joint", "a")])
     waves = [TriedLaws((seam,), drivers["q2"], f("tau2", known["tau2"]), (known["q2"],)) for f in (wave_by, wave_plus)]
-    judged = [(TriedLaws((seam,), drivers[text], LINEAR, (x,)), []), (waves[0], [2.5]), (waves[1], [2.0, -1.5])]
+    judged = [
+        (TriedLaws((seam,), drivers[text], FORMS["linear"], (x,)), []),
+        (waves[0], [2.5]),
+        (waves[1], [2.0, -1.5]),
+    ]
     for tried, settings in ((tried, np.array(values)) for tried, values in judged):
         law, columns = tried.column(0, settings)
         np.testing.assert_allclose(linear.columns([law]) * [s for s, _ in law.sizes().values()], columns, atol=1e-12)
@@ -290,7 +290,7 @@ def test_laws_of_several_places_pay_for_all_that_were_looked_at() -> None:
     problem, linear = Problem.of_case(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
     beam = Beam(linear, c.given.base.T[:3, 3], 3.0, "beam", Driver("r", "range", "range"))
     there = beam.at_all(stations(robot(NAME))[:3])
-    few, many = (beam.tried(problem, WAVE, there, settings) for settings in (0, 3000 * 63))
+    few, many = (beam.tried(problem, FORMS["wave"], there, settings) for settings in (0, 3000 * 63))
     assert many.mean - few.mean == pytest.approx(-np.log(1000))
     assert (many.best, many.seam) == (few.best, few.seam)
 
@@ -646,7 +646,9 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
     by_law = held_out(right.case, NONE, [sure], sure.noise, right.seed).mean()
     by_cause = held_out(right.case, right.columns, (), right.noise, right.seed).mean()
     assert contest.replaces_causes(right, claimed) == bool(by_law < by_cause)
-    blind = replace(sure, columns=0 * sure.columns, tried=replace(sure.tried, form=LINEAR, x=(0 * sure.tried.x[0],)))
+    blind = replace(
+        sure, columns=0 * sure.columns, tried=replace(sure.tried, form=FORMS["linear"], x=(0 * sure.tried.x[0],))
+    )
     assert not contest.replaces_causes(right, replace(claimed, laws=(blind,)))
 
 
@@ -706,7 +708,7 @@ def test_a_line_a_person_can_read() -> None:
     vector = Law(3, "tilt", "[a, b, c]*sin(2*q4) + [d, e, f]*cos(2*q4)", tuple((n, 1e-5) for n in "abcdef"))
     values = dict(zip("abcdef", (1e-6, -2e-6, 3e-6, 0.0, 0.0, 4e-5), strict=True))
     assert line_of(vector, values) == "tilt of link 3 += [1, -2, 3] urad * sin(2*q4) + [0, 0, 40] urad * cos(2*q4)"
-    assert WAVE.texts("q4", [2.0]) == ("sin(2*q4)", "cos(2*q4)")
+    assert FORMS["wave"].texts("q4", [2.0]) == ("sin(2*q4)", "cos(2*q4)")
 
 
 def test_the_files_are_read_again(tmp_path: Path) -> None:

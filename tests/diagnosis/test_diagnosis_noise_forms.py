@@ -17,15 +17,12 @@ from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, Evidence, Noise
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.noise_evidence import Form, Problem, prewhitened
 from casadical.diagnosis.noise_forms import (
-    AR_COEFFICIENTS,
-    NOISY_JOINT_FACTOR,
-    TAIL_NOISE_FACTOR,
-    TAIL_SHARE,
     ar_form,
     heavy_tailed_form,
     noise_forms,
     noisy_joint,
 )
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import page_of
 from casadical.measurements.measurements import Measurements
 
@@ -82,7 +79,7 @@ def test_the_evidence_of_noise_that_follows_itself_is_that_of_its_covariance(col
     steps = np.abs(np.subtract.outer(np.argsort(order), np.argsort(order)))
     plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
     assert p.log_likelihood(Form())[0, at] == pytest.approx(e.log_base()[0, at], abs=1e-5)
-    for stays in AR_COEFFICIENTS:
+    for stays in SETTINGS.ar_coefficients:
         found = p.log_likelihood(ar_form(stays, 14))[0, at]
         assert found - density(e, 0, SIGMA_GRID_M[at], stays**steps, np.ones(6)) == pytest.approx(plain, abs=1e-5)
 
@@ -91,8 +88,8 @@ def test_the_evidence_of_a_scattering_joint_is_that_of_its_covariance(columns: i
     at, p = 16, problem(small(), columns=columns)
     e = with_causes(p)
     plain = e.log_base()[0, at] - density(e, 0, SIGMA_GRID_M[at], np.eye(14), np.ones(6))
-    worse = np.where(np.arange(6) == 2, NOISY_JOINT_FACTOR, 1.0)
-    found = p.log_likelihood(Form(joint=2, repeatability_factor=NOISY_JOINT_FACTOR))
+    worse = np.where(np.arange(6) == 2, SETTINGS.noisy_joint_factor, 1.0)
+    found = p.log_likelihood(Form(joint=2, repeatability_factor=SETTINGS.noisy_joint_factor))
     for rho in (0, 3):
         assert found[rho, at] - density(e, rho, SIGMA_GRID_M[at], np.eye(14), worse) == pytest.approx(plain, abs=1e-5)
 
@@ -107,9 +104,9 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     far = with_causes(p)
     found = heavy_tailed_form(p)
     assert found is not None
-    times = np.where(np.isin(np.arange(40), (5, 20)), TAIL_NOISE_FACTOR, 1.0)
+    times = np.where(np.isin(np.arange(40), (5, 20)), SETTINGS.tail_noise_factor, 1.0)
     assert found.times == pytest.approx(times)
-    shares = 2 * np.log(TAIL_SHARE) + 38 * np.log(1 - TAIL_SHARE)
+    shares = 2 * np.log(SETTINGS.tail_share) + 38 * np.log(1 - SETTINGS.tail_share)
     plain = far.log_base()[0, at] - density(far, 0, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
     exact = density(far, 0, SIGMA_GRID_M[at], np.diag(times**2), np.ones(6)) + shares
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
@@ -119,7 +116,7 @@ def test_sums_in_parts_are_those_of_all_poses() -> None:
     e = replace(case("kr210-P02").evidence, near=(1, 2))
     form = [
         ar_form(0.6, len(e.r)),
-        Form(joint=1, repeatability_factor=NOISY_JOINT_FACTOR),
+        Form(joint=1, repeatability_factor=SETTINGS.noisy_joint_factor),
         Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0)),
     ]
     order = np.random.default_rng(0).permutation(len(e.r))

@@ -42,13 +42,13 @@ from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import (
     PRIOR_FIRST,
     PRIOR_FURTHER,
-    SAME_JOINT_PRIOR_FACTOR,
     Ranking,
     prior_weights,
     rank,
 )
 from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.search import Step
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
@@ -80,7 +80,7 @@ def log_odds(case: Case, column: int) -> float:
     """Log Bayes factor of one column against none: densities summed over the grids, each written out in full."""
     e = case.whole
     grid = np.full((len(RHO_GRID), len(SIGMA_GRID_M), len(KAPPA_GRID) + 1), -np.inf)
-    rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.E.values.reshape(e.r.size, -1)
+    rows, J, E = e.r.size, e.J.reshape(e.r.size, -1), e.take(np.arange(e.width)).reshape(e.r.size, -1)
     for a, rho in enumerate(RHO_GRID):
         for b, sigma in enumerate(SIGMA_GRID_M):
             C = (J * (sigma / e.reference * e.prior) ** 2) @ J.T
@@ -121,13 +121,13 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
     assert set(found.probability) == {"nonlinear_stiffness@2", "unknown"}
     prior = found.log_mass["nonlinear_stiffness@2"] - found.log_factor["nonlinear_stiffness@2"]
     assert np.exp(prior) == pytest.approx(0.05 * PRIOR_FURTHER["listed"])
-    assert SAME_JOINT_PRIOR_FACTOR == 0.05
+    assert SETTINGS.same_joint_prior_factor == 0.05
 
 
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
     case = small_case()
     problem = Problem.of_case(case, NONE)
-    E = case.whole.E.values
+    E = case.whole.take(np.arange(case.whole.width))
     assert_allclose(problem.evidences([E[:, :, [0]], E[:, :, [2]]]), [odds[0], odds[2]], atol=1e-6)
 
 

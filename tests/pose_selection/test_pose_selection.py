@@ -57,7 +57,7 @@ def test_noise_of_joints_is_that_of_moved_readings(robot) -> None:
     np.testing.assert_allclose(found, spread, atol=0.06 * np.abs(spread).max())
     J = scaled_jacobian(robot, ("d4", "theta5"), m)
     W = np.linalg.inv(found)
-    A = whitening_of(found) @ J
+    A = whitening_of(found)[0] @ J
     np.testing.assert_allclose(A.transpose(0, 2, 1) @ A, J.transpose(0, 2, 1) @ W @ J, rtol=1e-9)
 
 

@@ -12,10 +12,9 @@ dropped: their posterior is their prior.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -50,160 +49,120 @@ class MemoryLimits:
     max_observation_rows: int = 1500
 
 
-class Columns(Protocol):
-    """Interface of the columns E of n blocks, which are computed when they are asked for."""
+class Columns:
+    """Columns E of n blocks of m rows, computed when they are asked for.
+
+    shape : numbers of blocks, of rows of each block and of columns
+    block : returns the factors of some columns (rising indices; None for all) at some blocks
+    levers : returns the rows' derivatives by the intermediate variables at some blocks, shape
+        (blocks, m, variables)
+    directions : of the parts whose columns are combined
+    """
+
+    def __init__(
+        self,
+        shape: tuple[int, int, int],
+        block: Callable[[Array | None, Array | slice], Factors],
+        levers: Callable[[Array | slice], Array],
+        directions: Directions = (),
+    ) -> None:
+        self._given = shape, block, levers, directions
 
     @property
     def shape(self) -> tuple[int, int, int]:
         """Return the numbers of blocks, of rows of each block and of columns."""
+        return self._given[0]
 
     @property
     def directions(self) -> Directions:
         """Return the directions of the parts whose columns are combined."""
+        return self._given[3]
+
+    def factors(self, blocks: Array | slice = WHOLE_AXIS, columns: Array | None = None) -> Factors:
+        """Return columns, all by default, at some blocks as factors of intermediate variables."""
+        return self._given[1](columns, blocks)
+
+    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
+        """Return the rows' derivatives by the intermediate variables, (blocks, m, variables)."""
+        return self._given[2](blocks)
 
     def at(self, blocks: Array) -> Columns:
-        """Return the same columns at some of the blocks, given by their indices."""
+        """Return the same columns at some of the blocks."""
+        chosen = np.arange(self.shape[0])[blocks]
+
+        def block(columns: Array | None, some: Array | slice) -> Factors:
+            return self.factors(chosen[some], columns)
+
+        return Columns((len(chosen), *self.shape[1:]), block, lambda s: self.levers(chosen[s]), self.directions)
 
     def only(self, columns: Array) -> Columns:
         """Return the columns of these indices, rising; all columns of a cause or none."""
 
+        def block(some: Array | None, blocks: Array | slice) -> Factors:
+            return self.factors(blocks, columns if some is None else columns[some])
+
+        return Columns((*self.shape[:2], len(columns)), block, self.levers)
+
     def after(self, column: int) -> Columns:
         """Return the columns from this index on, at which the columns of a cause begin."""
+        return self.only(np.arange(column, self.shape[2]))
 
     def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
         """Return the columns of some indices at some blocks, shape (blocks, m, len(columns)).
 
         every : combinations of these columns that are returned instead; None: the columns
         """
-
-    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return derivatives of the intermediate variables by all parameters at some blocks."""
-
-    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the rows' derivatives by the intermediate variables, (blocks, m, variables)."""
+        factors = self.factors(blocks, columns)
+        return (factors.combined(every) if every else factors).columns_at(self.levers(blocks))
 
 
-@dataclass(frozen=True, eq=False)
-class ArrayColumns:
-    """Columns given as an array; the rows themselves are the intermediate variables.
+def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = ()) -> Columns:
+    """Return columns whose intermediate variables are the rows themselves."""
 
-    values : columns of n blocks of m rows, shape (n, m, columns)
-    directions : directions of the parts whose columns are combined
+    def block(columns: Array | None, some: Array | slice) -> Factors:
+        if columns is None:
+            return made.at(some)
+        # A slice of the blocks is a view; other blocks are copied, so that columns are chosen first.
+        return made.at(some).only(columns) if isinstance(some, slice) else made.only(columns).at(some)
+
+    def levers(some: Array | slice) -> Array:
+        return np.broadcast_to(np.eye(rows), (len(np.arange(blocks)[some]), rows, rows))
+
+    return Columns((blocks, rows, made.width), block, levers, directions)
+
+
+def array_columns(values: Array, directions: Directions = ()) -> Columns:
+    """Return columns that are given as an array, shape (n, m, columns)."""
+    n, m, width = values.shape
+    return row_columns(Factors(tuple((i, np.arange(width), values[:, i].T) for i in range(m)), width), n, m, directions)
+
+
+def serial_columns(E: Columns, order: Array, noise: SerialNoise) -> Columns:
+    """Return columns whitened for autocorrelated noise.
+
+    order : index of each block of E in time order, shape (n,); noise : of the blocks in that order
+    The variables are those of a block, and those of the block before it.
     """
+    variables = E.levers(order[:1]).shape[2]
+    weight = noise.weight.reshape(len(order), -1, 1)
 
-    values: Array
-    directions: Directions = ()
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Return the numbers of blocks, of rows of each block and of columns."""
-        n, m, columns = self.values.shape
-        return n, m, columns
-
-    def at(self, blocks: Array) -> ArrayColumns:
-        """Return the columns at some of the blocks."""
-        return ArrayColumns(self.values[blocks])
-
-    def only(self, columns: Array) -> ArrayColumns:
-        """Return some of the columns."""
-        return ArrayColumns(self.values[:, :, columns])
-
-    def after(self, column: int) -> ArrayColumns:
-        """Return the columns from this index on."""
-        return ArrayColumns(self.values[:, :, column:])
-
-    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
-        """Return some of the columns at some blocks, or their combinations."""
-        taken = self.values[blocks][:, :, columns]
-        return np.asarray(every.combine(taken) if every else taken)
-
-    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns at some blocks as factors, with the rows as intermediate variables."""
-        every = np.arange(self.values.shape[2])
-        return Factors(tuple((i, every, self.values[blocks, i].T) for i in range(self.values.shape[1])), len(every))
-
-    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the derivatives by the intermediate variables, shape (blocks, m, variables)."""
-        n, m, _ = self.values[blocks].shape
-        return np.broadcast_to(np.eye(m), (n, m, m))
-
-
-@dataclass(frozen=True, eq=False)
-class SerialColumns:
-    """Columns whitened for autocorrelated noise.
-
-    columns : columns before the whitening
-    order : indices of their blocks in time order, which is that of this object's blocks, shape (n,)
-    noise : AR(1) noise of the blocks in time order
-    """
-
-    columns: Columns
-    order: Array
-    noise: SerialNoise
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Return the numbers of blocks, of rows of each block and of columns."""
-        return len(self.order), *self.columns.shape[1:]
-
-    @property
-    def directions(self) -> Directions:
-        """Return the directions of the parts whose columns are combined."""
-        return self.columns.directions
-
-    def at(self, blocks: Array) -> ArrayColumns:
-        """Return the columns at some of the blocks."""
-        return ArrayColumns(self.take(np.arange(self.shape[2]), blocks), self.directions)
-
-    def only(self, columns: Array) -> SerialColumns:
-        """Return some of the columns."""
-        return replace(self, columns=self.columns.only(columns))
-
-    def after(self, column: int) -> SerialColumns:
-        """Return the columns from this index on."""
-        return replace(self, columns=self.columns.after(column))
-
-    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
-        """Return some of the columns at some blocks, or their combinations."""
-        here, last, own, before = self._blocks(blocks)
-        taken = own * self.columns.take(columns, self.order[here], every)
-        if self.noise.is_autocorrelated:
-            taken = taken - before * self.columns.take(columns, self.order[last], every)
-        return np.asarray(taken)
-
-    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return all columns as factors of the variables of a block, then of the block before it.
-
-        For white noise the latter are omitted.
-        """
-        here, last, _, _ = self._blocks(blocks)
-        own = self.columns.factors(self.order[here])
-        if not self.noise.is_autocorrelated:
+    def block(columns: Array | None, some: Array | slice) -> Factors:
+        here = np.arange(len(order))[some]
+        own = E.factors(order[here], columns)
+        if not noise.is_autocorrelated:
             return own
-        variables = self.columns.levers(self.order[:1]).shape[2]
-        shifted = tuple((s + variables, c, values) for s, c, values in self.columns.factors(self.order[last]).blocks)
-        return Factors((*own.blocks, *shifted), own.width)
+        before = E.factors(order[np.maximum(here - 1, 0)], columns)
+        return Factors((*own.blocks, *((s + variables, c, values) for s, c, values in before.blocks)), own.width)
 
-    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the rows' derivatives by the variables of their block and of the block before it.
+    def levers(some: Array | slice) -> Array:
+        here = np.arange(len(order))[some]
+        own = weight[here] * E.levers(order[here])
+        if not noise.is_autocorrelated:
+            return np.asarray(own)
+        before = noise.ar_coefficient[here, None, None] * weight[here] * E.levers(order[np.maximum(here - 1, 0)])
+        return np.concatenate([own, -before], axis=2)
 
-        The shape is (blocks, m, variables), for white noise without the latter.
-        """
-        here, last, own, before = self._blocks(blocks)
-        levers = own * self.columns.levers(self.order[here])
-        if not self.noise.is_autocorrelated:
-            return np.asarray(levers)
-        return np.concatenate([levers, -before * self.columns.levers(self.order[last])], axis=2)
-
-    def _blocks(self, blocks: Array | slice) -> tuple[Array, Array, Array, Array]:
-        """Return indices of some blocks and of those before them, and the weights of both.
-
-        The weights are those with which columns of the two are added up by the whitening; that of
-        the block before is to be subtracted.
-        """
-        here = np.arange(len(self.order))[blocks]
-        own = self.noise.weight.reshape(len(self.order), -1, 1)[here]
-        return here, np.maximum(here - 1, 0), own, self.noise.ar_coefficient[here, None, None] * own
+    return Columns((len(order), *E.shape[1:]), block, levers, E.directions)
 
 
 @dataclass(frozen=True, eq=False)

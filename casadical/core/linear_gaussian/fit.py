@@ -35,7 +35,7 @@ class Fit:
         self._base, self._E, self._columns = model.J, model.E, columns
         self.rows_per_block, self._memory = model.r.shape[1], model.memory
         self.combined = model.combined(columns) if combined else Combined(((0, len(columns), None),))
-        self.W = model.noise.whitening(ratios).W / sigma
+        self.W = model.noise.whitening(ratios)[0] / sigma
         self.y = (self.W @ model.r[:, :, None]).ravel()
         self._widths = model.cause_prior_sigmas[columns]
         self.prior = np.concatenate([model.prior, self.combined.per_combination(self._widths)])

@@ -53,7 +53,10 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
     """
     value, square = np.maximum(value, 0), projected**2
     # This is an upper bound: the gain at the greatest kappa without the penalty of its determinant.
-    upper_bound = log_base + 0.5 * _explained((sigmas / kappas[-1]) ** 2, value, square) / sigmas**2
+    explained = np.zeros((len(value), len(sigmas)))
+    for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
+        explained += s / ((sigmas / kappas[-1]) ** 2 + v)
+    upper_bound = log_base + 0.5 * explained / sigmas**2
     best = upper_bound.argmax(axis=1)
     unit = (sigmas[best, None] / kappas) ** 2
     lower_bound = log_base[best] + gain(unit, sigmas[best, None], value, square).max(axis=1)
@@ -63,18 +66,6 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
     gained = gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
     out[:, likely] = log_base[likely, None] + gained
     return out
-
-
-def _explained(unit: Array, value: Array, square: Array) -> Array:
-    """Return the sum of square / (unit + value) over the eigenvectors, shape (groups, units).
-
-    unit : (sigma / kappa)^2, shape (units,)
-    value, square : as of `gain`, shape (groups, width)
-    """
-    total = np.zeros(np.broadcast_shapes(unit.shape, (len(value), 1)))
-    for v, s in zip(value.T[:, :, None], square.T[:, :, None], strict=True):
-        total += s / (unit + v)
-    return total
 
 
 def gain(unit: Array, sigma: Array | float, value: Array, square: Array) -> Array:

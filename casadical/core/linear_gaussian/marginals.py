@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 # Largest difference of log likelihoods [nats] by which a grid point may be below the maximum of a
 # wide group of columns; the search over points ends at the first that exceeds it.
 POINT_LOG_EVIDENCE_WINDOW = 25.0
-# Largest fraction of changed blocks, 0 to 1, at which sums are updated rather than computed again.
-MAX_CHANGED_BLOCK_SHARE = 0.2
 
 # The empty set of column indices.
 NO_COLUMNS = np.zeros(0, dtype=np.int64)

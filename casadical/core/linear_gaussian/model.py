@@ -10,14 +10,10 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import WHOLE_AXIS, ArrayColumns, Columns, Combined, MemoryLimits, combined
+from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Columns, Combined, MemoryLimits, array_columns, combined
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.marginals import Marginals
-from casadical.core.linear_gaussian.noise import NoiseModel, Ratio, Whitening
-
-# Default prior standard deviation of a cause's parameter once the cause is in the model, in units
-# of its typical size.
-DEFAULT_CAUSE_PRIOR_SIGMA = 8.0
+from casadical.core.linear_gaussian.noise import NoiseModel, Ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +27,12 @@ class LinearModel:
     J : columns of the base, shape (n, m, P)
     delta0, prior : prior mean and standard deviation of delta, shape (P,)
     E : columns of the candidates, per typical size of their parameters theta; an array, shape (n,
-        m, columns), becomes `ArrayColumns`
+        m, columns), becomes `Columns`
     noise : noise components
     grid : noise levels, noise ratios and effect sizes at which likelihoods are computed
     reference : sigma at which the priors of delta are as given; they scale with sigma
     cause_prior : prior standard deviation of each theta once it is in the model, in typical sizes,
-        shape (columns,); None: `DEFAULT_CAUSE_PRIOR_SIGMA` for all
+        shape (columns,); None: eight for all
     measured : mask of the numbers that were measured, shape (n, m); None: all
     absorbed : degrees of freedom that the base takes from the estimate of the noise (REML: Harville
         1977)
@@ -68,7 +64,7 @@ class LinearModel:
     def __post_init__(self) -> None:
         columns: Any = self.E
         if isinstance(columns, np.ndarray):
-            object.__setattr__(self, "E", ArrayColumns(columns))
+            object.__setattr__(self, "E", array_columns(columns))
 
     @property
     def width(self) -> int:
@@ -78,7 +74,8 @@ class LinearModel:
     @property
     def cause_prior_sigmas(self) -> Array:
         """Return the prior sigma of each cause parameter, in typical sizes, shape (columns,)."""
-        return np.full(self.width, DEFAULT_CAUSE_PRIOR_SIGMA) if self.cause_prior is None else self.cause_prior
+        # By default the prior is wide: the data determine a cause that is in the model.
+        return np.full(self.width, 8.0) if self.cause_prior is None else self.cause_prior
 
     @property
     def count(self) -> int:
@@ -174,11 +171,11 @@ class LinearModel:
 
         ratios : standard deviation of each noise component divided by sigma, by name
         """
-        whitening = self.noise.whitening(ratios)
+        W, log_det = self.noise.whitening(ratios)
         weights = self.reference / self.prior
-        Q, log_det = axes_of_base((whitening @ self.J).reshape(self.r.size, -1), weights)
-        y = np.concatenate([(whitening @ self.r[:, :, None]).ravel(), weights * self.delta0])
-        return Projection(whitening, Q, y - Q @ (Q.T @ y), -0.5 * (whitening.log_det + log_det))
+        Q, log_det_of_base = axes_of_base((W @ self.J).reshape(self.r.size, -1), weights)
+        y = np.concatenate([(W @ self.r[:, :, None]).ravel(), weights * self.delta0])
+        return Projection(W, Q, y - Q @ (Q.T @ y), -0.5 * (log_det + log_det_of_base))
 
 
 def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
@@ -201,13 +198,13 @@ def axes_of_base(A: Array, weights: Array) -> tuple[Array, float]:
 class Projection:
     """Projection of rows at one level of noise: whitened, and orthogonal to the base.
 
-    whitening : whitening of the blocks, for sigma = 1
+    W : whitening matrix of each block for sigma = 1, shape (n, m, m)
     Q : orthonormal basis of the base, shape (n m + P, P); the rows of the P priors are last
     y : projected residual, shape (n m + P,)
     log_norm : term of the log likelihood that depends neither on sigma nor on additional columns
     """
 
-    whitening: Whitening
+    W: Array
     Q: Array
     y: Array
     log_norm: float
@@ -219,7 +216,7 @@ class Projection:
 
         E : columns before, shape (n, m, k)
         """
-        flat = (self.whitening @ E).reshape(-1, E.shape[2])
+        flat = (self.W @ E).reshape(-1, E.shape[2])
         out = -self.Q @ (self.Q[: len(flat)].T @ flat)
         out[: len(flat)] += flat
         return np.asarray(out)

@@ -19,22 +19,6 @@ Ratio = float | Array
 
 
 @dataclass(frozen=True, eq=False)
-class Whitening:
-    """Whitening matrices of all blocks at one noise level.
-
-    W : lower triangular matrix of each block with W C W' = I for its covariance C, shape (n, m, m)
-    log_det : log determinant of the covariance of all blocks together
-    """
-
-    W: Array
-    log_det: float
-
-    def __matmul__(self, rows: Array) -> Array:
-        """Return the whitened rows W rows, shape (n, m, columns); rows : the same shape."""
-        return np.asarray(self.W @ rows)
-
-
-@dataclass(frozen=True, eq=False)
 class Axes:
     """Eigenvectors of each block's noise covariance, common to several points of the noise grid.
 
@@ -95,10 +79,10 @@ class NoiseModel:
             total += A @ A.transpose(0, 2, 1)
         return total
 
-    def whitening(self, ratios: Mapping[str, Ratio]) -> Whitening:
+    def whitening(self, ratios: Mapping[str, Ratio]) -> tuple[Array, float]:
         """Return the whitening after which every row has independent noise of variance sigma^2.
 
-        ratios : as of `covariance`
+        ratios : as of `covariance`. The second value is the log determinant (see `whitening_of`).
         """
         return whitening_of(self.covariance(ratios))
 
@@ -136,10 +120,13 @@ def _axes(shared: Array, points: Sequence[int], ratios: Array) -> Axes:
     return Axes(tuple(points), rotation, 1 / (1 + variance), np.log1p(variance).sum(axis=(1, 2)), not shared.any())
 
 
-def whitening_of(covariance: Array) -> Whitening:
-    """Return the whitening of noise with a covariance of shape (n, m, m), by Cholesky factors."""
+def whitening_of(covariance: Array) -> tuple[Array, float]:
+    """Return the whitening matrix of each block, and the log determinant of all blocks' covariance.
+
+    The matrix W has W C W' = I for the covariance C of a block, both of shape (n, m, m).
+    """
     L = np.linalg.cholesky(covariance)
-    return Whitening(np.linalg.inv(L), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum()))
+    return np.linalg.inv(L), 2 * float(np.log(np.diagonal(L, axis1=1, axis2=2)).sum())
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,17 +16,14 @@ from casadical.core.telling.blocks import Block, Page, Section, Table, mm
 from casadical.core.telling.figure import Axis, Figure, Series
 from casadical.core.telling.result import Result, plain_text
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.laws.contest import MIN_ALIAS_CORRELATION
 from casadical.diagnosis.laws.problem import (
-    INDISTINGUISHABLE_NATS,
-    MIN_CLAIM_MARGIN_NATS,
-    MIN_CLAIM_SCORE_NATS,
     Round,
     ScoredLaw,
 )
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, SEAMS, STATION_SEAMS, Law
 from casadical.identification.result import Identification
@@ -37,10 +34,6 @@ from casadical.robot.robot_file import to_toml
 
 # Unit of reports, and the factor to it, by SI unit of a law's factor.
 REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
-_FIGURE_CAPTION = (
-    "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else in "
-    "the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
-)
 _MODEL_WORDS = {
     "base": "base model",
     "causes": "with listed causes",
@@ -145,15 +138,15 @@ class Discovery(Result):
         title = "Laws that compete"
         each = [_table(r, f"{title}, round {k}" if several else title) for k, r in enumerate(self.rounds, 1)]
         shares = [f"{r.form.stays:.2g}" for r in self.rounds]
+        gaps = [(_MODEL_WORDS[name], mm(value)) for name, value in self.gap.items()]
         return self._report_blocks(
             laws=list(zip(self.laws, self.lines, strict=True)),
             effects=self.causes if self.laws else self.diagnosis.effects(),
             factors=_factors,
-            settings=_settings,
             why_not=_why_not,
             tables=each,
             shares=shares if len(set(shares)) > 1 else shares[:1],
-            gaps=_gaps(self),
+            gaps=Table("Held-out error [mm]", ("model", "mean"), gaps, frozenset({1})),
             model=_MODEL_WORDS[self.kept],
         )
 
@@ -190,7 +183,7 @@ class Discovery(Result):
         """
         first = self.rounds[0]
         verdict = (
-            "law" if self.laws else "alias" if first.alias and first.best.score >= MIN_CLAIM_SCORE_NATS else "none"
+            "law" if self.laws else "alias" if first.alias and first.best.score >= SETTINGS.min_law_score else "none"
         )
         return {
             "campaign": name or self.case.m.source,
@@ -282,24 +275,17 @@ def _factors(d: Discovery, s: ScoredLaw) -> str:
     )
 
 
-def _settings(s: ScoredLaw) -> str:
-    """Return a law's settings with standard errors, as text."""
-    names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
-    return "".join(f"; {name} = {value:.4g} +/- {error:.2g}" for name, value, error in names)
-
-
 def _why_not(r: Round) -> str:
     """Return why the best law of a round is not claimed."""
-    if r.alias and r.best.score >= MIN_CLAIM_SCORE_NATS:
-        return f"The best one is {', '.join(r.alias)} by another name (correlation above {MIN_ALIAS_CORRELATION})."
-    if r.best.score >= MIN_CLAIM_SCORE_NATS:
+    enough = r.best.score >= SETTINGS.min_law_score
+    if r.alias and enough:
+        names = ", ".join(r.alias)
+        return f"The best one is {names} by another name (correlation above {SETTINGS.min_alias_correlation})."
+    best = f"The best one has {r.best.score:.1f} nats"
+    if enough:
         name, score = r.rival
-        return (
-            f"The best one has {r.best.score:.1f} nats, {name} {score:.1f}; {MIN_CLAIM_MARGIN_NATS:g} more are needed."
-        )
-    return (
-        f"The best one has {r.best.score:.1f} nats after the price of the search; {MIN_CLAIM_SCORE_NATS:g} are needed."
-    )
+        return f"{best}, {name} {score:.1f}; {SETTINGS.min_law_margin:g} more are needed."
+    return f"{best} after the price of the search; {SETTINGS.min_law_score:g} are needed."
 
 
 def _table(r: Round, title: str) -> Table:
@@ -316,12 +302,6 @@ def _table(r: Round, title: str) -> Table:
         frozenset({0}) if r.claimed else frozenset(),
         faint=frozenset(range(count, len(rows))),
     )
-
-
-def _gaps(d: Discovery) -> Table:
-    """Return the table of the held-out errors of all models."""
-    rows = [(_MODEL_WORDS[name], mm(value)) for name, value in d.gap.items()]
-    return Table("Held-out error [mm]", ("model", "mean"), rows, frozenset({1}))
 
 
 def _law(d: Discovery, s: ScoredLaw, line: str) -> dict[str, Any]:
@@ -347,7 +327,7 @@ def _round(r: Round) -> dict[str, Any]:
         "claimed": r.claimed,
         "best": {"line": line_of(r.best.law), "form": r.best.tried.form.name, "score": round(r.best.score, 2)},
         "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
-        "within": INDISTINGUISHABLE_NATS,
+        "within": SETTINGS.indistinguishable_law_margin,
         **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
         "alias_of": list(r.alias),
         **({"noise_stays": round(r.form.stays, 4)} if r.form.stays else {}),
@@ -373,5 +353,9 @@ def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) 
     weight = np.linalg.norm(column, axis=1)
     size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
     poses = Series("points", x.round(5), (factor * seen).round(2), name="poses", colour="grey", size=size, tip=tip)
+    caption = (
+        "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else "
+        "in the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
+    )
     law = Series("line", grid.round(5), (factor * along).round(2), name="law", tip=tip)
-    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=_FIGURE_CAPTION)
+    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=caption)

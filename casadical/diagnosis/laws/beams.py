@@ -16,9 +16,10 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import WHOLE_AXIS
 from casadical.core.statistics import best_of, first_of_best, ranked
-from casadical.diagnosis.laws.forms import FORMS_BY_KIND, MAX_SLOW_CYCLES, WAVE, Driver, Form
+from casadical.diagnosis.laws.forms import FORMS, FORMS_BY_KIND, Driver, Form
 from casadical.diagnosis.laws.problem import InsertionPoint, Problem, ScreenedLaw, TriedLaws, log_mean, scaled
 from casadical.diagnosis.linearisation import POINT_VARIABLES, Linearisation
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.formula import NUMERIC_FUNCTIONS, parse
 from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, HEAD_NAME, Law, head_column
 from casadical.robot.robot import Robot
@@ -28,32 +29,8 @@ from casadical.robot.robot import Robot
 Point: TypeAlias = tuple[float, float, float]
 # Number of directions around the robot in which stations are tried.
 STATION_DIRECTIONS = 8
-# Distances from the robot at which stations are tried, divided by its reach.
-STATION_DISTANCES_OF_REACH = (1.5, 2.5, 4.0)
-# Angle about the robot [rad] by which a station moves for a unit step of a refinement.
-STATION_ANGLE_PER_STEP = 3.0
-# Share of its distance by which a station moves for a unit step of a refinement.
-STATION_DISTANCE_PER_STEP = 6.0
-# Angle [rad] by which a target turns for a unit step of a refinement.
-TARGET_ANGLE_PER_STEP = 9.0
-# Edges of the bands of short waves over the range, each band with its own stations.
-WAVE_BANDS_RAD_PER_M = (2.0, 4.0, 8.0, MAX_SLOW_CYCLES)
 # Spacing of the wave numbers of short waves over the range.
 WAVE_SPACING_RAD_PER_M = 0.25
-# Distances from the robot of stations for short waves, divided by its reach.
-WAVE_STATION_DISTANCES_OF_REACH = (1.0, 1.6, 3.0)
-# Lowest angle above the horizontal of stations for short waves.
-MIN_ELEVATION_RAD = -0.15
-# Highest angle above the horizontal of stations for short waves.
-MAX_ELEVATION_RAD = 0.6
-# Number of products of residuals with waves computed at a time, which bounds memory.
-MAX_PRODUCTS_AT_A_TIME = 500_000
-# Number of stations for short waves whose laws are judged.
-MAX_JUDGED_STATIONS = 24
-# Number of poses, spread over all, on which stations for short waves are searched.
-MAX_SEARCH_POSES = 200
-# A band of short waves that needs more products than this (some seconds) is skipped.
-MAX_BAND_PRODUCTS = 2e8
 # Directions of a target, up to sign: along the flange's axes, between two, and between all three.
 _TARGET_DIRECTIONS = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]
 
@@ -74,7 +51,8 @@ def stations(robot: Robot) -> list[Point]:
     """Return stations to try: the measuring frame's origin, and points around the robot [m]."""
     middle, reach = robot.base.T[:3, 3], robot.reach
     places = [np.zeros(3)]
-    for far in STATION_DISTANCES_OF_REACH:
+    # Stations are tried at these distances from the robot, divided by its reach.
+    for far in (1.5, 2.5, 4.0):
         for turn in 2 * np.pi * np.arange(STATION_DIRECTIONS) / STATION_DIRECTIONS:
             places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
     return [_rounded(at) for at in places]
@@ -98,7 +76,7 @@ def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterat
             there = beam.at_all(places)
             for form in FORMS_BY_KIND[kind]:
                 rough = [beam.tried(problem, form, there)]
-                if (text, form) == ("r", WAVE):
+                if (text, form.name) == ("r", "wave"):
                     rough += beam.short_waves(problem)
                 yield best_of(rough, lambda r: r.mean, logs=True)
 
@@ -159,17 +137,13 @@ class Beam:
         # For a nearly vertical outward direction the side direction is arbitrary, too.
         aside = np.cross(np.eye(3)[2] if np.hypot(way[0], way[1]) > 0.1 else np.eye(3)[0], way)
         aside /= np.linalg.norm(aside)
-        moves = (
-            STATION_ANGLE_PER_STEP * far * aside,
-            STATION_ANGLE_PER_STEP * far * np.cross(way, aside),
-            STATION_DISTANCE_PER_STEP * far * way,
-        )
+        # For a unit step of a refinement a station turns about the robot by 3 rad, or moves by six times its
+        # distance, and a target turns by 9 rad.
+        moves = (3.0 * far * aside, 3.0 * far * np.cross(way, aside), 6.0 * far * way)
         places = [_rounded(law.station + sign * step * move) for move in moves for sign in (-1, 1)]
         near = [self.at(place, law.towards) for place in places]
         if "incidence" in self.driver.text:
-            directions = [
-                law.towards + sign * TARGET_ANGLE_PER_STEP * step * axis for axis in np.eye(3) for sign in (-1, 1)
-            ]
+            directions = [law.towards + sign * 9.0 * step * axis for axis in np.eye(3) for sign in (-1, 1)]
             near += [self.at(law.station, _rounded(way / np.linalg.norm(way))) for way in directions]
         return near
 
@@ -207,12 +181,13 @@ class Beam:
         places, settings = self._places(problem)
         if not settings:
             return []
-        found = self.tried(problem, WAVE, self.at_all(places), settings)
-        return [replace(found, tried=replace(found.tried, again=self._again))]
+        found = self.tried(problem, FORMS["wave"], self.at_all(places), settings)
 
-    def _again(self, problem: Problem, poses: Array) -> TriedLaws:
-        """Return the laws of short waves from stations found on some poses; problem : of these."""
-        return self.laws(WAVE, self.at_all(self._places(problem, poses)[0]))
+        def again(problem: Problem, poses: Array) -> TriedLaws:
+            """Return the laws of short waves from stations found on some poses of the problem."""
+            return self.laws(FORMS["wave"], self.at_all(self._places(problem, poses)[0]))
+
+        return [replace(found, tried=replace(found.tried, again=again))]
 
     def _places(self, problem: Problem, poses: Array | slice = WHOLE_AXIS) -> tuple[list[Point], int]:
         """Return the stations whose short waves have the greatest products with the residual.
@@ -224,22 +199,26 @@ class Beam:
             np.einsum("nij,ni->nj", self._by_point[poses], problem.residual_weights),
         )
         spread = float(np.sqrt(((point - point.mean(axis=0)) ** 2).sum(axis=1).mean()))
-        some = np.linspace(0, len(point) - 1, min(len(point), MAX_SEARCH_POSES)).round().astype(int)
+        # Stations for short waves are searched on 200 poses, spread over all.
+        some = np.linspace(0, len(point) - 1, min(len(point), 200)).round().astype(int)
         point, weights = point[some], weights[some]
         size, place, settings = np.zeros(0), np.zeros((0, 3)), 0
-        for low, high in itertools.pairwise(WAVE_BANDS_RAD_PER_M):
+        # Each band of short waves over the range [rad/m] has its own stations.
+        for low, high in itertools.pairwise((2.0, 4.0, 8.0, SETTINGS.max_slow_cycles)):
             # Between neighbouring directions the phase changes by up to 2 rad over the spread of
             # poses.
             if (step := 2.0 / (high * spread)) > 2 * np.pi / STATION_DIRECTIONS:
                 continue
             places, waves = self.middle + self.reach * _directions(step), np.arange(low, high, WAVE_SPACING_RAD_PER_M)
-            if len(places) * len(waves) * len(point) > MAX_BAND_PRODUCTS:
+            # A band of short waves that needs more products than this (some seconds) is skipped.
+            if len(places) * len(waves) * len(point) > 2e8:
                 break
             settings += len(places) * len(waves)
-            for part in np.array_split(places, 1 + len(places) * len(point) // MAX_PRODUCTS_AT_A_TIME):
+            # The number of products that are computed at a time bounds memory.
+            for part in np.array_split(places, 1 + len(places) * len(point) // 500_000):
                 size = np.append(size, _greatest(point - part[:, None], weights, waves))
                 place = np.append(place, part, axis=0)
-                best = ranked(size)[:MAX_JUDGED_STATIONS]
+                best = ranked(size)[:24]
                 size, place = size[best], place[best]
         return [_rounded(at) for at in place], settings
 
@@ -261,10 +240,10 @@ def _greatest(beams: Array, weights: Array, waves: Array) -> Array:
 
 def _directions(step: float) -> Array:
     """Return points around the origin at all distances, a step apart [rad], (places, 3) [reach]."""
-    ups = np.linspace(
-        MIN_ELEVATION_RAD, MAX_ELEVATION_RAD, 1 + int(np.ceil((MAX_ELEVATION_RAD - MIN_ELEVATION_RAD) / step))
-    )
-    every = np.meshgrid(WAVE_STATION_DISTANCES_OF_REACH, ups, np.arange(0, 2 * np.pi, step), indexing="ij")
+    low, high = -0.15, 0.6  # elevations above the horizontal [rad]
+    ups = np.linspace(low, high, 1 + int(np.ceil((high - low) / step)))
+    # The distances from the robot are divided by its reach.
+    every = np.meshgrid((1.0, 1.6, 3.0), ups, np.arange(0, 2 * np.pi, step), indexing="ij")
     far, up, turn = (a.ravel() for a in every)
     points = np.column_stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])
     return np.asarray(far[:, None] * points)

@@ -14,16 +14,13 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import best_of, first_of_best, ranked
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, RHO_GRID, Evidence
 from casadical.diagnosis.laws.problem import (
-    INDISTINGUISHABLE_NATS,
-    MIN_CLAIM_MARGIN_NATS,
-    MIN_CLAIM_SCORE_NATS,
     Problem,
     Round,
     ScoredLaw,
@@ -32,7 +29,6 @@ from casadical.diagnosis.laws.problem import (
 from casadical.diagnosis.laws.search import refined_settings, search_laws
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import (
-    MIN_AR_LOG_GAIN,
     ar_form,
     best_ar_form,
     best_form_given_ar,
@@ -41,19 +37,14 @@ from casadical.diagnosis.noise_forms import (
 )
 from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, rank
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.search import MAX_FORM_SEARCHES
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import Law
 from casadical.measurements.measurements import Noise
 
-# Number of poses, spread over the campaign, on which laws are searched: the time grows with it.
-MAX_SEARCHED_POSES = 600
-# A law is a listed effect under another name if their columns correlate by more than this.
-MIN_ALIAS_CORRELATION = 0.95
 
-
-def replaces_causes(found: Diagnosis, first: Round, poses: int = MAX_SEARCHED_POSES) -> bool:
+def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_law_poses) -> bool:
     """Return whether the best law replaces all causes of a diagnosis together.
 
     first : comparison of laws without a cause in the model
@@ -64,7 +55,7 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = MAX_SEARCHED_PO
     if np.isfinite(listed):
         # Both are relative to no cause, each under its own form of noise.
         over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0
-        if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + MIN_CLAIM_MARGIN_NATS:
+        if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + SETTINGS.min_law_margin:
             return False
     if not found.columns.size:
         return True
@@ -73,7 +64,7 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = MAX_SEARCHED_PO
     return bool(by_law.mean() < by_causes.mean())
 
 
-def laws_before_causes(found: Diagnosis, poses: int = MAX_SEARCHED_POSES) -> Round:
+def laws_before_causes(found: Diagnosis, poses: int = SETTINGS.max_law_poses) -> Round:
     """Return the comparison of laws with their rivals without a cause in the model.
 
     Of the possible forms of noise, it is under the first with a claimed law, else under the last.
@@ -91,12 +82,12 @@ def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
 
     Laws that certainly lose against rivals are not judged exactly.
     """
-    for full_case, case, ranking in _before_causes(found, MAX_SEARCHED_POSES):
+    for full_case, case, ranking in _before_causes(found, SETTINGS.max_law_poses):
         # Refining their settings only raises the scores of rivals.
-        threshold = max(MIN_CLAIM_SCORE_NATS, max(ranking.log_factor.values()) + MIN_CLAIM_MARGIN_NATS)
-        laws = search_laws(case, NO_COLUMNS, least=threshold - INDISTINGUISHABLE_NATS)
+        threshold = max(SETTINGS.min_law_score, max(ranking.log_factor.values()) + SETTINGS.min_law_margin)
+        laws = search_laws(case, NO_COLUMNS, least=threshold - SETTINGS.indistinguishable_law_margin)
         if laws and laws[0].score >= threshold:
-            first, moved = with_best_noise(full_case, _judged(laws, case, NO_COLUMNS, ranking), MAX_SEARCHED_POSES)
+            first, moved = with_best_noise(full_case, _judged(laws, case, NO_COLUMNS, ranking), SETTINGS.max_law_poses)
             if first.claimed:
                 return first, moved
     return None
@@ -111,7 +102,7 @@ def with_best_noise(
     case : with all poses; first : comparison of its laws; poses : largest number of poses searched
     chosen, causes : columns and labels of the effects in the model
     """
-    for _ in range(MAX_FORM_SEARCHES if case.observations.plain else 0):
+    for _ in range(SETTINGS.max_form_searches if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
         other = own and better_ar_form(own, np.union1d(chosen, own.group((first.best.law,))))
         if not other:
@@ -157,7 +148,7 @@ def with_ar_noise(case: Case, ranking: Ranking) -> Case | None:
         groups.append((ranking.log_factor[label], case.group(variants[label][ranking.variant[label]])))
     judged = [(log, best_ar_form(case, group)) for log, group in groups]
     _, (form, _, gain) = best_of(judged, lambda j: j[0] + j[1][2], logs=True)
-    return case.with_form(form) if gain >= MIN_AR_LOG_GAIN else None
+    return case.with_form(form) if gain >= SETTINGS.min_ar_log_gain else None
 
 
 def thinned(case: Case, poses: int) -> Case:
@@ -254,7 +245,7 @@ def aliases(case: Case, chosen: Array, law: ScoredLaw, variant: Mapping[str, int
         other = E[:, at : at + len(group)]
         at += len(group)
         same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
-        if np.linalg.norm(same) > MIN_ALIAS_CORRELATION * np.linalg.norm(fit):
+        if np.linalg.norm(same) > SETTINGS.min_alias_correlation * np.linalg.norm(fit):
             found.append(candidate.label)
     return tuple(found)
 
@@ -272,7 +263,7 @@ def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise
         test = folds == fold
         parts = _columns(base, laws, np.flatnonzero(~test))
         model = replace(
-            base, E=ArrayColumns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), cause_prior=None
+            base, E=array_columns(np.concatenate([np.zeros((*base.r.shape, 0)), *parts], axis=2)), cause_prior=None
         )
         fit = new_fit(model, np.arange(model.width), noise)
         errors[test] = lengths(base, fit.residual_without(np.flatnonzero(test)), test)
@@ -285,7 +276,7 @@ def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Ar
     for law in laws:
         earlier = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
         e = base.with_base_columns(earlier, np.full(earlier.shape[2], CAUSE_PRIOR_SIGMA))
-        e = replace(e, E=ArrayColumns(np.zeros((*base.r.shape, 1))), cause_prior=None)
+        e = replace(e, E=array_columns(np.zeros((*base.r.shape, 1))), cause_prior=None)
         columns.append(_best(Problem(e.at(train)), law, train))
     return columns
 

@@ -12,7 +12,6 @@ from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, KeptModel
 from casadical.diagnosis.laws.contest import (
-    MAX_SEARCHED_POSES,
     held_out,
     laws_before_causes,
     replaces_causes,
@@ -33,11 +32,6 @@ from casadical.effects import Effect
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
-
-# Number of laws that are claimed at most.
-MAX_LAWS = 2
-# Number of rounds at most, in each of which a law or a cause is added to the model.
-MAX_LAW_ROUNDS = 4
 
 
 def discover(
@@ -62,7 +56,7 @@ def discover(
     return laws_of_diagnosis(found, show)
 
 
-def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SEARCHED_POSES) -> Discovery:
+def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTINGS.max_law_poses) -> Discovery:
     """Return the laws of a diagnosed campaign.
 
     A law is first compared with all causes together, which stay if they win; then laws are searched
@@ -81,7 +75,8 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SE
         columns = case.group((first.best.law,))
     elif not causes:
         return _concluded(found, rounds, case, [], (), NO_COLUMNS)
-    for _ in range(MAX_LAW_ROUNDS):
+    # Each of at most four rounds adds a law or a cause to the model.
+    for _ in range(4):
         show("laws beside what was found")
         other = better_ar_form(case, columns) if case.observations.plain else None
         if other:
@@ -104,7 +99,8 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = MAX_SE
             continue
         comparison, moved = with_best_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
         rounds.append(comparison)
-        if not comparison.claimed or len(laws) == MAX_LAWS:
+        # At most two laws are claimed.
+        if not comparison.claimed or len(laws) == 2:
             break
         laws.append(comparison.best)
         case = with_law(moved, comparison.best.law)

@@ -13,17 +13,11 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.parts import Arm
 from casadical.diagnosis.linearisation import Linearisation
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.formula import NUMERIC_FUNCTIONS, names_in, parse
 from casadical.effects.formula_effect import COLUMN_NAME, Law, columns_of
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements
-
-# Names of the factors in formulas that evaluate several names at once.
-VARIABLE_LETTERS = "abcdefghijklmnopqs"
-# Time constants of a warmth that lags behind the measured temperature.
-WARMTH_LAGS_S = (300, 600, 1200, 2400)
-# A driver with a larger value is the rounding error of a load divided by zero.
-MAX_DRIVER_VALUE = 1e6
 
 
 @dataclass(frozen=True)
@@ -57,7 +51,8 @@ def drivers_of(arm: Arm) -> list[Driver]:
     drivers += [Driver(f"g{c}", "signed", "gravity") for c in "xyz"]
     drivers += [Driver("sqrt(px**2 + py**2)", "positive", "place"), Driver("pz", "positive", "place")]
     drivers += [Driver("t", "time", "time"), Driver("warmth", "positive", "warmth")]
-    drivers += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in WARMTH_LAGS_S]
+    # The warmth lags behind the measured temperature by these time constants [s].
+    drivers += [Driver(f"warmth_{lag}s", "positive", "warmth") for lag in (300, 600, 1200, 2400)]
     drivers.append(Driver("payload", "linear", "payload"))
     for i in arm.numbers:
         drivers += [Driver(f"approach{i}", "linear", "approach"), Driver(f"move{i}", "signed", "move")]
@@ -100,7 +95,8 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC_FUNCTIONS)[0]) for d in drivers]
     # Drivers that vary by 0.02 or less [rad, m, K, kg, or a share] are constant.
-    varying_indices = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < MAX_DRIVER_VALUE]
+    limit = SETTINGS.max_driver_value
+    varying_indices = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < limit]
     varying = [
         replace(drivers[k], kind="linear") if len(np.unique(values[k])) < 3 else drivers[k] for k in varying_indices
     ]
@@ -128,24 +124,15 @@ def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
     """Return the values of names at the poses, (n,) each, from columns of shifts of the base."""
     unit = linear.columns([Law(None, "base shift", "[a, 0, 0]")])[:, :, 0]
     values: dict[str, Array] = {}
-    for first in range(0, len(names), len(VARIABLE_LETTERS)):
-        some = dict(zip(VARIABLE_LETTERS, names[first:], strict=False))
+    letters = "abcdefghijklmnopqs"  # factors of a formula that evaluates several names at once
+    for first in range(0, len(names), len(letters)):
+        some = dict(zip(letters, names[first:], strict=False))
         terms = " + ".join(f"{letter}*{name}" for letter, name in some.items())
         law = Law(None, "base shift", f"[{terms}, 0, 0]", tuple((letter, 1e-5) for letter in some))
         columns = linear.columns([law])
         share = (columns * unit[:, :, None]).sum(axis=1) / (unit**2).sum(axis=1)[:, None]
         values.update(zip(some.values(), share.T, strict=True))
     return values
-
-
-# Greatest frequency of slow waves over an angle [cycles per revolution].
-MAX_SLOW_CYCLES = 16.0
-# Greatest frequency of fine waves over an angle [cycles per revolution].
-MAX_FINE_CYCLES = 1100.0
-# Number of poses from which fine waves are tried.
-MIN_POSES_FOR_FINE_WAVES = 50
-# Changes of a wave's phase per unit of a second driver [rad].
-PHASE_RATES = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)
 
 
 @dataclass(frozen=True)
@@ -251,92 +238,79 @@ def _between(count: int) -> Callable[[Array], Array]:
     return grid
 
 
-def _decays(x: Array) -> Array:
-    """Return the grid of w, shares of the driver's range."""
-    return rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])
-
-
 def _turns(_x: Array) -> Array:
     """Return the grid of f of slow waves [cycles per revolution]."""
-    return rounded(np.arange(0.5, MAX_SLOW_CYCLES + 0.01, 0.25)[:, None])
+    return rounded(np.arange(0.5, SETTINGS.max_slow_cycles + 0.01, 0.25)[:, None])
 
 
 def _fine(x: Array) -> Array:
-    # Between neighbouring frequencies the phase changes by at most 2 rad over the range.
     """Return the grid of f of fine waves [cycles per revolution]."""
-    return rounded(np.arange(MAX_SLOW_CYCLES + 0.5, MAX_FINE_CYCLES, 2 / max(np.ptp(x), 0.1))[:, None])
+    # Between neighbouring frequencies the phase changes by at most 2 rad over the range.
+    return rounded(np.arange(SETTINGS.max_slow_cycles + 0.5, 1100.0, 2 / max(np.ptp(x), 0.1))[:, None])
 
 
-def _cycles(x: Array) -> Array:
-    """Return the grid of f for half a cycle to six over the driver's range."""
-    return rounded((2 * np.pi / np.ptp(x) * np.arange(0.5, 6.01, 0.25))[:, None])
-
-
-LINEAR = Form("linear", ("x",), (), _none)
-SQUARE = Form("square", ("x**2",), (), _none)
-CUBE = Form("cube", ("x**3",), (), _none)
-SIZE = Form("size", ("abs(x)",), (), _none)
-SIGNED_SQUARE = Form("signed square", ("x*abs(x)",), (), _none)
-# Zero below k, then a line.
-HINGE = Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12))
-# A line down to zero at k, then zero.
-HINGE_BELOW = Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12))
-# Zero where the absolute value is below k, then a line to both sides.
-HINGE_OF_SIZE = Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond)
-# Zero between -k and k, then a line with the sign of the driver.
-DEAD_BAND = Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond)
-# Zero within w of k, then a line with the sign of the distance.
-BAND = Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands)
-# A smooth transition at k of width w, constant beyond.
-SATURATION = Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), with_widths(7, (0.03, 0.08, 0.16, 0.32)))
-# A step at k, at many places.
-STEPPED = Form("step", ("step(x - k)",), ("k",), _quantiles(30))
-# A step at k, at few places.
-RELAY = Form("relay", ("step(x - k)",), ("k",), _quantiles(10))
-# A Gaussian bump at k of width w.
-BUMP = Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), with_widths(9, (0.05, 0.1, 0.2, 0.35)))
-# Two steps, at k and w, each with its own factor.
-LEVELS = Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10))
-# One between k and w, else zero.
-BLOCK = Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16))
-# Exponential decay with the constant w.
-FADE = Form("fading", ("exp(-x/w)",), ("w",), _decays)
-# A wave of frequency f of up to 16 cycles per revolution.
-WAVE = Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns)
-# A wave of frequency f of more than 16 cycles per revolution.
-FINE_WAVE = Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine)
-# A wave of frequency f with half a cycle to six over the driver's range.
-CYCLE = Form("cycle", ("sin(f*x)", "cos(f*x)"), ("f",), _cycles)
+# Every form by its name.
+FORMS = {
+    form.name: form
+    for form in (
+        Form("linear", ("x",), (), _none),
+        Form("square", ("x**2",), (), _none),
+        Form("cube", ("x**3",), (), _none),
+        Form("size", ("abs(x)",), (), _none),
+        Form("signed square", ("x*abs(x)",), (), _none),
+        # Zero below k, then a line.
+        Form("hinge", ("max(0, x - k)",), ("k",), _quantiles(12)),
+        # A line down to zero at k, then zero.
+        Form("hinge below", ("max(0, k - x)",), ("k",), _quantiles(12)),
+        # Zero where the absolute value is below k, then a line to both sides.
+        Form("hinge of the size", ("max(0, abs(x) - k)",), ("k",), _beyond),
+        # Zero between -k and k, then a line with the sign of the driver.
+        Form("dead band", ("(max(0, x - k) - max(0, -x - k))",), ("k",), _beyond),
+        # Zero within w of k, then a line with the sign of the distance.
+        Form("dead band in between", ("(max(0, x - k - w) - max(0, k - w - x))",), ("k", "w"), _bands),
+        # A smooth transition at k of width w, constant beyond.
+        Form("saturation", ("tanh((x - k)/w)",), ("k", "w"), with_widths(7, (0.03, 0.08, 0.16, 0.32))),
+        # A step at k, at many places; the relay has few.
+        Form("step", ("step(x - k)",), ("k",), _quantiles(30)),
+        Form("relay", ("step(x - k)",), ("k",), _quantiles(10)),
+        # A Gaussian bump at k of width w.
+        Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), with_widths(9, (0.05, 0.1, 0.2, 0.35))),
+        # Two steps, at k and w, each with its own factor.
+        Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10)),
+        # One between k and w, else zero.
+        Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16)),
+        # Exponential decay with the constant w, a share of the driver's range.
+        Form("fading", ("exp(-x/w)",), ("w",), lambda x: rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])),
+        # A wave of frequency f of up to 16 cycles per revolution, or more.
+        Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns),
+        Form("fine wave", ("sin(f*x)", "cos(f*x)"), ("f",), _fine),
+        # A wave of frequency f with half a cycle to six over the driver's range.
+        Form(
+            "cycle",
+            ("sin(f*x)", "cos(f*x)"),
+            ("f",),
+            lambda x: rounded((2 * np.pi / np.ptp(x) * np.arange(0.5, 6.01, 0.25))[:, None]),
+        ),
+    )
+}
 
 # Forms that a driver may have, by its kind.
 FORMS_BY_KIND = {
-    "angle": (LINEAR, SQUARE, HINGE, HINGE_BELOW, BAND, SATURATION, STEPPED, BUMP, WAVE),
-    "signed": (
-        LINEAR,
-        SQUARE,
-        CUBE,
-        SIZE,
-        SIGNED_SQUARE,
-        HINGE,
-        HINGE_BELOW,
-        HINGE_OF_SIZE,
-        DEAD_BAND,
-        SATURATION,
-        STEPPED,
-        BUMP,
-    ),
-    "positive": (LINEAR, SQUARE, HINGE, HINGE_BELOW, SATURATION, STEPPED, BUMP),
-    "time": (LINEAR, SQUARE, HINGE, HINGE_BELOW, SATURATION, STEPPED, BUMP, LEVELS, BLOCK, FADE, CYCLE),
-    "play": (LINEAR, RELAY),
-    "weighted": (WAVE,),
-    "linear": (LINEAR,),
-    "range": (LINEAR, SQUARE, WAVE),
-    "azimuth": (LINEAR, WAVE),
-    "incidence": (LINEAR, SQUARE, HINGE, HINGE_BELOW),
+    kind: tuple(FORMS[name] for name in names.split(", "))
+    for kind, names in {
+        "angle": "linear, square, hinge, hinge below, dead band in between, saturation, step, bump, wave",
+        "signed": "linear, square, cube, size, signed square, hinge, hinge below, hinge of the size, dead band, "
+        "saturation, step, bump",
+        "positive": "linear, square, hinge, hinge below, saturation, step, bump",
+        "time": "linear, square, hinge, hinge below, saturation, step, bump, levels, on and off, fading, cycle",
+        "play": "linear, relay",
+        "weighted": "wave",
+        "linear": "linear",
+        "range": "linear, square, wave",
+        "azimuth": "linear, wave",
+        "incidence": "linear, square, hinge, hinge below",
+    }.items()
 }
-# Forms of time that can follow anything that varied during the measurement; they pay an additional
-# price.
-LAST_RESORT_TIME_FORMS = (BUMP, BLOCK, CYCLE)
 
 
 def wave_by(name: str, values: Array) -> Form:
@@ -347,9 +321,6 @@ def wave_by(name: str, values: Array) -> Form:
 def wave_plus(name: str, values: Array) -> Form:
     """Return a wave of integer frequency whose phase is linear in another driver; values : (n,)."""
     parts = f"sin(f*x + p*{name})", f"cos(f*x + p*{name})"
-    return Form(f"wave plus {name}", parts, ("f", "p"), _phases, {name: values})
-
-
-def _phases(_x: Array) -> Array:
-    """Return the grid of f and p of waves with a running phase."""
-    return rounded(np.array([(f, p) for f in range(1, int(MAX_SLOW_CYCLES) + 1) for p in PHASE_RATES]))
+    rates = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # of the phase [rad]
+    grid = rounded(np.array([(f, p) for f in range(1, int(SETTINGS.max_slow_cycles) + 1) for p in rates]))
+    return Form(f"wave plus {name}", parts, ("f", "p"), lambda _x: grid, {name: values})

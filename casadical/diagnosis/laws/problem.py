@@ -18,7 +18,7 @@ from operator import itemgetter
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import best_of
 from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS, REPEATABILITY, RHO_GRID, SIGMA_GRID_M, Evidence
@@ -27,6 +27,7 @@ from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import Linearisation
 from casadical.diagnosis.noise_evidence import WHITE_FORM
 from casadical.diagnosis.noise_evidence import Form as NoiseForm
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
 from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
@@ -62,9 +63,7 @@ class Screen:
         rows, (scatter, freedom) = e.r.size, (e.noise_prior.repeats, e.noise_prior.freedom)
         again = freedom * scatter**2 / e.noise.mean_variance({REPEATABILITY: r}, rows)
         Q, residual = projection.Q[:rows].reshape(*e.r.shape, -1), y[:rows].reshape(e.r.shape)
-        return cls(
-            projection.whitening.W, Q, residual, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1)
-        )
+        return cls(projection.W, Q, residual, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
 
     def products(self, columns: Array, functions: Array, later: Array | None = None) -> tuple[Array, Array]:
         """Return each law's Gram matrix, (K, w, w), and products with the residual, (K, w).
@@ -165,16 +164,6 @@ def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
     return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
 
 
-# Typical size (one sigma) of a law at an angle, where its form varies by one.
-LAW_ANGLE_RAD = 30e-6
-# Typical size (one sigma) of a law at a length, where its form varies by one.
-LAW_LENGTH_M = 30e-6
-# Typical size (one sigma) of a law of the payload, as a share of its mass.
-LAW_SHARE = 0.03
-# Names of the factors of a law; r and t are names of drivers.
-FACTOR_LETTERS = "abcdefghijklmnopqsuvwxyz"
-
-
 @dataclass(frozen=True, eq=False)
 class InsertionPoint:
     """A place of the model at which a law may act.
@@ -189,7 +178,8 @@ class InsertionPoint:
     @property
     def size(self) -> float:
         """Return the typical size (one sigma) of its factors [rad, m or share]."""
-        return {"rad": LAW_ANGLE_RAD, "m": LAW_LENGTH_M}.get(SEAMS[self.law.seam][1], LAW_SHARE)
+        # One sigma of a law whose form varies by one; that of the payload is a share of its mass.
+        return {"rad": 30e-6, "m": 30e-6}.get(SEAMS[self.law.seam][1], 0.03)
 
     def takes(self, driver: Driver) -> bool:
         """Return whether a driver may act there.
@@ -206,7 +196,8 @@ class InsertionPoint:
         d = SEAMS[self.law.seam][0]
         terms, factors = [], []
         for k, (part, scale) in enumerate(zip(parts, scales, strict=True)):
-            names = FACTOR_LETTERS[k * d : (k + 1) * d]
+            # The letters r and t are names of drivers.
+            names = "abcdefghijklmnopqsuvwxyz"[k * d : (k + 1) * d]
             terms.append((names if d == 1 else f"[{', '.join(names)}]") + f"*{part}")
             factors += [(name, float(f"{self.size / scale:.3g}")) for name in names]
         return replace(self.law, formula=" + ".join(terms), factors=tuple(factors))
@@ -230,21 +221,8 @@ def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[InsertionPo
     return [InsertionPoint(law, columns[:, :, a:b]) for law, a, b in zip(laws, edges[:-1], edges[1:], strict=True)]
 
 
-# Smallest scale by which a function of a form is divided [unit of the function].
-MIN_FUNCTION_SCALE = 1e-3
 # Indices in the grid of rho, the ratio of joint repeatability to sigma, at which laws are screened.
 SCREENED_RHO_INDICES = (2, 4)
-# A law whose bound at the most probable rho is lower than needed by more than this is not judged at
-# other rhos.
-MAX_GAIN_AT_OTHER_RHO_NATS = 20.0
-# Score that a law needs to be claimed.
-MIN_CLAIM_SCORE_NATS = 12.0
-# Margin over the best rival's score that a law needs to be claimed.
-MIN_CLAIM_MARGIN_NATS = 3.0
-# Laws with scores within this of the best one are reported as indistinguishable.
-INDISTINGUISHABLE_NATS = 5.0
-# Number of indistinguishable laws that are reported.
-MAX_INDISTINGUISHABLE_LAWS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -356,7 +334,8 @@ def scale_of(values: Array) -> Array:
     values : as of `Form.values`
     """
     flat = values.reshape(len(values), -1, values.shape[-1])
-    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), MIN_FUNCTION_SCALE))
+    # A function that hardly varies is not divided by its scale.
+    return np.asarray(np.maximum(np.maximum(flat.std(axis=1), 0.1 * np.ptp(flat, axis=1)), 1e-3))
 
 
 def scaled(values: Array) -> Array:
@@ -391,16 +370,14 @@ class Round:
     @property
     def alike(self) -> tuple[ScoredLaw, ...]:
         """Return the laws that these data do not distinguish from the best one."""
-        return tuple(s for s in self.laws[1:] if s.score > self.best.score - INDISTINGUISHABLE_NATS)[
-            :MAX_INDISTINGUISHABLE_LAWS
-        ]
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - SETTINGS.indistinguishable_law_margin)[:6]
 
     @property
     def claimed(self) -> bool:
         """Return whether the best law is claimed."""
         return (
-            self.best.score >= MIN_CLAIM_SCORE_NATS
-            and self.best.score >= self.rival[1] + MIN_CLAIM_MARGIN_NATS
+            self.best.score >= SETTINGS.min_law_score
+            and self.best.score >= self.rival[1] + SETTINGS.min_law_margin
             and not self.alias
         )
 
@@ -450,7 +427,7 @@ class Problem:
             kappas).
         """
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
-        every = ArrayColumns(self.white(np.concatenate(columns, axis=2)))
+        every = array_columns(self.white(np.concatenate(columns, axis=2)))
         judged = self.evidence.marginals.with_other_columns(every, CAUSE_PRIOR_SIGMA)
         groups = [np.arange(a, b) for a, b in itertools.pairwise(edges)]
         logs: Array = judged.log_grids(groups) + np.log(KAPPA_WEIGHTS)
@@ -526,8 +503,9 @@ class Problem:
             G, b = products(screen, some)
             least = self.least - share
             gains[k, some] = share + screen.gains(G, b, least)
-            if not k and least > MAX_GAIN_AT_OTHER_RHO_NATS:
-                some = np.flatnonzero(screen.reach(G, b) >= least - MAX_GAIN_AT_OTHER_RHO_NATS)
+            # At other rhos a law gains at most 20 nats over its bound at the most probable one.
+            if not k and least > 20.0:
+                some = np.flatnonzero(screen.reach(G, b) >= least - 20.0)
                 if not len(some):
                     break
         return log_mean(gains)

@@ -18,11 +18,8 @@ from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.laws.beams import by_the_beam, stations
 from casadical.diagnosis.laws.forms import (
     DEFAULT_WARMTH,
-    FINE_WAVE,
+    FORMS,
     FORMS_BY_KIND,
-    LAST_RESORT_TIME_FORMS,
-    MAX_DRIVER_VALUE,
-    MIN_POSES_FOR_FINE_WAVES,
     Driver,
     Form,
     drivers_of,
@@ -48,20 +45,10 @@ from casadical.diagnosis.laws.problem import (
 from casadical.diagnosis.laws.problem import with_columns as at_poses
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns, Linearisation
+from casadical.diagnosis.settings import SETTINGS
 from casadical.effects.formula import parse
 from casadical.effects.formula_effect import Law, head_column
 from casadical.measurements.derived_columns import derive
-
-# Number of laws, the best by screening, whose evidence is computed exactly.
-MAX_EXACT_LAWS = 24
-# Number of laws, the best by exact evidence, whose settings are refined.
-MAX_REFINED_LAWS = 6
-# Number of laws of an instrument's beam whose station is refined in any case.
-MIN_MOVED_LAWS = 4
-# Largest gain of a law's score by refining its settings.
-MAX_REFINEMENT_GAIN_NATS = 10.0
-# Largest gain of a law's score by refining its settings and its station.
-MAX_PLACEMENT_GAIN_NATS = 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,19 +110,19 @@ def _everywhere(
                 if not own:
                     continue
                 some = own[0]
-            yield from _screened_in_block(seam, some, problem.gains(seam, some.functions), MAX_EXACT_LAWS)
+            yield from _screened_in_block(seam, some, problem.gains(seam, some.functions), SETTINGS.max_exact_laws)
 
 
 def _fine(
     problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
 ) -> Iterator[ScreenedLaw]:
     """Yield fine waves of each joint over its own angle."""
-    if len(problem.evidence.r) < MIN_POSES_FOR_FINE_WAVES:
+    if len(problem.evidence.r) < 50:  # fewer poses do not determine fine waves
         return
     own = {d.text: (d, x) for d, x in drivers if d.family == "angle"}
     for seam in seams:
         if seam.law.seam == "joint" and f"q{seam.law.joint}" in own:
-            (block,) = _blocks([own[f"q{seam.law.joint}"]], {"angle": (FINE_WAVE,)})
+            (block,) = _blocks([own[f"q{seam.law.joint}"]], {"angle": (FORMS["fine wave"],)})
             yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), 1)
 
 
@@ -153,7 +140,9 @@ def _joined_waves(
         j = seam.law.joint
         if seam.law.seam == "joint":
             for block in _blocks([d for d in weighted if f"q{j}" in parse(d[0].text).names], FORMS_BY_KIND):
-                yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), MAX_EXACT_LAWS)
+                yield from _screened_in_block(
+                    seam, block, problem.gains(seam, block.functions), SETTINGS.max_exact_laws
+                )
         if seam.law.seam not in ("joint", "tilt") or f"q{j}" not in by_text:
             continue
         driver, x = by_text[f"q{j}"]
@@ -179,28 +168,10 @@ def _every_joint(
     values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
     every = [(d, own_values(linear, values, d)) for d in drivers]
     moving = [
-        (d, x) for d, x in every if x.any() and np.abs(x).max() < MAX_DRIVER_VALUE
+        (d, x) for d, x in every if x.any() and np.abs(x).max() < SETTINGS.max_driver_value
     ]  # no load turns an upright axis
     for block in _blocks(moving, FORMS_BY_KIND):
-        yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), MAX_EXACT_LAWS)
-
-
-def _linearised(case: Case) -> tuple[Linearisation, list[Driver]]:
-    """Return the linearised robot with drivers' columns, and the available drivers.
-
-    It is linearised at the inliers.
-    """
-    assert isinstance(case.whole.E, EffectColumns)
-    m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
-    m, _ = derive(m, map(head_column, stations(case.given)))
-    linear = replace(case.whole.E.linear, conditions=dict(m.conditions))
-    return linear.at(np.flatnonzero(case.kept)), available
-
-
-def _last_resort_price(tried: TriedLaws) -> float:
-    """Return the additional price [nats] of a law of time that can follow nearly anything."""
-    # Such a law pays 5 nats, since the driver itself may be among the candidates.
-    return 5.0 if tried.driver.kind == "time" and tried.form in LAST_RESORT_TIME_FORMS else 0.0
+        yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), SETTINGS.max_exact_laws)
 
 
 def search_laws(
@@ -211,10 +182,13 @@ def search_laws(
     chosen : columns in the model; without : labels of laws in it
     least : score [nats] that a law needs to be of interest; others may be omitted, even all
     """
-    # A score is refined evidence less its price; settings before refinement may be lower by the
-    # greatest gain.
-    problem = Problem.of_case(case, chosen, least - MAX_REFINEMENT_GAIN_NATS)
-    linear, available = _linearised(case)
+    # A score is refined evidence less its price. Refining a law's settings raises it by 10 nats at
+    # most, and refining its station, too, by 40 nats.
+    problem = Problem.of_case(case, chosen, least - 10.0)
+    assert isinstance(case.whole.E, EffectColumns)
+    m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
+    m, _ = derive(m, map(head_column, stations(case.given)))
+    linear = replace(case.whole.E.linear, conditions=dict(m.conditions)).at(np.flatnonzero(case.kept))
     varying, values = values_of(linear, available)
     drivers = list(zip(varying, values.T, strict=True))
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
@@ -224,15 +198,20 @@ def search_laws(
     rough += joined
     rough += _every_joint(problem, linear, {n for d in varying for n in parse(d.text).names}, every)
     if of_instrument:
-        rough += by_the_beam(Problem.of_case(case, chosen, least - MAX_PLACEMENT_GAIN_NATS), linear, case.given)
+        rough += by_the_beam(Problem.of_case(case, chosen, least - 40.0), linear, case.given)
     instances = len(seams) * len(drivers) + len(joined) + 1
     rough = [r for r in rough if r.mean > NOT_JUDGED_LOG_EVIDENCE / 2]
+    # These forms of time can follow anything that varied during the measurement: they pay 5 nats, since
+    # the driver itself may be among the candidates.
+    last = ("bump", "on and off", "cycle")
+    last_resorts = [r.tried.driver.kind == "time" and r.tried.form.name in last for r in rough]
     prices = [
-        np.log(instances) + np.log(1 + len(FORMS_BY_KIND[r.tried.driver.kind])) + _last_resort_price(r.tried)
-        for r in rough
+        np.log(instances) + np.log(1 + len(FORMS_BY_KIND[r.tried.driver.kind])) + 5.0 * last_resort
+        for r, last_resort in zip(rough, last_resorts, strict=True)
     ]
     order = ranked([r.mean - price for r, price in zip(rough, prices, strict=True)], logs=True)
-    order = [*order[:MAX_EXACT_LAWS], *[k for k in order[MAX_EXACT_LAWS:] if rough[k].tried.nearby][:MIN_MOVED_LAWS]]
+    order, rest = order[: SETTINGS.max_exact_laws], order[SETTINGS.max_exact_laws :]
+    order += [k for k in rest if rough[k].tried.nearby][: SETTINGS.min_moved_laws]
     some = [rough[k] for k in order]
     if not some:
         return []
@@ -241,7 +220,8 @@ def search_laws(
     exact = problem.over_none(grids)
     scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=True)]
     best = ranked(scored, logs=True)
-    closely = {*best[:MAX_REFINED_LAWS], *[k for k in best if some[k].tried.nearby][:MIN_MOVED_LAWS]}
+    # The settings of the six best laws by exact evidence are refined.
+    closely = {*best[:6], *[k for k in best if some[k].tried.nearby][: SETTINGS.min_moved_laws]}
     laws = []
     for k in best:
         if made[k][0].label not in without:
@@ -250,16 +230,6 @@ def search_laws(
             s = ScoredLaw(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
             laws.append(refined(problem, s) if k in closely else s)
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
-
-
-# First step of a refinement as a share of the driver's range (see `_moved` for other settings).
-FIRST_STEP_OF_RANGE = 0.03
-# Number of times that the step of a refinement is halved when no step gains enough.
-MAX_HALVINGS = 3
-# Number of rounds of a refinement without a station.
-MAX_REFINEMENT_ROUNDS = 10
-# Smallest gain of log evidence for which a refinement takes a step.
-MIN_REFINEMENT_GAIN_NATS = 0.1
 
 
 def refined(problem: Problem, found: ScoredLaw) -> ScoredLaw:
@@ -323,19 +293,20 @@ def refined_settings(
 
     best: Chosen = (tried, seam, settings)
     evidence = float(evidences([best])[0])
-    step, halved = FIRST_STEP_OF_RANGE, 0
+    # The first step is a share of the driver's range (see `_moved` for other settings).
+    step, halved = 0.03, 0
     # 30 rounds where a station with three coordinates is moved, too.
-    for _ in range(30 if tried.nearby else MAX_REFINEMENT_ROUNDS if len(settings) else 0):
+    for _ in range(30 if tried.nearby else 10 if len(settings) else 0):
         of, place, s = best
         near: list[Chosen] = [(of, place, _moved(of, place, s, k, d)) for k in range(len(s)) for d in (-step, step)]
         near += [(other, len(other.seams) - 1, s) for other in of.with_moved_place(place, step)]
         logs = evidences(near)
         first = first_of_best(logs, logs=True)
-        if logs[first] > evidence + MIN_REFINEMENT_GAIN_NATS:
+        if logs[first] > evidence + 0.1:
             best, evidence = near[first], float(logs[first])
             continue
         step, halved = step / 2, halved + 1
-        if halved > MAX_HALVINGS:
+        if halved > 3:
             break
     return best, evidence
 

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.linear_gaussian.columns import WHOLE_AXIS, Combined, Factors
+from casadical.core.linear_gaussian.columns import Columns, Factors, row_columns
 from casadical.core.linear_gaussian.noise import serial_noise
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import new_fit
@@ -77,50 +77,6 @@ FRICTION_GROUPS = {
 
 
 @dataclass(frozen=True, eq=False)
-class RowColumns:
-    """Columns each of which acts in few rows of a block.
-
-    made : the columns, with the rows as intermediate variables; rows, blocks : numbers of them
-    """
-
-    made: Factors
-    rows: int
-    blocks: int
-    directions: Sequence[tuple[Array, Array]] = ()
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Return the numbers of blocks, rows and columns."""
-        return self.blocks, self.rows, self.made.width
-
-    def at(self, blocks: Array) -> RowColumns:
-        """Return the columns in some blocks."""
-        return replace(self, made=self.made.at(blocks), blocks=len(np.arange(self.blocks)[blocks]))
-
-    def only(self, columns: Array) -> RowColumns:
-        """Return some of the columns."""
-        return replace(self, made=self.made.only(columns))
-
-    def after(self, column: int) -> RowColumns:
-        """Return the columns from a number on."""
-        return self.only(np.arange(column, self.made.width))
-
-    def take(self, columns: Array, blocks: Array | slice = WHOLE_AXIS, every: Combined | None = None) -> Array:
-        """Return some columns as an array (blocks, rows, columns), or combined by `every`."""
-        taken = self.made.only(columns).at(blocks)
-        out = taken.columns_at(self.levers(blocks))
-        return np.asarray(every.combine(out) if every else out)
-
-    def factors(self, blocks: Array | slice = WHOLE_AXIS) -> Factors:
-        """Return the factors of the columns in some blocks."""
-        return self.made.at(blocks)
-
-    def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the derivatives of the rows by the intermediate variables: unit matrices."""
-        return np.broadcast_to(np.eye(self.rows), (len(np.arange(self.blocks)[blocks]), self.rows, self.rows))
-
-
-@dataclass(frozen=True, eq=False)
 class RowNoise:
     """Autocorrelated noise of each row, and the rows' weights, each of shape (blocks, rows).
 
@@ -167,7 +123,7 @@ class MotionCase:
     groups: tuple[Array, ...]
     r: Array
     base: Array
-    E: RowColumns
+    E: Columns
     first: Array
     noise: RowNoise
     of_log: Array
@@ -189,11 +145,11 @@ class MotionCase:
         n, rows, P = self.base.shape
         made = tuple(
             (row, columns, self.noise.row(row).white(values.T[:, None], self.first)[:, 0].T)
-            for row, columns, values in self.E.made.blocks
+            for row, columns, values in self.E.factors().blocks
         )
         return Evidence(
             self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros(P), np.ones(P),
-            replace(self.E, made=Factors(made, self.E.made.width)),
+            row_columns(Factors(made, self.E.shape[2]), n, rows),
             reference=1.0, near=(0,), Jq=np.zeros((n, rows, 1)), sigmas=RELATIVE_NOISE_GRID,
         )  # fmt: skip
 
@@ -218,7 +174,7 @@ class MotionCase:
 
     def rows_of(self, columns: Array) -> tuple[int, ...]:
         """Return the rows of a block in which some columns act."""
-        return tuple(row for row, own, _ in self.E.made.blocks if np.isin(own, columns).any())
+        return tuple(row for row, own, _ in self.E.factors().blocks if np.isin(own, columns).any())
 
     def only(self, columns: Array) -> MotionCase:
         """Return the case with some of the causes' columns, and without candidates."""
@@ -325,7 +281,7 @@ def motion_case(
     parts = tuple(part for part, _ in columns.values())
     J = np.concatenate([bodies, np.stack([p.size * v for p, v in columns.values()], axis=2)], axis=2)
     residual = np.concatenate([_residual(one) for one in log_views])
-    nothing = RowColumns(Factors((), 0), rows, int(ends[-1]))
+    nothing = row_columns(Factors((), 0), int(ends[-1]), rows)
     floor = _floor(log)
     trust = np.concatenate([_trust(one, rows) for one in log_views])
     of_log = np.arange(ends[-1]) < ends[1]
@@ -450,7 +406,7 @@ def with_candidates(case: MotionCase, log: LogView, chosen: Sequence[Cause]) -> 
                 made[row].append((width, np.pad(values, (0, total - len(values)))))
             width += 1
     blocks = [(row, np.array([c for c, _ in own]), np.stack([v for _, v in own])) for row, own in made.items() if own]
-    E = RowColumns(Factors(tuple(blocks), width), rows, total)
+    E = row_columns(Factors(tuple(blocks), width), total, rows)
     return replace(case, E=E, candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups))
 
 

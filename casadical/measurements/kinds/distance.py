@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, InputError
+from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
@@ -68,8 +69,8 @@ def _far_end(distance: Array, p: Array) -> Array:
     """Return the anchor that fits the distances from p best, in the frame of p, shape (3,) [m].
 
     First |p|^2 - L^2 = 2 p.P - |P|^2 is solved by least squares, with |P|^2 as one more unknown;
-    then Gauss-Newton steps on the distances follow, as long as they reduce the residuals. If all p
-    lie in a plane, only the anchor's distance from that plane is determined, not its side.
+    then Levenberg-Marquardt steps on the distances follow. If all p lie in a plane, only the
+    anchor's distance from that plane is determined, not its side.
 
     distance : shape (n,) [m]; p : positions of the measured point, shape (n, 3) [m]
     """
@@ -85,15 +86,20 @@ def _far_end(distance: Array, p: Array) -> Array:
     # A pose closer to the anchor than this coincides with it [m].
     if np.linalg.norm(P - local, axis=1).min() < 1e-6:  # too few poses: a length of zero has no direction
         P = np.array([0.0, 0.0, distance.mean()])
-    left = distance - np.linalg.norm(P - local, axis=1)
-    for _ in range(20):  # Gauss-Newton steps
-        line = P - local
-        step = np.linalg.lstsq(line / np.linalg.norm(line, axis=1)[:, None], left, rcond=None)[0]
-        after = distance - np.linalg.norm(P + step - local, axis=1)
-        # Iteration stops when a step reduces the sum of squares by less than this share.
-        if not after @ after < (1 - 1e-6) * (left @ left):
-            break
-        P, left = P + step, after
+
+    def evaluate(anchors: Array) -> Evaluated:
+        """Return the sum of squares for each anchor, and its normal equations."""
+        line = anchors[:, None] - local
+        length = np.linalg.norm(line, axis=2)
+        residual = distance - length
+
+        def sums(some: Array) -> tuple[Array, Array]:
+            J = line[some] / length[some, :, None]
+            return J.transpose(0, 2, 1) @ J, np.einsum("kni,kn->ki", J, residual[some])
+
+        return (residual**2).sum(axis=1), sums
+
+    (P,), _ = levenberg_marquardt(evaluate, P[None], 20, floor=1e-9, least_gain=1e-12)
     return np.asarray(P + centre)
 
 

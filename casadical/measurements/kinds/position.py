@@ -98,7 +98,7 @@ def whitening(covariance: Array) -> Array:
 
     covariance : shape (n, 3, 3) [m^2]
     """
-    return np.asarray(typical_sigma(covariance) * whitening_of(covariance).W)
+    return np.asarray(typical_sigma(covariance) * whitening_of(covariance)[0])
 
 
 def typical_sigma(covariance: Array) -> float:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import multivariate_normal
 
-from casadical.core.linear_gaussian.columns import ArrayColumns
+from casadical.core.linear_gaussian.columns import array_columns
 from casadical.core.linear_gaussian.grid import Grid
 from casadical.core.linear_gaussian.model import LinearModel
 from casadical.core.linear_gaussian.noise import NoiseModel
@@ -29,7 +29,7 @@ def small_model(ratios: dict[str, np.ndarray] = RATIOS, seed: int = 0, n: int = 
         J=J,
         delta0=mean,
         prior=prior,
-        E=ArrayColumns(E),
+        E=array_columns(E),
         cause_prior=np.array([8.0, 8.0, 8.0, 2.0, 2.0, 8.0]),
         noise=NoiseModel((n, m), components),
         grid=Grid(SIGMAS, ratios, KAPPAS),
@@ -47,7 +47,7 @@ def without_last_rows(model: LinearModel, blocks: np.ndarray) -> LinearModel:
     noise = NoiseModel(model.noise.shape, components)
     measured = np.ones(r.shape, dtype=bool)
     measured[blocks, -1] = False
-    return replace(model, r=r, J=J, E=ArrayColumns(E), noise=noise, measured=measured)
+    return replace(model, r=r, J=J, E=array_columns(E), noise=noise, measured=measured)
 
 
 def noise_of(model: LinearModel, point: int, sigma: float) -> np.ndarray:

@@ -7,7 +7,7 @@ import pytest
 from models import KAPPAS, NONE, RATIOS, SIGMAS, TWO, log_density, small_model, without_last_rows
 from scipy.stats import multivariate_normal
 
-from casadical.core.linear_gaussian.columns import ArrayColumns, SerialColumns
+from casadical.core.linear_gaussian.columns import array_columns, serial_columns
 from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW
 from casadical.core.linear_gaussian.marginals import Marginals
 from casadical.core.linear_gaussian.model import LinearModel, MemoryLimits
@@ -23,7 +23,7 @@ def twin_columns() -> LinearModel:
     E = model.E.take(np.arange(6)).copy()
     E[:, :, 2] = E[:, :, 1]
     E[:, :, 5] = 0.1 * model.J[:, :, 3]
-    return replace(model, E=ArrayColumns(E))
+    return replace(model, E=array_columns(E))
 
 
 def far_prior() -> LinearModel:
@@ -76,7 +76,7 @@ def test_other_columns_take_over_the_base_alone() -> None:
     model, rng = small_model(), np.random.default_rng(5)
     first = Marginals(model)
     known = first.log_grids(GROUPS)
-    columns = ArrayColumns(0.2 * rng.normal(size=(7, 3, 3)))
+    columns = array_columns(0.2 * rng.normal(size=(7, 3, 3)))
     alone = Marginals(replace(model, E=columns, cause_prior=np.full(3, 4.0)))
     of_others = first.with_other_columns(columns, 4.0)
     for also in (NONE, np.array([2])):
@@ -92,8 +92,8 @@ def test_columns_in_the_base_without_directions_that_move_nothing() -> None:
     E[:, :, 3], E[:, :, 4] = E[:, :, 2], 0.0
     V = np.array([[1.0, 0, 0, 0], [0, np.sqrt(0.5), np.sqrt(0.5), 0]]).T
     held = np.full(6, 2.0)
-    combined = replace(model, E=ArrayColumns(E, ((np.arange(1, 5), V),)), cause_prior=held)
-    as_they_are = replace(model, E=ArrayColumns(E), cause_prior=held)
+    combined = replace(model, E=array_columns(E, ((np.arange(1, 5), V),)), cause_prior=held)
+    as_they_are = replace(model, E=array_columns(E), cause_prior=held)
     part, group = np.arange(1, 5), [np.array([5])]
     assert combined.with_base(part).J.shape[2] == 6
     two, four = (Marginals(m.with_base(part)).log_grids(group) for m in (combined, as_they_are))
@@ -132,7 +132,7 @@ def test_a_wide_group_is_the_normal_density(ratios: dict[str, np.ndarray]) -> No
     model, rng, last = small_model(ratios, n=30), np.random.default_rng(2), MAX_NARROW_GROUP_COLUMNS + 1
     E = 0.02 * rng.normal(size=(30, 3, last + 1))
     r = model.r + E @ rng.normal(size=last + 1)
-    model = replace(model, r=r, E=ArrayColumns(E), cause_prior=np.full(last + 1, 8.0))
+    model = replace(model, r=r, E=array_columns(E), cause_prior=np.full(last + 1, 8.0))
     for group, chosen in ((np.arange(last), np.array([last])), (np.array([last]), np.arange(last))):
         assert_densities(model, Marginals(model).log_grids([group], chosen), [group], chosen)
 
@@ -150,7 +150,7 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
     """More columns, then a block fewer and another one more, are as if they were added up anew."""
     whole, chosen = small_model(ratios, n=41), np.array([3, 4])
 
-    first, fewer = whole.at(np.arange(40)), ArrayColumns(whole.E.take(np.arange(5)))
+    first, fewer = whole.at(np.arange(40)), array_columns(whole.E.take(np.arange(5)))
     few = replace(whole, E=fewer, cause_prior=whole.cause_prior_sigmas[:5]).at(np.arange(40))
     known = Marginals(few)
     known.log_grids(GROUPS[:2], chosen)
@@ -165,7 +165,7 @@ def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -
     """Noise that follows itself: each block is taken less a share of the one before, in the order of measuring."""
     whole = small_model(n=30)
     order, n = np.random.default_rng(6).permutation(30), 30
-    moved = SerialColumns(whole.E, order, serial_noise(0.6, np.arange(n) == 0))
+    moved = serial_columns(whole.E, order, serial_noise(0.6, np.arange(n) == 0))
     every = np.arange(whole.width)
     E = whole.E.take(every)[order]
     array = 1.25 * E - 0.75 * np.concatenate([E[:1], E[:-1]])
@@ -173,7 +173,7 @@ def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -
     np.testing.assert_allclose(moved.take(every), array, rtol=1e-12)
     np.testing.assert_allclose(moved.factors().columns_at(moved.levers()), array, rtol=1e-12, atol=1e-18)
     groups = [np.array([0, 1]), np.array([2])]
-    a, b = (Marginals(replace(whole, E=c)).log_grids(groups) for c in (moved, ArrayColumns(array)))
+    a, b = (Marginals(replace(whole, E=c)).log_grids(groups) for c in (moved, array_columns(array)))
     np.testing.assert_allclose(a, b, rtol=1e-9)
 
 
