@@ -34,6 +34,7 @@ from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
 from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, residual_localisation, used_poses
+from casadical.project.hand_eye import HandEye, hand_eye_of
 from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
@@ -89,6 +90,7 @@ class Calibration(Result):
         Key("kinds", "_kinds"),
         Key("methods", lambda c: {method: c._method(method) for method in c.identifications}),
         Key("compliance_tried", "identification.tried", if_known=True),
+        Key("hand_eye", if_known=True),
         Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, if_known=True),
         Key("trained_on", "networks.trained_on", if_known=True),
         Key("networks", "networks.results", if_known=True),
@@ -122,6 +124,11 @@ class Calibration(Result):
     def written_robot(self) -> Robot:
         """Return the robot calibrated by the last method, as it is written."""
         return list(self.written.values())[-1].robot
+
+    @cached_property
+    def hand_eye(self) -> HandEye | None:
+        """Return the hand-eye transform as it is written; None where no camera measured poses."""
+        return hand_eye_of(list(self.written.values())[-1])
 
     @property
     def worse(self) -> str:
@@ -247,6 +254,8 @@ class Calibration(Result):
         """Return the texts of the result files by path: figures, robots, compensators."""
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
+        if self.hand_eye:
+            texts[folder / "hand_eye.calib"] = self.hand_eye.calib_text(problem.folder.name)
         for name, trained in (self.networks.results if self.networks else {}).items():
             if trained.compensator is not None:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)

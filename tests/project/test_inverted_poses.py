@@ -138,3 +138,23 @@ def test_errors_of_orientation_stand_beside_those_of_position(tmp_path: Path) ->
     assert figures["before_placed"]["orientation"]["max_deg"] > 0
     assert f"{figures['orientation']['mean_deg']:.3g} deg" in " ".join(str(result).split())
     assert "deg: mean" in str(result)
+
+
+def test_the_hand_eye_transform_is_named_and_written(tmp_path: Path) -> None:
+    """With the nominal arm the camera is where it was planted, within its errors; the file is of easy_handeye2."""
+    (tmp_path / "dh.csv").write_text(DH)
+    new_problem(
+        tmp_path / "arm", dh=tmp_path / "dh.csv", convention="standard", data=written(tmp_path, seen(True, poses=40))
+    )
+    result = calibrate(tmp_path / "arm")
+    found = result.hand_eye
+    assert (found.camera, found.parent) == ("in hand", "flange")
+    np.testing.assert_allclose(found.T[:3, 3], HAND_EYE[:3, 3], atol=5 * max(found.std_errors) + 2e-4)
+    np.testing.assert_allclose(found.T[:3, :3], HAND_EYE[:3, :3], atol=3e-3)
+    assert "Hand-eye (camera in the frame of the flange, eye in hand)" in " ".join(str(result).split())
+    assert result.to_json()["hand_eye"]["xyz_mm"] == pytest.approx(1e3 * found.T[:3, 3])
+    text = result.files("results")[Path("results/hand_eye.calib")]
+    numbers = {line.split(":")[0].strip(): float(line.split(":")[1]) for line in text.splitlines()[-4:]}
+    R = Rotation.from_quat([numbers[c] for c in "xyzw"]).as_matrix()
+    np.testing.assert_allclose(R, found.T[:3, :3], atol=1e-8)
+    assert "calibration_type: eye_in_hand" in text
