@@ -198,10 +198,10 @@ def arbitrated(
     fit, and half the difference between the fits of both halves of the logs. Raises InputError.
     """
     assert response.log_values is not None
-    assert response.log_sigmas is not None
+    assert response.log_covariance is not None
     assert response.log_widths is not None
     sets = {path: read_parameters(path, robot) for path in files}
-    own, sigma = [run for log in fit for run in log.runs()], response.log_sigmas
+    own, sigma = [run for log in fit for run in log.runs()], np.sqrt(np.einsum("jkk->jk", response.log_covariance))
     if len(own) > 1:
         one, other = (half.log_values for half in fitted(robot, own[::2], own[1::2]))
         assert one is not None

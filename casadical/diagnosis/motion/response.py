@@ -76,7 +76,7 @@ MIN_ROTOR_SHARE = 0.05  # smallest share of a joint's inertia that is its rotor'
 # Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
 # damping and inertia (all three divided by the gain) and of the delay.
 PARAMETERS_PER_JOINT = 6
-_LOG_PARAMETERS = (0, 2, 3, 4, 5)  # indices of a joint's parameters that are logarithms
+_LOG_PARAMETERS = [0, 2, 3, 4, 5]  # indices of a joint's parameters that are logarithms
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +104,8 @@ class Response:
         constant, shape (joints, 4); None without a logged torque
     floor : surface that the tool came to rest on, or None
     gravity : whether gravity loads the joints
-    log_values, log_sigmas : logarithms of the gain, of friction, damping and inertia divided by it,
-        and of the delay, with their standard deviations, shape (joints, 5)
+    log_values, log_covariance : logarithms of the gain, of friction, damping and inertia divided by
+        it, and of the delay, shape (joints, 5), with the covariance of each joint's
     log_widths : prior standard deviations of these, shape (joints, 5)
     """
 
@@ -122,7 +122,7 @@ class Response:
     floor: Floor | None = None
     gravity: bool = True
     log_values: Array | None = None
-    log_sigmas: Array | None = None
+    log_covariance: Array | None = None
     log_widths: Array | None = None
 
     def predicted(self, log: JointLog) -> Array:
@@ -338,35 +338,35 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
     problems = [_problem(arm.dynamics, p, _gains_by_torque(r, arm)) for p, r in zip(pieces, runs, strict=True)]
     responses = []
     solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, runs, strict=True)
-    for (x, sigmas, floor), problem, logs, p, r in solutions:
+    for (x, covariance, floor), problem, logs, p, r in solutions:
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
         responses.append(Response(
             arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
             _torque_terms_of(arm, r, floor), floor, True, np.column_stack([-x[:, 0], x[:, 2:]]),
-            *(each[:, _LOG_PARAMETERS] for each in (sigmas, problem.width)),
+            covariance, problem.width[:, _LOG_PARAMETERS],
         ))  # fmt: skip
     return responses
 
 
 def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Array, Floor | None]]:
-    """Return for each problem the parameters of all joints, their standard deviations, and a surface.
+    """Return for each problem the parameters of all joints, the covariance of `log_values`, a surface.
 
     The surface is the one found in the logs, or else the one that the drives declare, or None.
     """
     free, declared = Floor(dynamics), (dynamics.given.drive or Drive()).floor
     heights = [free.above(p.position) for p in problems]
 
-    def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, Array]:
-        """Return parameters and their deviations of some problems, by samples off the surface.
+    def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, tuple[Array, Array]]:
+        """Return parameters and covariances of some problems, fitted to the samples off the surface.
 
         there : number of the problem -> weight of each sample, off the surface or not; starts :
             first parameters
         """
         parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]
-        x = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
-        return dict(zip(there, np.split(x, len(parts), axis=1), strict=True))
+        both = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
+        return dict(zip(there, zip(*(np.split(each, len(parts)) for each in both), strict=True), strict=True))
 
     def surface(k: int) -> Floor | None:
         """Return the surface that problem k shows with its present parameters, or None."""
@@ -516,8 +516,8 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
     return _Problem(command, position, weight, load.reshape(command.shape), steps, middle, width)
 
 
-def _solved(p: _Problem, start: Array) -> Array:
-    """Return the parameters of least cost and their deviations, (2, joints, PARAMETERS_PER_JOINT).
+def _solved(p: _Problem, start: Array) -> tuple[Array, Array]:
+    """Return the parameters of least cost, (joints, PARAMETERS_PER_JOINT), and `log_covariance`.
 
     Joints are independent of each other.
     """
@@ -544,8 +544,9 @@ def _solved(p: _Problem, start: Array) -> Array:
             before = np.where(better, now, before)
             if done:
                 break
-    covariance = np.linalg.inv(_normal(p, sigma, x, residual, slope)[0])
-    return np.stack([x, np.sqrt(np.einsum("jaa->ja", covariance))])
+    covariance = np.linalg.inv(_normal(p, sigma, x, residual, slope)[0])[:, _LOG_PARAMETERS][:, :, _LOG_PARAMETERS]
+    way = np.array([-1.0, 1.0, 1.0, 1.0, 1.0])  # the compliance is one over the gain
+    return x, covariance * way * way[:, None]
 
 
 def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:
