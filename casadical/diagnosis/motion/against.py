@@ -7,6 +7,7 @@ parameter it is told whether the logs determine it, and if so, whether they cont
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from io import StringIO
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -15,6 +16,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import read_drive
+from casadical.core.reading import foreign, missing, read_text, read_xml
 from casadical.core.telling.blocks import Table
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.measurements.logs.log import JointLog
@@ -81,7 +83,7 @@ def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
     """
     names, n = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)], robot.n
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
+        raise missing(path, "file of drive parameters")
     if path.suffix == ".toml":
         drive = read_drive(path, n)
         fields = {"kp": drive.kp, "friction": drive.friction, "damping": drive.damping, "delay": drive.delay}
@@ -101,7 +103,7 @@ def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
 
 def _of_table(path: Path) -> dict[str, Mapping[str, float]]:
     """Return the parameters of each joint from a table. Raises InputError."""
-    table = pd.read_csv(path, comment="#", skipinitialspace=True)
+    table = pd.read_csv(StringIO(read_text(path)), comment="#", skipinitialspace=True)
     if "joint" not in table or not {*PARAMETERS} & {*table}:
         raise InputError(f"{path.name}: needs a column joint, and some of {', '.join(PARAMETERS)} in SI units")
     numbers = table.reindex(columns=PARAMETERS).apply(pd.to_numeric, errors="coerce")
@@ -113,10 +115,8 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
 
     What it does not give is zero, as in MuJoCo. Raises InputError.
     """
-    try:
-        root = ET.parse(path).getroot()
-    except ET.ParseError as error:
-        raise InputError(f"{path.name}: is no XML: {error}") from None
+    with foreign(f"{path.name}: malformed XML"):
+        root = ET.fromstring(read_xml(path))
     defaults: dict[tuple[str, str], dict[str, str]] = {}
 
     def read_defaults(node: ET.Element, name: str, above: str) -> None:

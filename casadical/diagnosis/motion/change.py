@@ -35,7 +35,10 @@ SIGMA_UNLISTED = 0.5  # prior standard deviation of each logarithm's change by a
 # by the gain, as a share of the resolution of the readings.
 DELAY_SAMPLE_SHARE = 0.1
 FRICTION_QUANTUM_SHARE = 0.5
-MIN_EVIDENCE = 15.0  # smallest log evidence [nats] of a change that is named
+# A response fits if it leaves less than this share of reading minus command; otherwise the search for
+# its parameters has failed, and they say nothing.
+MAX_ERROR_SHARE = 0.5
+MIN_EVIDENCE = 15.0  # smallest log evidence [nats] of a clear change
 MIN_MARGIN = 3.0  # by which it exceeds every other cause of its joint
 WORDS = {
     "servo_stiffness": "servo gain x {:.2f}",
@@ -66,7 +69,7 @@ class Change:
     unlisted: float
 
     @property
-    def named(self) -> bool:
+    def clear(self) -> bool:
         """Return whether the evidence is large, and no other cause nor a general change fits."""
         return self.evidence >= MIN_EVIDENCE and self.margin >= MIN_MARGIN and self.unlisted > 0
 
@@ -79,19 +82,27 @@ class Change:
 
 
 def changes_since(robot: Robot, log: JointLog, healthy: Robot, reference: JointLog) -> tuple[Change, ...]:
-    """Return the most probable change of each joint that moved in both logs, the clearest first.
+    """Return the most probable change of each joint whose response fits both logs, the clearest first.
 
     robot, healthy : of the log, and of the reference. Raises InputError.
     """
     responses = fitted(robot, [log], [reference]) if healthy is robot else [
         *fitted(robot, [log]), *fitted(healthy, [reference]),
     ]  # fmt: skip
+    fits = [_fits(r, each) for r, each in zip(responses, (log, reference), strict=True)]
     found = [
         _change(responses, j, max(log.step, reference.step), quantum)
         for j, quantum in enumerate(_quanta(log))
-        if all(r.moved[j] for r in responses)
+        if all(fit[j] for fit in fits)
     ]
     return tuple(found[k] for k in ranked([change.evidence for change in found]))
+
+
+def _fits(response: Response, log: JointLog) -> Array:
+    """Return which joints moved, and follow their response: shape (joints,)."""
+    assert log.command is not None
+    error, before = (np.nanmean((log.position - q) ** 2, axis=0) for q in (response.predicted(log), log.command))
+    return np.asarray(response.moved & (error < MAX_ERROR_SHARE**2 * before))
 
 
 def _quanta(log: JointLog) -> list[float]:
@@ -131,16 +142,16 @@ def _change(responses: Sequence[Response], j: int, step: float, quantum: float) 
     )
 
 
-def named_changes(changes: Sequence[Change]) -> Iterator[Change]:
-    """Yield the changes that are named; a load or a delay of several joints is one change."""
-    named = [change for change in changes if change.named]
+def clear_changes(changes: Sequence[Change]) -> Iterator[Change]:
+    """Yield the clear changes; a load or a delay of several joints is one change."""
+    clear = [change for change in changes if change.clear]
     for effect, alike in (("payload", ("link_mass",)), ("transport_delay", ("lag",))):
-        own = [change for change in named if change.effect == effect]
+        own = [change for change in clear if change.effect == effect]
         if len(own) > 1 and (effect == "payload" or len(own) == len(changes)):
             first = own[0]
-            named = [change for change in named if change.effect != effect]
+            clear = [change for change in clear if change.effect != effect]
             yield Change(None, effect, alike, first.factor, first.evidence, first.margin, first.unlisted)
-    yield from named
+    yield from clear
 
 
 def change_table(joints: Sequence[str], changes: Sequence[Change]) -> Table:

@@ -1,7 +1,7 @@
 """The diagnosis of a joint log as a result: residual of each joint, causes that fit, confidence."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,6 +20,7 @@ from casadical.diagnosis.motion.base import (
     LogView,
     log_view,
 )
+from casadical.diagnosis.motion.change import Change, change_table, changes_since, clear_changes
 from casadical.diagnosis.motion.effect_table import explained, torque_table
 from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
@@ -35,8 +36,6 @@ REGION_PARTS = 4  # number of quantile ranges of each variable in which a residu
 MIN_REGION_RATIO = 1.5  # ratio of a range's rms residual to the overall one, to be reported
 MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of what fits
 MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in the table of what fits
-# Levels (torque or position, with a reference or without) at which causes are named: none so far.
-CLAIMED_LEVELS: frozenset[tuple[str, bool]] = frozenset()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +46,12 @@ class LogDiagnosis(Result):
     faults : of the log itself; reference : source of the healthy log, empty without one
     contradictions : between the log and the robot file
     determined : inertial parameters that the motion determines
+    changes : most probable change of each joint's response since the reference
     """
 
     line: ClassVar[str] = (
         " {{ it.log.source }}: {{ it.verdict }}"
-        "{% for f in it.faults %}, {{ f.name }}{% endfor %}{% for f in it.claims %}, {{ f.label }}{% endfor %}"
+        "{% for f in it.faults %}, {{ f.name }}{% endfor %}{% for c in it.changed %}, {{ c.words }}{% endfor %}"
     )
 
     kept_as: ClassVar[str] = "log_diagnosis"
@@ -61,7 +61,8 @@ class LogDiagnosis(Result):
         Key("log", "log.source"),
         Key("verdict"),
         Key("causes"),
-        Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting if f not in d.claims]),
+        Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting]),
+        Key("changes", lambda d: [asdict(change) | {"clear": change.clear} for change in d.changes]),
         Key("alike", lambda d: [_plain(label, p) for label, p in d.outcome.alike]),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
@@ -80,6 +81,7 @@ class LogDiagnosis(Result):
     reference: str = field(default="", metadata=WRITTEN)
     contradictions: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
+    changes: tuple[Change, ...] = ()
 
     @property
     def fitting(self) -> tuple[Found, ...]:
@@ -87,12 +89,9 @@ class LogDiagnosis(Result):
         return () if self.faults else tuple(f for f in self.outcome.found if f.named)
 
     @property
-    def claims(self) -> tuple[Found, ...]:
-        """Return the causes that are named: the fitting ones, at levels that blind logs confirmed.
-
-        See docs/joint-logs.md.
-        """
-        return self.fitting if (self.level, bool(self.reference)) in CLAIMED_LEVELS else ()
+    def changed(self) -> tuple[Change, ...]:
+        """Return the clear changes since the reference, hints as yet; none if the log is faulty."""
+        return () if self.faults else tuple(clear_changes(self.changes))
 
     @property
     def verdict(self) -> str:
@@ -100,15 +99,10 @@ class LogDiagnosis(Result):
 
         unknown : the log shows more than a usual arm, but no cause is named
         """
-        if self.faults or self.claims:
+        if self.faults:
             return "explained"
         verdict = self.outcome.verdict
-        return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
-
-    @property
-    def level(self) -> str:
-        """Return what was analysed: torque, or the position error alone."""
-        return "torque" if self.outcome.case.unit is not None else "position"
+        return verdict if verdict in ("none", "ambiguous") and not self.fitting and not self.changed else "unknown"
 
     def gap(self) -> tuple[Array, Array, Array]:
         """Return each joint's rms residual: model alone, base fitted, causes too [A, N m or rad].
@@ -150,8 +144,8 @@ class LogDiagnosis(Result):
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis."""
         case, found = self.outcome.case, self.outcome.found
-        said = [f.sentence for f in self.faults] + [in_words(case, f.label) for f in self.claims]
-        if not self.claims and self.outcome.verdict != "none":
+        said = [f.sentence for f in self.faults] + [change.words for change in self.changed]
+        if not self.changed and self.outcome.verdict != "none":
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
             said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
@@ -160,6 +154,7 @@ class LogDiagnosis(Result):
             explained=explained(self.torques) if self.torques else "",
             residuals=self._gap_table(),
             torques=self._torque_table(),
+            changes=change_table(self.log.joints, self.changes) if self.changes else (),
             fits=self._fits(),
             small=[f for f in found if f.share < 1 and not f.named],
             missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
@@ -234,9 +229,9 @@ class LogDiagnosis(Result):
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Return faults of the log itself, and the causes that are named."""
+        """Return the faults of the log itself, the only causes that are named as yet."""
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
-        return faults + [_plain(f.label, f.probability) for f in self.claims]
+        return faults
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
@@ -313,7 +308,9 @@ def diagnose_log(
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", log_views[0].arm
     faults = tuple(faults_of(log, arm, reference))
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers)
+    both = reference is not None and log.command is not None and reference.command is not None
+    changes = changes_since(robot, log, healthy or robot, reference) if both and reference else ()
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers, changes)
 
 
 def log_views_of(
