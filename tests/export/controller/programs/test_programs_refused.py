@@ -16,6 +16,7 @@ from casadical.export.controller.programs.program import (
     assumptions,
     corrected_program,
     language_named,
+    language_of,
     read_target_program,
     report_of,
 )
@@ -325,3 +326,7 @@ def test_numbers_without_a_value_and_deep_brackets_are_refused_or_left(case, tmp
 )
 def test_what_is_given_twice_is_left(name, text, why, cell, tmp_path):
     assert {found for _, found in statuses(tmp_path, cell, name, text).values()} == {why}
+
+
+def test_a_language_is_found_by_the_suffix_of_the_file(tmp_path):
+    assert language_of(tmp_path / "X.SRC").name == "KUKA KRL"
