@@ -4,18 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import case, diagnose, robot, simulated
+from cases import case
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.columns import Factors, combined, directions_of
-from casadical.core.parts import Placement
 from casadical.diagnosis.cross_validation import fit_of, fold_errors, new_fit, random_folds
 from casadical.diagnosis.evidence import Evidence
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import Form, Problem
 from casadical.diagnosis.settings_search import learnt_sizes
-from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Noise
 
 NOISE = Noise(2e-5, 4e-6)
@@ -68,25 +66,6 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
     for beside in (None, curve):
         found, expected = (e.log_grids(backlash, beside).max(axis=(1, 2, 3)) for e in (fewer.evidence, anew))
         assert found == pytest.approx(expected, abs=1e-4)
-
-
-@pytest.mark.slow
-def test_sums_under_noise_that_follows_itself_are_those_of_the_other_poses(known, curve, backlash):
-    followed = known.with_form(Form(stays=0.6))
-    for beside in (None, curve):
-        followed.judged.log_grids([curve, *backlash], beside)
-    for out in ([3, 11], [0, 1], [len(known.kept) - 1]):
-        kept = known.kept.copy()
-        kept[out] = False
-        fewer = followed.with_inliers(kept)
-        assert "marginals" in fewer.judged.cache
-        back = fewer.with_inliers(known.kept)
-        for moved in (fewer, back):
-            anew = replace(moved).judged
-            assert "marginals" not in anew.cache
-            for beside in (None, curve):
-                found, expected = (e.log_grids([curve, *backlash], beside) for e in (moved.judged, anew))
-                assert found == pytest.approx(expected, rel=1e-9, abs=1e-4)
 
 
 def test_other_forms_of_noise_are_judged_alike(known, curve, backlash, apart):
@@ -147,17 +126,3 @@ def test_a_joint_that_moves_no_pose_has_no_combinations() -> None:
     assert every.places(idle).tolist() == []
     assert every.values(np.array([7.0, 8.0])).tolist() == [0, 0, 0, 0, 7, 8]
     assert combined(idle, [(idle, np.zeros((4, 0)))]).combine(np.ones(4)).shape == (0,)
-
-
-@pytest.mark.slow
-def test_a_diagnosis_ends_where_the_last_joint_moves_no_pose() -> None:
-    m = simulated("kr210", 3, n=150)  # more numbers than combinations
-    r = robot("kr210")
-    T = r.tool.T.copy()
-    T[:2, 3] = 0.0
-    on_axis = replace(r, tool=Placement(T))  # not identified, so that the calibrated point is on the axis, too
-    noise = 2e-5 * np.random.default_rng(4).standard_normal((len(m), 3))
-    found = diagnose(on_axis, replace(m, position=predicted(on_axis, m)[0] + noise), ["joint_error_curve"])
-    assert found.verdict == "none"
-    (curve,) = (c for c in found.case.candidates if c.label == "joint_error_curve")
-    assert found.rankings[0].log_factor[curve.label] < 0

@@ -73,13 +73,6 @@ def test_what_no_position_can_show(name: str) -> None:
     assert (table["visible_mm"] <= table["size_mm"] * (1 + 1e-9)).all()
 
 
-def test_compliance_like_effects_hide_in_the_base() -> None:
-    """75 to 99 % of the signal of an effect that follows the load is absorbed (HH800)."""
-    table = designed("hh800").effects["absorbed"]
-    hidden = ["gravity_compensator@2", "nonlinear_stiffness@2", "link_flexure", "payload_error", "base_compliance"]
-    assert table[hidden].between(0.75, 0.999).all()
-
-
 def test_known_confusions(alike: dict[str, pd.DataFrame], whole: dict[str, pd.DataFrame]) -> None:
     for name in FIRST:
         assert alike[name].loc["gravity_compensator@2", "gear_eccentricity@2"] > 0.97
@@ -94,26 +87,6 @@ def test_known_confusions(alike: dict[str, pd.DataFrame], whole: dict[str, pd.Da
     assert whole["hh800"].loc["thermal_growth", "thermal_zero_drift"] > 0.6
 
 
-@pytest.mark.parametrize("name", FIRST)
-def test_likeness_is_a_share(alike: dict[str, pd.DataFrame], name: str) -> None:
-    table = alike[name]
-    assert table.index.equals(table.columns)
-    assert table.to_numpy().min() >= 0
-    assert table.to_numpy().max() <= 1
-    own = pd.Series(np.diag(table), index=table.index)
-    assert (own[designed(name).effects["visible_mm"] > 1e-3] > 0.999).all()
-
-
-def test_positions_are_not_looked_at() -> None:
-    from dataclasses import replace
-
-    m = practice("ur10e-P03")
-    blind = replace(m, position=np.full_like(m.position, 7.0))
-    first, second = (isolability(robot("ur10e"), k, ["backlash", "joint_scale"]) for k in (m, blind))
-    pd.testing.assert_frame_equal(first.effects, second.effects)
-    pd.testing.assert_frame_equal(first.alike, second.alike)
-
-
 def test_poses_that_are_measured_many_times_show_the_same_errors() -> None:
     """The size of an error at a pose does not depend on how many poses there are."""
     m = practice("hh800-P01")
@@ -121,14 +94,6 @@ def test_poses_that_are_measured_many_times_show_the_same_errors() -> None:
     once, often = (isolability(robot("hh800"), k, ["transmission_ripple"]).effects for k in (m, tenfold))
     np.testing.assert_allclose(often["size_mm"], once["size_mm"], rtol=1e-6)
     assert (often["findable_from"] < once["findable_from"]).all()
-
-
-def test_more_poses_and_less_noise_find_smaller_effects() -> None:
-    m = practice("ur10e-P03")
-    every, half = (isolability(robot("ur10e"), k, ["friction_windup"]).effects["findable_from"] for k in (m, m[::2]))
-    assert (every < half).all()
-    fine = isolability(robot("ur10e"), m, ["friction_windup"], noise=Noise(10e-6, 4e-6)).effects["findable_from"]
-    np.testing.assert_allclose(fine, every / 2, rtol=0.02)
 
 
 def test_missing_columns_are_named() -> None:

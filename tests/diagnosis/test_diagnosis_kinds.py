@@ -224,22 +224,6 @@ def test_instruments_from_a_micrometre_to_a_centimetre_raise_no_alarm(sigma: flo
     assert 0.5 < np.hypot(found.noise.sigma, found.noise.repeatability * arm) / sigma < 1.5
 
 
-@pytest.mark.slow
-def test_the_tilt_of_a_foot_is_found_by_the_links_weight() -> None:
-    """Three wires whose places nobody knows: a foot aslant, upright in its file, moves nothing but by its loads."""
-    rng, kr210, m = np.random.default_rng(7), robot("kr210"), practice("kr210-P02")
-    tilt = {"base_rx": 0.03, "base_ry": -0.02}
-    real = kr210.with_values({**tilt, "a2": kr210.parameters["a2"].value + 3e-4})
-    exact = distances(replace(m, position=predicted(real, m)[0]))
-    wires = [replace(w, target=None, distance=w.distance + rng.normal(0, 2e-5, len(m))) for w in exact]
-    found = diagnose(kr210, wires, ["gear_eccentricity", "axis_wobble", "joint_scale"])
-    assert (found.verdict, found.causes) == ("none", ())
-    known = found.identification.parameters.set_index("name")
-    assert (known.status[["base_x", "base_rz", "alpha0"]] == "not identifiable").all()
-    off = np.deg2rad(known.value[[*tilt]]) - [*tilt.values()]
-    assert (np.abs(off) < 4 * np.deg2rad(known.std_error[[*tilt]])).all()
-
-
 WALL = np.array([[0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -266,28 +250,6 @@ def test_turns_of_a_foot_are_those_that_the_weight_shows_better_than_their_prior
     assert {n for n in found.names if n.startswith(("base_", "alpha0", "d1"))} == shown
     known = zip(found.names, found.estimate, found.standard_errors, strict=True)
     assert all(abs(value - 0.02) < 4 * error for name, value, error in known if name in shown)
-
-
-@pytest.mark.slow
-def test_motions_that_share_poses_are_said_to_share_their_noise() -> None:
-    found = diagnose(robot("hh800"), motions(practice("hh800-P01")[:60]), ["backlash", "joint_coupling"])
-    assert any("share a pose" in text for text in assumptions(found))
-    assert not found.case.one_end
-
-
-@pytest.mark.slow
-def test_covariances_of_positions_weigh_them() -> None:
-    """A third of the poses is far worse, and the table says so: the cause is found as without them."""
-    m = practice("hh800-P01")
-    assert m.position is not None
-    rng, bad = np.random.default_rng(3), np.arange(len(m)) % 3 == 0
-    sigma = np.where(bad, 1e-3, 2e-5)
-    noisy = m.position + np.where(bad, 1e-3, 0.0)[:, None] * rng.standard_normal((len(m), 3))
-    whitening = np.eye(3) * (np.sqrt((sigma**2).mean()) / sigma)[:, None, None]
-    told = replace(m, position=noisy, kind="position_covariance", extra={"whitening": whitening})
-    found = diagnose(robot("hh800"), told, ["backlash", "joint_coupling"])
-    assert [c.label for c in found.causes] == ["backlash@5"]
-    assert found.case.vectors is None
 
 
 @pytest.mark.slow
@@ -339,23 +301,6 @@ def test_the_noise_of_small_tables_over_the_others_is_unsure() -> None:
     assert not unsure_tables(told)
 
 
-@pytest.mark.parametrize(
-    ("declared", "unsure"), [pytest.param("sigma_angle", slice(3), marks=pytest.mark.slow), ("sigma", slice(3, None))]
-)
-def test_of_few_full_poses_what_declares_no_noise_is_unsure(declared: str, unsure: slice) -> None:
-    """Of 30 poses, with 90 lengths and as many angles; of 40 neither."""
-    m, r = practice("hh800-P01"), robot("hh800")
-
-    def masks(count: int) -> tuple[np.ndarray, ...]:
-        told = replace(poses(m[:count]), **{declared: 1e-5})
-        return make_case(calibrate_base_model(prepare(r, told)), candidates_of(r, ["backlash"])).whole.unsure
-
-    (own,) = masks(30)
-    assert own.sum() == 90
-    assert own[:, unsure].all()
-    assert not masks(40)
-
-
 def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     m = practice("hh800-P01")[:40]
     touched = Measurements(m.q, "contact", label=np.repeat(["A", "B", "C", "D"], 10))
@@ -392,25 +337,6 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     np.testing.assert_allclose(predicted(found.apply(), m)[0], predicted(found.identification.robot, m)[0], atol=2e-4)
 
 
-@pytest.mark.slow
-def test_a_wire_that_slips_once_is_named_with_its_step() -> None:
-    """By 0.2 mm after half of the campaign, as a counter that loses counts."""
-    first, second, third = distances(practice("kr210-P08")[:60])
-    assert second.distance is not None
-    slipped = replace(second, distance=second.distance + 2e-4 * (np.arange(60) >= 30))
-    found = diagnose(robot("kr210"), [first, slipped, third], ["wire_drift", "wire_step", "station_step"])
-    assert [c.label for c in found.causes] == ["wire_step"]
-    estimates = found.causes[0].estimates
-    assert estimates is not None
-    assert estimates["step2"][0] == pytest.approx(2e-4, rel=0.1)
-
-
-def test_effects_of_distances_are_no_candidates_of_positions() -> None:
-    found = make_case(identified("hh800-P01"), candidates_of(robot("hh800"), ("standard",)))
-    labels = {c.label for c in found.candidates} | found.missing.keys()
-    assert not labels & {"wire_offset", "wire_scale", "wire_drift", "station_step", "wire_step"}
-
-
 def test_a_robot_that_fits_hardly_any_pose_is_refused() -> None:
     case = make_case(identified("hh800-P01"), [])
     few = np.arange(len(case.kept)) < len(case.kept) // 3
@@ -423,14 +349,6 @@ def in_two_sessions(m: Measurements, moved: np.ndarray) -> Measurements:
     later = np.arange(len(m)) >= len(m) // 2
     p = np.where(later[:, None], m.position @ moved[:3, :3].T + moved[:3, 3], m.position)
     return replace(m, position=p, conditions={**m.conditions, "session_a": 1.0 - later, "session_b": 1.0 * later})
-
-
-@pytest.mark.slow
-def test_base_and_tool_of_each_session_are_part_of_the_base_model() -> None:
-    far = frame(from_rpy(np.array([0.0, 0.0, 1.2])), np.array([1.5, -0.4, 0.2]))
-    d = diagnose(robot("ur10e"), in_two_sessions(simulated("ur10e", 21, n=70), far), ["backlash", "joint_zero_step"])
-    assert (d.verdict, d.causes) == ("none", ())
-    assert "session_b.x" in d.case.given.parameters.names
 
 
 @pytest.mark.slow

@@ -61,17 +61,6 @@ def test_gap_is_found_where_it_was_planted(name: str, seed: int, cause: Hidden, 
 
 
 @pytest.mark.slow
-def test_which_way_axes_point_changes_nothing(monkeypatch) -> None:
-    """The signs of eigenvectors are a processor's choice: what is drawn by chance along them must not follow it."""
-    name, seed, cause, _ = PLACES[0]
-    before, eigh = localised(name, seed, cause), np.linalg.eigh
-    monkeypatch.setattr(np.linalg, "eigh", lambda M: (eigh(M)[0], -eigh(M)[1]))
-    after = localised(name, seed, cause)
-    for one, other in ((before.joints, after.joints), (before.links, after.links)):
-        pd.testing.assert_frame_equal(one, other, rtol=1e-6)
-
-
-@pytest.mark.slow
 def test_what_causes_explain_goes_to_their_joints_and_no_further() -> None:
     """Error curves of all joints hid in base and links before, as 28 % of the base on a real UR10."""
     ripples = [planted("transmission_ripple", j, size=120e-6, cycles=c) for j, c in ((2, 9), (3, 17), (2, 4), (3, 6))]
@@ -164,20 +153,6 @@ def test_what_priors_of_the_base_cost_is_no_error_of_a_pose(any_case: Case) -> N
     assert table.loc["joint 2", "rms_mm"] == pytest.approx(500 * np.sqrt(np.mean(moved**2)), rel=0.05)
 
 
-@pytest.mark.parametrize("named", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_how_many_directions_of_the_base_round_off_leaves_changes_nothing(any_case: Case, named: bool) -> None:
-    """Readings that moved by 1e-12 left one more, all draws were others, and shares changed by .01 to .1."""
-    scale = any_case.group(next(k for k in any_case.candidates if k.label == "joint_scale@2").variants[0])
-    assert any_case.base.still.shape[1] > 0
-    every, units = any_case.base.with_all_combinations(any_case.whole, np.arange(len(any_case.whole.r)))
-    whole = replace(any_case.base, units=units)
-    tables = [
-        localise_residual(c, NOISE, scale if named else NONE).joints
-        for c in (any_case, replace(any_case, whole=every, base=whole))
-    ]
-    np.testing.assert_allclose(tables[0]["share"], tables[1]["share"], atol=1e-4)
-
-
 @pytest.mark.parametrize("edge", [0.0, 22.5, -7.5])
 def test_names_of_regions_do_not_follow_round_off(any_case: Case, edge: float) -> None:
     """ "-170 .. 0 deg" was "-170 .. -0 deg" where readings moved by 1e-12."""
@@ -202,28 +177,6 @@ def test_part_of_the_data_that_is_worse_is_named(any_case: Case) -> None:
     assert "10 kg" in set(w.worst["part"])
     rms = w.payload.set_index("part")["rms_mm"]
     assert rms["10 kg"] / rms["0 kg"] == pytest.approx(2, rel=0.25)
-
-
-@pytest.mark.slow
-def test_intervals_cover(any_case: Case) -> None:
-    """Of 40 even residuals, each half of the payloads holds its share of the poses within 95 % nearly always."""
-    even = float((any_case.m.conditions["payload_kg"] > 5).mean())
-    hits = 0
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        c = doctored(2e-5 * rng.standard_normal((len(any_case.m), 3)))
-        table = localise_residual(c, NOISE, NONE, seed, remains=0.0).payload.set_index("part")
-        hits += table.loc["10 kg", "low"] <= even <= table.loc["10 kg", "high"]
-    assert hits >= 34
-
-
-@pytest.mark.slow
-def test_columns_that_were_not_logged_leave_empty_tables() -> None:
-    m = simulated("ur10e", 12, drop=("temp", "payload"))
-    found = identify(robot("ur10e"), m, loss="huber", priors=True)
-    w = localise_residual(make_case(found, candidates_of(robot("ur10e"), ["joint_scale"])), NOISE, NONE)
-    assert len(w.payload) == len(w.temperature) == 0
-    assert {name for name, _ in w.tables()} == {"joints", "links", "directions", "regions", "time", "approach"}
 
 
 def test_sizes_of_parts_are_those_of_a_dense_inverse() -> None:

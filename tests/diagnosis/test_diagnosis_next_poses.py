@@ -144,22 +144,6 @@ def test_only_what_the_room_and_the_payloads_allow(poor) -> None:
     assert set(table["payload_kg"]) <= {0.0, 2.0}
 
 
-def test_backlash_is_told_near_zero_torque(doubtful) -> None:
-    """Joint 2 of the UR10e carries nothing when the arm stands upright: there the flank changes."""
-    table = next_poses(doubtful, 6, ["nonlinear_stiffness@2", "backlash@2"], pool=400)
-    r = robot("ur10e")
-    w = np.stack([table["payload_kg"].to_numpy()])
-    q = np.deg2rad(table[[f"q{i}_deg" for i in range(1, 7)]].to_numpy())
-    tau = r.model.function("torque", ("tau",)).map(len(q))(q.T, w, r.parameters.values).full()[1]
-    assert np.abs(tau / r.torque_scale[1]).mean() < 0.15
-
-
-def test_three_causes_and_a_thermal_state(doubtful) -> None:
-    table = next_poses(doubtful, 5, ["frame_drift", "thermal_growth", "gear_eccentricity@2"], pool=200)
-    assert set(table["state"]) <= {"cold", "warm"}
-    assert table["separation"].iloc[-1] > 0
-
-
 def test_loop_stays_as_open_as_it_was() -> None:
     c = case("hh800-P01", "backlash", "friction_windup")
     table = next_poses(c, 5, ["backlash@5", "friction_windup@5"], pool=300)

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import ClassVar
 
 import casadi as ca
-import numpy as np
 import pytest
 from cases import diagnose, robot, simulated
 
-from casadical import InputError, identify, isolability
+from casadical import InputError, isolability
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.text import page_of
 from casadical.effects import Context, Effect, Law
@@ -54,16 +53,6 @@ def test_own_effect_is_diagnosed_beside_the_listed() -> None:
     assert abs(value - 50e-6) < 4 * error + 3e-6
     assert as_json(d, "own")["causes"][0]["effect"] == "sagging_cable"
     assert "A loop of cable is shortest" in " ".join(page_of(d).split())
-
-
-def test_own_effect_is_part_of_the_robot() -> None:
-    effect = SaggingCable(5)
-    r = robot("ur10e").with_effect(effect)
-    found = identify(r, with_cable(50e-6), ("kinematic", "compliance", effect.label), priors=True)
-    table = found.parameters.set_index("name").loc["sagging_cable@5.pull"]
-    assert table["status"] == "identified"
-    estimate = dict(zip(found.names, found.estimate, strict=True))["sagging_cable@5.pull"]
-    assert np.isclose(estimate, 50e-6, rtol=0.15)
 
 
 def test_an_effect_of_a_joint_that_is_not_there_is_refused() -> None:

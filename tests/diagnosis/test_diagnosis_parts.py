@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
-import re
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from cases import ROOT, diagnose, planar, robot, small_problem
@@ -18,11 +15,9 @@ from scipy.stats import chi2, multivariate_normal
 
 from casadical import InputError, Joint, Measurements, Robot
 from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
-from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis import bootstrap
-from casadical.diagnosis.candidates import Candidate, candidates_of, gathered, standard_candidates
+from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.conclusion import rivals_of
-from casadical.diagnosis.details import analyse
 from casadical.diagnosis.evidence import (
     KAPPA_GRID,
     KAPPA_WEIGHTS,
@@ -32,13 +27,11 @@ from casadical.diagnosis.evidence import (
     NoisePrior,
     log_noise_prior,
 )
-from casadical.diagnosis.formula_cache import FormulaCache, screw
-from casadical.diagnosis.laws.forms import Driver, with_widths
-from casadical.diagnosis.laws.problem import Problem, Screen, log_mean
+from casadical.diagnosis.laws.forms import Driver
+from casadical.diagnosis.laws.problem import Problem, Screen
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
-from casadical.diagnosis.noise_floor import replicates
 from casadical.diagnosis.posterior import (
     PRIOR_FIRST,
     PRIOR_FURTHER,
@@ -46,14 +39,13 @@ from casadical.diagnosis.posterior import (
     prior_weights,
     rank,
 )
-from casadical.diagnosis.seams import seams_of
 from casadical.diagnosis.search import Step
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.statements import Statement, statements
 from casadical.diagnosis.text import things_to_know
 from casadical.effects import Backlash, GearEccentricity, NonlinearStiffness
 from casadical.effects.base import CAUSE_PRIOR_SIGMA
-from casadical.identification.identification import calibrate_base_model, prepare
+from casadical.identification.identification import prepare
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Noise
 from casadical.project.problem import read_problem
@@ -160,54 +152,11 @@ def test_gains_are_left_out_only_where_they_cannot_count() -> None:
     assert_allclose(found[0][seen], direct[0][seen], rtol=1e-9)
 
 
-def test_repeated_poses_have_the_freedom_that_their_means_leave() -> None:
-    q = np.repeat(np.arange(5.0), [1, 2, 3, 1, 2])[:, None] * [0.1, 0.2]
-    r = 1e-5 * np.random.default_rng(0).normal(size=(9, 3))
-    m = Measurements(q=q, kind="position", position=np.zeros((9, 3)))
-    found = replicates(m, r, np.ones(9, bool))
-    groups = [r[1:3], r[3:6], r[7:9]]
-    square = sum(((g - g.mean(axis=0)) ** 2).sum() for g in groups)
-    assert (found.poses, found.groups, found.freedom) == (7, 3, 3 * 4)
-    assert found.sigma == pytest.approx(np.sqrt(square / 12))
-
-
-def test_the_screw_a_small_transform() -> None:
-    turn, shift = np.array([1e-6, -2e-6, 3e-6]), np.array([0.1, 0.2, -0.3])
-    found = np.array(ca.DM(screw(ca.SX(ca.DM(frame(from_rpy(turn), shift)))))).ravel()
-    assert_allclose(found, [*shift, *turn], atol=1e-11)
-
-
-def test_sums_of_logarithms_far_from_zero() -> None:
-    logs = np.array([[-2000.0, 1500.0], [-2001.0, 1400.0], [-2003.0, 1500.5]])
-    weights = np.log([0.2, 0.3, 0.5])
-    assert_allclose(log_mean(logs, weights[:, None]), logsumexp(logs + weights[:, None], axis=0), rtol=1e-14)
-
-
 def test_drivers_of_columns_alone() -> None:
     assert Driver("t", "time", "time").columns_only
     assert Driver("approach1*t", "linear", "approach").columns_only
     assert not Driver("q1*t", "linear", "product").columns_only
     assert not Driver("q1", "angle", "angle").columns_only
-
-
-def test_positions_and_widths_of_a_form_lie_within_the_driver() -> None:
-    x = np.linspace(-2.0, 6.0, 801)
-    grid = with_widths(4, [0.1, 0.2])(x)
-    assert_allclose(np.unique(grid[:, 0]), [-1, 1, 3, 5], atol=0.02)
-    assert_allclose(np.unique(grid[:, 1]), [0.8, 1.6], rtol=0.02)
-    assert len(grid) == 8
-
-
-def test_candidates_of_one_setting_and_of_several_are_named_by_their_effect() -> None:
-    by_label = {c.label: c for c in standard_candidates(robot("ur10e"))}
-    assert by_label["frame_drift"].name == "frame_drift"
-    assert len(by_label["frame_drift"].variants) > 1  # settling is one of its laws
-    assert {(c.name, c.joint) for c in by_label.values() if c.label == "joint_scale@3"} == {("joint_scale", 3)}
-
-
-def test_kept_formulas_are_known_to_who_clears_the_folder() -> None:
-    path = FormulaCache(seams_of(robot("ur10e")), "code").path
-    assert path is None or re.fullmatch(r".*-[0-9a-f]{32}\.(so|json)", path.name)
 
 
 def test_what_is_prepared_is_not_given_again() -> None:
@@ -219,16 +168,6 @@ def test_what_is_prepared_is_not_given_again() -> None:
             diagnose(prepared, **more)
     with pytest.raises(InputError, match="method='KM': a diagnosis has its own base model"):
         diagnose(prepare(planar.robot, (m,), method="KM"))
-
-
-def test_the_base_model_keeps_all_parameters_by_their_priors() -> None:
-    planar = read_problem(ROOT / "problems" / "planar")
-    (m,) = planar.sets["identify"]
-    found = calibrate_base_model(prepare(planar.robot, (m,)))
-    assert found.problem.priors
-    assert found.problem.loss == "huber"
-    assert set(found.names) >= {"a1", "theta1", "beta1"}
-    assert found.left_out == ()
 
 
 @pytest.mark.parametrize(("off", "named"), [(0.25e-3, []), (0.35e-3, ["outliers"])])
@@ -256,10 +195,6 @@ def test_thirds_are_named_to_a_tenth() -> None:
     assert thirds_of(case, "temperature", "time_s", "degC") == []
     names = [name for _, name, _ in thirds_of(case, "temperature", "temperature_degC", "degC")]
     assert names == ["20.0 .. 23.0 degC", "23.0 .. 26.0 degC", "26.0 .. 29.0 degC"]
-
-
-def test_fifteen_poses_are_proposed_by_default() -> None:
-    assert inspect.signature(analyse).parameters["poses"].default == 15
 
 
 @pytest.mark.parametrize(("p", "told"), [(None, "P(nothing) = 0.2"), (5e-4, "p < 0.0005"), (1e-3, "p = 0.001")])
@@ -365,8 +300,3 @@ def test_a_prior_of_correlated_parameters_is_one_of_independent_units() -> None:
     expected[np.ix_([1, 3], [1, 3])] = C
     assert_allclose(spread, expected, rtol=1e-9, atol=1e-25)
     assert_allclose(found.base.J, case.whole.J @ found.units, rtol=1e-12)
-
-
-def test_joints_of_an_effect_are_side_by_side_and_several_at_once_apart() -> None:
-    labels = ["backlash@1", "base_compliance", "backlash@3", "backlash"]
-    assert gathered(labels) == "backlash@1,3, base_compliance, backlash"

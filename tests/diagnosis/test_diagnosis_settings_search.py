@@ -1,10 +1,7 @@
 """Settings between the grid's points: never less likely than where the search began."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 from cases import case, robot, simulated
@@ -15,7 +12,7 @@ from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case, make_case
 from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.settings_search import neighbours, refined
-from casadical.effects import Backlash, Context, Effect, FrictionWindup, GravityCompensator, TransmissionRipple
+from casadical.effects import Backlash, Effect, FrictionWindup, GravityCompensator, TransmissionRipple
 from casadical.identification.identification import identify
 from casadical.measurements.measurements import Noise
 
@@ -67,30 +64,6 @@ def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> Non
     for at in (progress[~after][-1], progress[after][0] - 1e-6):  # wherever it lies between the two, it fits alike
         same = found.with_variants("joint_zero_step@3", [(replace(step, at=float(at)),)])
         assert evidence(same, (replace(step, at=float(at)),)) == pytest.approx(evidence(found, (step,)), abs=1e-9)
-
-
-@dataclass(frozen=True)
-class Kink(Effect):
-    """A joint whose reading has a kink at an angle [rad], which is no time of a step."""
-
-    at: float = 0.3
-
-    name: ClassVar[str] = "kink"
-
-    def sizes(self) -> Mapping[str, tuple[float, str]]:
-        return {"bend": (50e-6, "rad")}
-
-    def angle(self, context: Context, q: ca.SX) -> ca.SX:
-        return self.value(context, "bend") * ca.fabs(q - self.at)
-
-
-def test_a_setting_of_another_meaning_is_moved_to_no_pose() -> None:
-    r, m = robot("ur10e"), simulated("ur10e", 14, planted("joint_zero_step", 3, size=150e-6))
-    start = make_case(identify(r, m, priors=True), candidates_of(r, [Kink(2)]))
-    found, (kink,) = refined(start, "kink@2", (Kink(2),), NOTHING, Noise(2e-5, 0.0))
-    progress = np.unique(start.m.conditions["progress"])
-    assert not np.isclose(kink.at, (progress[1:] + progress[:-1]) / 2, rtol=0, atol=1e-9).any()
-    assert evidence(found, (kink,)) >= evidence(start, (Kink(2),))
 
 
 @pytest.mark.parametrize(("run", "cycles"), [(1.5, 13.0), (0.0, 13.0)])

@@ -1,6 +1,5 @@
 """The page that a person reads: a golden text of fixed numbers, its width, and what further poses promise."""
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,14 +147,6 @@ def test_the_short_answer_fits_a_screen_and_has_the_verdict_first(fixed: Diagnos
     }
 
 
-def test_the_short_answer_where_nothing_is_found(fixed: Diagnosis, seen: Details) -> None:
-    d = replace(fixed, verdict="none", causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
-    text = plain_text(brief("made-up", d, seen), 100)
-    assert "None: what is left is noise, as large as repeated poses say; no cause can be" in text
-    assert "after" not in text
-    assert "Where" not in text
-
-
 @pytest.mark.parametrize("verdict", ["none", "unknown"])
 def test_verdicts_without_a_cause(fixed: Diagnosis, seen: Details, verdict: str) -> None:
     d = replace(fixed, verdict=verdict, causes=(), cause_set=None, course=fixed.course[:1], outliers=(), missing={})
@@ -180,21 +171,6 @@ def test_six_outliers_are_named_and_more_are_counted(fixed: Diagnosis, n: int, e
     d = replace(fixed, outliers=tuple(Outlier(row, 1e-3, 50.0) for row in range(1, n + 1)))
     said = page_of(d).partition("\nOUT ")[2].partition("\nMISSING ")[0]
     assert " ".join(said.split()).endswith(end)
-
-
-def test_a_long_signature_is_wrapped_and_whole(fixed: Diagnosis) -> None:
-    class Pull(Backlash):
-        name = "pull"
-        signature = ""
-        physics = (
-            "A loop of cable and hose pulls its joint towards the middle, stiffly at both ends of its range, always."
-        )
-
-    d = replace(fixed, causes=(replace(fixed.causes[0], effect="pull", effects=(Pull(2, 0.04, 0.02),)),))
-    text = page_of(d)
-    assert "..." not in text
-    cells = [re.split(r"\s{2,}", line[3:])[0] for line in text.partition("signature")[2].splitlines()[1:3]]
-    assert " ".join(cells) == f"{Pull.physics}, joint 2"
 
 
 def test_what_to_log_is_named_as_a_table_names_it(fixed: Diagnosis) -> None:

@@ -4,16 +4,28 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from bench import campaign, robot
+from bench import campaign, robot, with_columns
 
 from casadical import InputError, Joint, Placement, Robot
-from casadical.effects import FrictionWindup, LinkFlexure, MissingCompliance, NonlinearStiffness
+from casadical.diagnosis.candidates import extended_candidates
+from casadical.diagnosis.settings_search import neighbours
+from casadical.effects import (
+    Effect,
+    FrictionWindup,
+    GearMesh,
+    LinkFlexure,
+    MissingCompliance,
+    NonlinearStiffness,
+    SmrOffset,
+    TransmissionRipple,
+)
 from casadical.effects.base import RIGID_STIFFNESS, Counterparts, Drive
 from casadical.effects.plugins import known_effects
 from casadical.effects.registry import FrameSettling
 from casadical.effects.smooth import AnyOfOtherAngle
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
+from casadical.measurements.measurements import Measurements
 
 # Files that give no settings are read with these: no version may change them.
 SETTINGS = {
@@ -127,3 +139,45 @@ def test_any_function_of_another_angle_is_that_angles() -> None:
     expected = predicted(arm, replace(poses, q=q))[0]
     whole = np.abs(expected - predicted(arm, poses)[0]).max()
     np.testing.assert_allclose(found, expected, rtol=0, atol=0.01 * whole)
+
+
+NAME = "ur10e"
+
+
+def shift(effect: Effect, values: dict[str, float], poses: Measurements, name: str = NAME) -> np.ndarray:
+    """What the effect does to the positions, shape (n, 3) [m]."""
+    poses = with_columns(poses, [effect])
+    whole = robot(name).with_effect(effect).with_values({f"{effect.label}.{k}": v for k, v in values.items()})
+    return predicted(whole, poses)[0] - predicted(robot(name), poses)[0]
+
+
+@pytest.mark.parametrize("part", ["along", "across", "above"])
+def test_an_offset_of_the_reflector_has_its_length(part: str) -> None:
+    off = shift(SmrOffset(None, (4.0, -2.0, 1.0)), {part: 1e-5}, campaign(NAME)[:20])
+    np.testing.assert_allclose(np.linalg.norm(off, axis=1), 1e-5, rtol=1e-9)
+
+
+def test_known_ratio_is_not_refined_away() -> None:
+    assert neighbours(GearMesh(3, 171.5), 1.0) == []
+    assert neighbours(TransmissionRipple(3, 4.0), 1.0) != []
+
+
+def test_a_reflector_straight_above_the_instrument_or_in_it_has_a_position() -> None:
+    """Across the beam has no direction there; the offset is left out, and nothing is NaN."""
+    poses = campaign(NAME)
+    seen = predicted(robot(NAME), poses)[0][0]
+    for station in (seen, seen - [0.0, 0.0, 1.5]):
+        effect = SmrOffset(None, tuple(float(x) for x in station))
+        moved = shift(effect, dict.fromkeys(effect.sizes(), 1e-5), poses)[0]
+        assert np.isfinite(moved).all()
+        assert np.linalg.norm(moved) < 2e-5
+
+
+def test_steps_are_looked_for_within_the_campaign_only() -> None:
+    """What moves at once at a share of the campaign: no candidate at or beyond its ends, and none twice."""
+    steps = [e for c in extended_candidates(robot(NAME)) for v in c.variants for e in v if hasattr(e, "at")]
+    for kind in {type(e) for e in steps}:
+        times = {e.at for e in steps if type(e) is kind}
+        assert len(times) > 5
+        assert 0 < min(times) < 0.1
+        assert 0.9 < max(times) < 1

@@ -116,3 +116,11 @@ def test_analyse_names_exact_combinations():
     assert found.condition == pytest.approx(
         np.linalg.cond(np.column_stack([v / np.linalg.norm(v) for v in (a, b, d, f)])), rel=1e-9
     )
+
+
+def test_analyse_lets_points_come_first():
+    rng = np.random.default_rng(0)
+    point, a = rng.normal(size=(2, 10))
+    found = analyse(np.column_stack([point, 3 * point, a]), ["shift", "a"], 1, {})
+    assert found.independent == ("a",)
+    assert found.held[0].reason == "the unknown points absorb it"

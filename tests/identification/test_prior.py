@@ -10,7 +10,7 @@ from arms import NOISE, TRACKER, model_error, planted, positions, readings, six_
 from casadical import InputError, identify
 from casadical.core.transforms import frame, from_rpy
 from casadical.effects import JointErrorCurve, JointScale
-from casadical.identification.prior import carry_over
+from casadical.identification.prior import Prior, carry_over
 from casadical.robot.robot import Covariance, Knowledge
 from casadical.robot.robot_file import robot_from, to_toml
 
@@ -118,7 +118,18 @@ def test_another_robot_is_refused(first, few, change, message):
         identify(ARM, few, BASE, prior=change(first))
 
 
+def test_what_nothing_is_known_of_has_mean_zero_and_no_correlation():
+    C = np.array([[4.0, 1.0, 2.0], [1.0, 9.0, 3.0], [2.0, 3.0, 16.0]])
+    prior = Prior(means=dict.fromkeys("abc", (0.5, 1.0)), known=((tuple("abc"), C),))
+    found = prior.with_nothing_known({"b": 7.0})
+    assert found.means == {"a": (0.5, 1.0), "b": (0.0, 7.0), "c": (0.5, 1.0)}
+    ((names, block),) = found.known
+    assert (names, block.tolist()) == (("a", "c"), [[4.0, 2.0], [2.0, 16.0]])
+
+
 def test_names_and_variances_are_checked(first):
+    with pytest.raises(InputError, match=r"prior 'elbow': joint_error_curve\.s3_q2 is nan; it must be a finite number"):
+        carry_over(ARM, first.with_values({"joint_error_curve.s3_q2": np.nan}))
     with pytest.raises(InputError, match="no effect 'backlash'; allowed: effects, all, joint_error_curve"):
         carry_over(ARM, first, ("backlash",))
     block = first.knowledge.covariance[0]

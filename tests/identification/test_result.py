@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from casadical import InputError, identify
+from casadical.identification.figures import stiffness
 from casadical.identification.least_squares import Linearised
 from casadical.identification.pose_errors import ModelErrors, PoseErrors
 
@@ -154,3 +155,9 @@ def test_of_thinned_poses_each_keeps_what_is_its_own(position):
     assert (some.position is None) == (position is None)
     if position is not None:
         np.testing.assert_array_equal(some.position, position[[0, 3]])
+
+
+def test_a_stiffness_that_may_be_rigid_is_said_to_be():
+    assert stiffness(5.0, 1.0) == "2e+05"
+    assert stiffness(5.0, float("nan")) == "2e+05"
+    assert stiffness(3.0, 4.9) == "above 7.9e+04 (rigid is possible)"

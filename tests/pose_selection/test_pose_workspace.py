@@ -32,6 +32,15 @@ def test_lines_along_the_axes() -> None:
     assert BOX.hides(points, np.array([0.0, 0, 2])).tolist() == [False, True, False, True]
 
 
+def test_a_box_behind_the_target_or_behind_the_tracker_hides_nothing() -> None:
+    """All on one line through the box: before it, in front of it, behind it."""
+    line = np.array([0.05, 0.2, 0.25]) + np.array([-2.0, -1.5, 1.5, 2.0])[:, None] * np.array([1.0, 0.3, 0.1])
+    near, nearer, beyond, far = line
+    assert BOX.hides(np.array([beyond, far]), near).all()
+    assert not BOX.hides(np.array([nearer]), near).any()  # the box is behind the target
+    assert not BOX.hides(np.array([far]), beyond).any()  # and here behind the tracker
+
+
 def test_a_tracker_sees_a_cone_and_the_open_side() -> None:
     tracker = Tracker(np.zeros(3), np.array([1.0, 0, 0]), np.deg2rad(30), 0.5, 3.0)
     points = np.array([[1, 0, 0], [1, 0.57, 0], [1, 0.59, 0], [0.4, 0, 0], [3.1, 0, 0], [-1, 0, 0]], dtype=float)
