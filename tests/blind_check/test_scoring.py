@@ -9,12 +9,12 @@ import pytest
 
 from casadical.blind_check.metrics import (
     Outcome,
+    fraction,
     mean,
     metrics,
     outcome,
     part_metrics,
     quantile,
-    share,
 )
 from casadical.blind_check.protocol import Answer, HiddenEffect, Secret, label, read_manifest
 from casadical.blind_check.scoring import score
@@ -80,7 +80,7 @@ def test_unanswered_campaigns_are_told(small, tmp_path) -> None:
 def test_intervals_against_scipy() -> None:
     stats = pytest.importorskip("scipy.stats")
     for hits, n in ((0, 34), (8, 10), (33, 33), (4, 25)):
-        found = share([k < hits for k in range(n)])
+        found = fraction([k < hits for k in range(n)])
         interval = stats.binomtest(hits, n).proportion_ci(method="wilson")
         assert (found.value, found.hits, found.n) == (hits / n, hits, n)
         assert (found.low, found.high) == pytest.approx((interval.low, interval.high), abs=1e-12)
@@ -89,7 +89,7 @@ def test_intervals_against_scipy() -> None:
         other = stats.bootstrap((values,), statistic, n_resamples=4000, method="percentile", rng=1).confidence_interval
         assert own.value == pytest.approx(float(statistic(values, axis=0)))
         assert (own.low, own.high) == pytest.approx((other.low, other.high), rel=0.05)
-    assert share([]).value is None
+    assert fraction([]).value is None
     assert str(mean([])) == "-"
 
 
