@@ -1,7 +1,8 @@
 """casadical: robot calibration with known uncertainty.
 
-Names are loaded when they are first used (`__init__.pyi` lists them), so that ``import casadical`` costs next to
-nothing and a stand-alone part (``casadical.compensator``, ``casadical.export``) never loads the kinematics.
+Names are loaded when they are first used (`__init__.pyi` lists them), so that ``import casadical``
+costs next to nothing and a stand-alone part (``casadical.compensator``, ``casadical.export``) never
+loads the kinematics.
 """
 
 from casadical.core.lazy import attach

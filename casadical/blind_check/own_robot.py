@@ -40,12 +40,6 @@ from casadical.robot.robot_file import to_toml
 
 # Simulated standard deviation of a joint about its reading [rad or m].
 JOINT_REPEATABILITY = 5e-6
-# Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
-DEFLECTION_UNKNOWN_STIFFNESS = 3e-4
-# Simulated deflection at the rated torque of a joint that the robot file declares rigid [rad or m].
-DEFLECTION_RIGID = 2e-6
-# Standard deviation of the logarithm of simulated masses where they are estimated from the reach.
-LOG_MASS_SIGMA = 0.3
 
 
 def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject, tuple[str, ...]]:
@@ -78,9 +72,12 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
         reflector=robot.tool.unknown != "none",
     )
     weighed = with_estimated_masses(robot) if lacks_masses(robot) else robot
+    # Standard deviation of the logarithm of simulated masses where they are estimated from the
+    # reach.
+    log_mass_sigma = 0.3
     if weighed.masses == "estimated":
-        building = replace(building, mass_spread=LOG_MASS_SIGMA)
-        assumed.append(f"masses of the links are estimates from the reach, each off by some {LOG_MASS_SIGMA:.0%}")
+        building = replace(building, mass_spread=log_mass_sigma)
+        assumed.append(f"masses of the links are estimates from the reach, each off by some {log_mass_sigma:.0%}")
     if "payload" not in taken:
         both = "no payload and {:g} kg in turns, or the latter alone where it is not logged"
         assumed.append(both.format(robot.payload.mass) if robot.payload else "no payload, for the file has none")
@@ -167,14 +164,19 @@ def _stiffness(robot: Robot, nominal: Plant) -> tuple[Array, list[str]]:
     nominal : the robot for the physics, by which rated torques are computed
     """
     given = [joint.compliance for joint in robot.joints]
+    # Simulated deflection at the rated torque of a joint whose stiffness is unknown [rad or m].
+    deflection_unknown_stiffness = 3e-4
+    # Simulated deflection at the rated torque of a joint that the robot file declares rigid [rad or
+    # m].
+    deflection_rigid = 2e-6
     values = [
-        1 / c if c else torque / (DEFLECTION_RIGID if c is None else DEFLECTION_UNKNOWN_STIFFNESS)
+        1 / c if c else torque / (deflection_rigid if c is None else deflection_unknown_stiffness)
         for c, torque in zip(given, rated_torque(nominal), strict=True)
     ]
     assumed = []
     for compliance, word, size in (
-        (0.0, "no stiffness", DEFLECTION_UNKNOWN_STIFFNESS),
-        (None, "rigid", DEFLECTION_RIGID),
+        (0.0, "no stiffness", deflection_unknown_stiffness),
+        (None, "rigid", deflection_rigid),
     ):
         if numbers := [str(i) for i, c in enumerate(given, 1) if c == compliance]:
             words = f"{word} in the file: {1e6 * size:.0f} urad (um) at the rated torque"
@@ -281,9 +283,10 @@ class RobotCheck(Result):
                 frozenset({1, 2, 4}),
             ),
             Words(
-                f"{len(self.outcomes)} campaigns of MuJoCo{lacking}; noise {1e6 * self.noise:g} um a coordinate, "
-                f"joints repeat to {1e6 * JOINT_REPEATABILITY:g} urad; seed {self.seed}. Signal: what "
-                "the base model cannot absorb of all that is hidden, over the noise.",
+                f"{len(self.outcomes)} campaigns of MuJoCo{lacking}; noise {1e6 * self.noise:g} "
+                f"um a coordinate, joints repeat to {1e6 * JOINT_REPEATABILITY:g} urad; seed "
+                f"{self.seed}. Signal: what the base model cannot absorb of all that is hidden, "
+                "over the noise.",
                 "note",
             ),
             *(Words(f"Assumed: {text}.", "note") for text in self.assumed),

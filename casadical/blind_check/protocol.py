@@ -33,16 +33,15 @@ ROBOTS_FOLDER = "robots"
 # diagnosis does not know.
 Kind = Literal["none", "one", "several", "unlisted"]
 
-# Names of effects that belong to no joint, so that answers are compared without a joint.
-JOINTLESS = frozenset((
-    "thermal_growth", "target_shift", "payload_error", "gravity_compensator", "link_flexure", "base_compliance",
-    "frame_drift", "outliers", "none", "unknown",
-))  # fmt: skip
-
 
 def label(effect: str, joint: int | None) -> str:
     """Return the label by which effects are compared: EFFECT, or EFFECT@JOINT."""
-    return effect if joint is None or effect in JOINTLESS else f"{effect}@{joint}"
+    # Names of effects that belong to no joint, so that answers are compared without a joint.
+    jointless = {
+        *("thermal_growth", "target_shift", "payload_error", "gravity_compensator"),
+        *("link_flexure", "base_compliance", "frame_drift", "outliers", "none", "unknown"),
+    }
+    return effect if joint is None or effect in jointless else f"{effect}@{joint}"
 
 
 class _Strict(BaseModel):
@@ -163,8 +162,9 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
     digest = sha256(data)
     if digest != manifest.key_sha256:
         raise InputError(
-            f"{path}: its SHA-256 is {digest}, but {manifest.key_sha256} was published with the campaigns; "
-            "the key was changed after it was made, or belongs to other campaigns: nothing is scored"
+            f"{path}: its SHA-256 is {digest}, but {manifest.key_sha256} was published with the "
+            "campaigns; the key was changed after it was made, or belongs to other campaigns: "
+            "nothing is scored"
         )
     key = check(Key, json_of(data, str(path)), str(path))
     if key.campaigns.keys() != manifest.campaigns.keys():
@@ -183,8 +183,6 @@ def read_table(folder: Path, name: str) -> pd.DataFrame:
     return read_csv(path).frame
 
 
-# Pattern of a line of answers with its checksum.
-_CHECKSUMMED_LINE = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
 # Type of positions, three numbers per pose [mm].
 Rows = tuple[tuple[float, float, float], ...]
 
@@ -295,7 +293,9 @@ def _intact(line: bytes) -> bool:
 
     Earlier versions of casadical wrote lines without checksums.
     """
-    checked = _CHECKSUMMED_LINE.fullmatch(line)
+    # Pattern of a line of answers with its checksum.
+    checksummed_line = re.compile(rb'(.*),"sha256":"([0-9a-f]{64})"\}')
+    checked = checksummed_line.fullmatch(line)
     if checked:
         return sha256(checked[1] + b"}") == checked[2].decode()
     try:

@@ -20,9 +20,6 @@ from casadical.cli.terminal import (
 )
 from casadical.core.basics import InputError, shown
 
-# Number of repairs in a row: a slip may hide another one or a target, which shows after its repair.
-MAX_REPAIRS = 3
-
 
 def check(
     problems: o.Problems,
@@ -64,7 +61,8 @@ def check(
             raise InputError(f"{name}: --repair writes problem.toml; make a folder of it first: casadical new --data")
         with working(quiet, "reading", name, CHECK) as show:
             checks.append(precheck(folder, noise, show=show, tables=tables))
-        for _ in range(MAX_REPAIRS if repair else 0):
+        # Up to three repairs in a row: a slip may hide another one, or a target.
+        for _ in range(3 if repair else 0):
             text = repaired(checks[-1])
             if not text:
                 console.print(not_repaired(checks[-1]), end="\n" * (not checks[-1].ok), style="yellow")

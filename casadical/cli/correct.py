@@ -25,18 +25,6 @@ Pose = Annotated[
     ),
 ]
 
-# Parameters that only one kind of robot, or of program, has.
-MODEL_OPTIONS = {
-    "a robot file": ["nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange"],
-    "a folder, which was exported with it": ("trust",),
-}
-PROGRAM_OPTIONS = {
-    "a program in a controller's language": (
-        ["tcp", "base", "root", "flange", "data", "nearest", "external_still", "leave_unreached", "accuracy_off"]
-    ),
-    "a CSV": (),
-}
-
 
 def correct(
     context: Context,
@@ -114,8 +102,19 @@ def correct(
     from casadical.export.controller.programs.program import correct_file, language_of
 
     o.refuse_taken(out, overwrite)
-    o.refuse_of_others(context, [*MODEL_OPTIONS][model.is_dir()], MODEL_OPTIONS)
-    o.refuse_of_others(context, [*PROGRAM_OPTIONS][isinstance(language_of(program), CsvTable)], PROGRAM_OPTIONS)
+    # Parameters that only one kind of robot, or of program, has.
+    model_options = {
+        "a robot file": ["nominal", "compensator", "steps", "what", "payload", "tool", "leave_out", "root", "flange"],
+        "a folder, which was exported with it": ("trust",),
+    }
+    o.refuse_of_others(context, [*model_options][model.is_dir()], model_options)
+    program_options = {
+        "a program in a controller's language": (
+            ["tcp", "base", "root", "flange", "data", "nearest", "external_still", "leave_unreached", "accuracy_off"]
+        ),
+        "a CSV": (),
+    }
+    o.refuse_of_others(context, [*program_options][isinstance(language_of(program), CsvTable)], program_options)
     sources = Sources(model, nominal, compensator, payload, tool or "shared", leave_out)  # type: ignore[arg-type]
     made = correct_file(
         sources,

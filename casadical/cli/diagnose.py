@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 MODE_OPTIONS = {
     "joint logs": ("reference", "drive", "against"),
     "measured poses": (
-        "together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen",
-        "measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details",
+        *("together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen"),
+        *("measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details"),
     ),
-}  # fmt: skip
+}
 
 
 def diagnose(
@@ -150,16 +150,22 @@ def diagnose(
         workspace = campaign.workspace(room)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
             answer = diagnose_campaign(campaign, options, show).analysed(
-                poses=next_n, workspace=workspace, networks=network,
-                file=file.name if file else "", show=show,
-            )  # fmt: skip
+                poses=next_n,
+                workspace=workspace,
+                networks=network,
+                file=file.name if file else "",
+                show=show,
+            )
             if out:
                 show("the robot with its causes")
                 texts |= answer.files(out if len(given) == 1 else out / campaign.name, unlisted=unlisted)
         answers.append(answer)
         texts |= _print_diagnosis(answer, details, file, console)
     if report_file:
-        texts[report_file] = _report(answers, quiet)
+        from casadical.export.mjcf.replay import replay_blocks
+
+        with working(quiet, "writing the report"):
+            texts[report_file] = html([a.page([*replay_blocks(a.diagnosis)]) for a in answers])
     keep(
         with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
         console,
@@ -167,18 +173,14 @@ def diagnose(
     _suggest_next(answers, problem, campaigns or (), list(texts) if out else None, details, console)
 
 
-def _report(answers: Sequence[CampaignDiagnosis], quiet: bool) -> str:
-    """Return the pages of all campaigns as HTML, each with a replay of its poses."""
-    from casadical.export.mjcf.replay import replay_blocks
-
-    with working(quiet, "writing the report"):
-        return html([answer.page([*replay_blocks(answer.diagnosis)]) for answer in answers])
-
-
 def _suggest_next(
-    answers: Sequence[CampaignDiagnosis], problem: Path, campaigns: Sequence[Path],
-    written: Sequence[Path] | None, details: bool, console: Console,
-) -> None:  # fmt: skip
+    answers: Sequence[CampaignDiagnosis],
+    problem: Path,
+    campaigns: Sequence[Path],
+    written: Sequence[Path] | None,
+    details: bool,
+    console: Console,
+) -> None:
     """Print the next command, and how to see more; written : files of --out, None without it."""
     if len(answers) > 1:
         tables = [a.campaign.tables[0] for a in answers]

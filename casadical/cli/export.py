@@ -16,16 +16,6 @@ from casadical.cli.terminal import (
     working,
 )
 
-# Parameters that only some products have.
-PRODUCT_OPTIONS = {
-    "--what command": [
-        *("nominal", "compensator", "steps", "correct", "payload", "tool", "leave_out"),
-        *("cycle", "rate", "ramp"),
-    ],
-    "--what network": ("compensator",),
-    "--what curves": (),
-}
-
 
 def export_c(
     context: Context,
@@ -92,8 +82,17 @@ def export_c(
     """
     from casadical.export.controller import commands
 
-    if (product := f"--what {what}") in PRODUCT_OPTIONS:
-        o.refuse_of_others(context, product, PRODUCT_OPTIONS)
+    # Parameters that only some products have.
+    product_options = {
+        "--what command": [
+            *("nominal", "compensator", "steps", "correct", "payload", "tool", "leave_out"),
+            *("cycle", "rate", "ramp"),
+        ],
+        "--what network": ("compensator",),
+        "--what curves": (),
+    }
+    if (product := f"--what {what}") in product_options:
+        o.refuse_of_others(context, product, product_options)
     times = {"cycle_s": None if cycle is None else 1e-3 * cycle, "rate_rad_s": rate, "ramp_s": ramp}
     written = commands.export_c(
         commands.Sources(robot, nominal, compensator, payload, tool, leave_out),  # type: ignore[arg-type]

@@ -22,11 +22,6 @@ if TYPE_CHECKING:
 
 # Time between two looks at the source of readings [s].
 POLL_INTERVAL_S = 0.2
-# Time without a reading after which a message is printed [s].
-MAX_SILENCE_S = 180.0
-# Parameters that only one source, or only one output, has.
-SOURCE_OPTIONS = {"--simulate": ("every",), "readings that are measured": ()}
-OUTPUT_OPTIONS = {"the page": ("host", "port"), "--no-page": ()}
 
 
 def measure(
@@ -89,8 +84,11 @@ def measure(
     from casadical.project.live.view import summary
 
     console = plain(quiet)
-    refuse_of_others(context, [*SOURCE_OPTIONS][not simulate], SOURCE_OPTIONS)
-    refuse_of_others(context, [*OUTPUT_OPTIONS][no_page], OUTPUT_OPTIONS)
+    # Parameters that only one source, or only one output, has.
+    source_options = {"--simulate": ("every",), "readings that are measured": ()}
+    refuse_of_others(context, [*source_options][not simulate], source_options)
+    output_options = {"the page": ("host", "port"), "--no-page": ()}
+    refuse_of_others(context, [*output_options][no_page], output_options)
     move = None
     if program:
         from casadical.export.controller.programs.program import language_named
@@ -138,6 +136,8 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
     from casadical.project.live.view import answer, outlook
 
     last = time.monotonic()
+    # Time without a reading after which a message is printed [s].
+    max_silence_s = 180.0
     while True:
         ended = getattr(source, "ended", False)
         numbers, said = session.feed(source)
@@ -151,9 +151,9 @@ def _follow(session: LiveSession, source: Source, console: Console, pause: float
             console.print("\n".join(f"   {line}" for line in outlook(session.state())))
         if ended:
             return
-        if numbers or pause > MAX_SILENCE_S:
+        if numbers or pause > max_silence_s:
             last = time.monotonic()
-        elif time.monotonic() - last > MAX_SILENCE_S:
-            console.print(f"no reading for {MAX_SILENCE_S / 60:.0f} minutes: does {source.words} still grow?")
+        elif time.monotonic() - last > max_silence_s:
+            console.print(f"no reading for {max_silence_s / 60:.0f} minutes: does {source.words} still grow?")
             last = time.monotonic()
         time.sleep(pause)

@@ -16,12 +16,6 @@ if TYPE_CHECKING:
 
 # Name of the mode without a robot of the user, in messages.
 EXAMPLE = "an example (--example, or no robot)"
-# Parameters that only one kind of robot has.
-ROBOT_OPTIONS = {
-    EXAMPLE: ("example",),
-    "--urdf": ("urdf", "base_link", "tip_link", "data", "eye_in_hand", "eye_to_base"),
-    "--dh": ("dh", "convention", "data", "eye_in_hand", "eye_to_base"),
-}
 
 
 def new(
@@ -74,7 +68,13 @@ def new(
     """
     from casadical.project.new import new_problem
 
-    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", ROBOT_OPTIONS)
+    # Parameters that only one kind of robot has.
+    robot_options = {
+        EXAMPLE: ("example",),
+        "--urdf": ("urdf", "base_link", "tip_link", "data", "eye_in_hand", "eye_to_base"),
+        "--dh": ("dh", "convention", "data", "eye_in_hand", "eye_to_base"),
+    }
+    refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", robot_options)
     if eye_in_hand and eye_to_base:
         raise InputError("--eye-in-hand and --eye-to-base: a camera is in one place; give one of them")
     console = wrapped(quiet)
@@ -118,7 +118,7 @@ def _ask(question: "Question") -> str:
             number = int(prompt(question.text, default=1, type=int, err=True))
         except Abort:
             raise InputError(
-                f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or name the columns "
-                "with their units in the file"
+                f"{question.text} Nobody answered; --yes takes the first choice ({choices[0]}), or "
+                "name the columns with their units in the file"
             ) from None
     return choices[number - 1]

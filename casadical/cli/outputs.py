@@ -18,32 +18,15 @@ from casadical.core.basics import InputError, shown
 from casadical.core.files import claimed, own_stream, real_path
 from casadical.core.reading import load_toml, number_fault, read_bytes, text_fault
 
-# Parameters of commands that name outputs; every other path parameter is an input.
-_OUTPUT_PARAMETERS = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
-# Patterns of file names in a folder of outputs, which no other output and no input may have.
-_OUTPUT_FILE_PATTERNS = (
-    "result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json", "manifest.json",
-    "diagnosis.json", "diagnosis.txt", "discovery.json", "discovery.txt", "*.effect.toml",
-)  # fmt: skip
-# Sets of keys by which each kind of JSON that `--json` writes is recognised.
-_JSON_SIGNATURES = (
-    {"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}, {"folder", "files", "verified"},
-    {"file", "robot", "left_out"}, {"withheld", "not_drawn"}, {"key_sha256"}, {"answers", "by"}, {"by", "figures"},
-    {"changed", "changes", "campaigns"}, {"fleet", "robots", "types"}, {"robot", "fields", "readings"},
-    {"certificate", "decision"}, {"dAP_mm", "poses"}, {"touches", "verdict"},
-)  # fmt: skip
-# Names of the commands that leave out rows with a cell that is no number.
-COMMANDS_THAT_DROP_ROWS = ("verify", "compare", "measure")
-# Columns by which a CSV is recognised as measurements, which are never overwritten.
-_POSITION_COLUMNS = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
-
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
     """Return a command that checks and claims what it will write before it works.
 
     also : names of further parameters that name outputs
     """
-    outputs = {*_OUTPUT_PARAMETERS, *also}
+    # Parameters of commands that name outputs; every other path parameter is an input.
+    output_parameters = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
+    outputs = {*output_parameters, *also}
     metavars = {n: getattr(p.default, "metavar", None) for n, p in signature(command).parameters.items()}
     folders = {name for name, metavar in metavars.items() if (metavar or "").startswith("DIR")}
 
@@ -62,7 +45,8 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
             except InputError as error:
                 from casadical.project.faults import every_fault
 
-                later = command.__name__ in COMMANDS_THAT_DROP_ROWS
+                # Names of the commands that leave out rows with a cell that is no number.
+                later = command.__name__ in ("verify", "compare", "measure")
                 others = (given.get("room"), given.get("store"))
                 judged = [path for path in inputs if path not in others and command.__name__ != "new"]
                 raise every_fault(error, judged, later=later) from None
@@ -125,7 +109,13 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
 
 def _of_a_set(name: str) -> bool:
     """Return whether a file name is among those of a folder of outputs."""
-    return any(fnmatch(name, pattern) for pattern in _OUTPUT_FILE_PATTERNS)
+    # Patterns of file names in a folder of outputs, which no other output and no input may have.
+    output_file_patterns = (
+        *("result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json"),
+        *("manifest.json", "diagnosis.json", "diagnosis.txt", "discovery.json", "discovery.txt"),
+        "*.effect.toml",
+    )
+    return any(fnmatch(name, pattern) for pattern in output_file_patterns)
 
 
 def _real(path: Path, done: str = "written") -> Path:
@@ -180,21 +170,31 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
         raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
     if text.strip() and not _ours(path, text):
         raise InputError(
-            f"{shown(path)}: is there and was not written by casadical, or was changed since; name another file, or "
-            f"{remedy}"
+            f"{shown(path)}: is there and was not written by casadical, or was changed since; name "
+            f"another file, or {remedy}"
         )
 
 
 def _ours(path: Path, text: str) -> bool:
     """Return whether a file was written by casadical, by its text."""
+    # Sets of keys by which each kind of JSON that `--json` writes is recognised.
+    json_signatures = (
+        *({"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}),
+        *({"folder", "files", "verified"}, {"file", "robot", "left_out"}, {"withheld", "not_drawn"}),
+        *({"key_sha256"}, {"answers", "by"}, {"by", "figures"}, {"changed", "changes", "campaigns"}),
+        *({"fleet", "robots", "types"}, {"robot", "fields", "readings"}, {"certificate", "decision"}),
+        *({"dAP_mm", "poses"}, {"touches", "verdict"}),
+    )
     if text.lstrip().startswith(("{", "[")):
         try:
             data = json.loads(text)
         except (ValueError, RecursionError):
             return False
         tables = [data, *(data if isinstance(data, list) else data.values())]
-        return any(isinstance(t, dict) and any(names <= t.keys() for names in _JSON_SIGNATURES) for t in tables)
+        return any(isinstance(t, dict) and any(names <= t.keys() for names in json_signatures) for t in tables)
+    # Columns by which a CSV is recognised as measurements, which are never overwritten.
+    position_columns = {"x_mm", "x_m", "y_mm", "y_m", "z_mm", "z_m"}
     if path.suffix == ".csv":
         header = text.partition("\n")[0].strip().split(",")
-        return len(header) > 1 and not _POSITION_COLUMNS & set(header)
+        return len(header) > 1 and not position_columns & set(header)
     return "casadical" in text or text.startswith("\ufffdPNG")

@@ -24,14 +24,14 @@ CALIBRATION_MODE = "poses to calibrate with (--measured: those that there are)"
 # Parameters of each mode of the command.
 MODE_OPTIONS = {
     CALIBRATION_MODE: (
-        "n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches",
-        "repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires", "sockets", "places",
-        "prior", "prior_effects", "known_places", "seed", "json_file",
+        *("n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches"),
+        *("repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires"),
+        *("sockets", "places", "prior", "prior_effects", "known_places", "seed", "json_file"),
     ),
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
     "--touches": ("out", "room", "touches", "noise_mm", "seed"),
-}  # fmt: skip
+}
 
 
 def plan(
@@ -156,12 +156,22 @@ def plan(
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
     chosen = partial(
-        plan_problem, problem, n, measured, o.carried_prior(prior, prior_effects, frozen=False),
-        effects=effects.split(",") if effects else (), room=room,
-        circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats), noise_mm=noise_mm,
-        joint_noise_urad=joint_noise_urad, min_distance=min_distance, target_mm=target_mm, order=order,
-        places=_places(wires, sockets, places, known_places), seed=seed,
-    )  # fmt: skip
+        plan_problem,
+        problem,
+        n,
+        measured,
+        o.carried_prior(prior, prior_effects, frozen=False),
+        effects=effects.split(",") if effects else (),
+        room=room,
+        circumstances=circumstances_of(payloads, every_payload, both_approaches, repeats),
+        noise_mm=noise_mm,
+        joint_noise_urad=joint_noise_urad,
+        min_distance=min_distance,
+        target_mm=target_mm,
+        order=order,
+        places=_places(wires, sockets, places, known_places),
+        seed=seed,
+    )
     _poses(
         chosen,
         problem,
@@ -174,9 +184,14 @@ def plan(
 
 
 def _poses(
-    chosen: Callable[..., Any], problem: Path, to: Path | None, measured: Path | None, prior: Path | None,
-    json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
+    chosen: Callable[..., Any],
+    problem: Path,
+    to: Path | None,
+    measured: Path | None,
+    prior: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
     """Print which poses to measure, or how many are enough.
 
     chosen : function that makes the plan, called with a function that shows progress
@@ -233,8 +248,9 @@ def _touches(
     with working(quiet, "choosing touches"):
         table = plan_touches(robot, n, noise_mm=noise_mm, room=room, seed=seed)
     console.print(
-        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame of the calibration, "
-        "put x_mm, y_mm, z_mm into a copy whose name has the day (2026-03-14.csv), and have the copies verified."
+        f"{n} touches that tell most about zeros, tool and foot. Touch them every day in the frame "
+        "of the calibration, put x_mm, y_mm, z_mm into a copy whose name has the day "
+        "(2026-03-14.csv), and have the copies verified."
     )
     keep({out: table.to_csv(index=False)}, console)
     suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches")

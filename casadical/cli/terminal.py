@@ -27,8 +27,6 @@ from casadical.core.files import json_text, write_together
 from casadical.core.telling.blocks import Block, Page, Table, next_step
 from casadical.core.telling.result import terminal
 
-# Number of rows of a table that the message about a fault names.
-MAX_ROWS_NAMED = 6
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
 # Exit code for unusable input.
@@ -48,12 +46,14 @@ def refusal(error: object) -> None:
 
     Several faults of tables are printed as one table.
     """
+    # Number of rows of a table that the message about a fault names.
+    max_rows_named = 6
     if isinstance(error, FaultsError) and len(error.faults) > 1:
-        rows = [
-            (f.source, f"{', '.join(map(str, f.rows[:MAX_ROWS_NAMED]))}{' ...' * (len(f.rows) > MAX_ROWS_NAMED)}",
-             f.column, f.value, f.allowed or f.wrong, f.remedy)
-            for f in error.faults[:MAX_FAULTS_SHOWN]
-        ]  # fmt: skip
+        rows = []
+        for f in error.faults[:MAX_FAULTS_SHOWN]:
+            numbers = ", ".join(map(str, f.rows[:max_rows_named]))
+            numbers += " ..." * (len(f.rows) > max_rows_named)
+            rows.append((f.source, numbers, f.column, f.value, f.allowed or f.wrong, f.remedy))
         columns = ("file", "rows", "column", "value", "allowed", "what to do")
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL
@@ -165,17 +165,27 @@ def html(pages: Sequence[Page]) -> str:
 Steps = Mapping[str, float]
 # Steps of a diagnosis, of a check and of a plan.
 DIAGNOSIS: Steps = {
-    "calibrating": 0.0, "signatures": 0.03, "what changed": 0.2, "cause 1": 0.25, "cause 2": 0.4, "cause 3": 0.5,
-    "cause": 0.55, "sets of causes": 0.55,
-    "laws in place": 0.6, "where it lies": 0.65, "refit": 0.7, "network": 0.8, "joint error": 0.8,
-    "laws beside nothing": 0.72, "laws beside what": 0.8, "poses to measure": 0.85, "what these poses": 0.93,
+    "calibrating": 0.0,
+    "signatures": 0.03,
+    "what changed": 0.2,
+    "cause 1": 0.25,
+    "cause 2": 0.4,
+    "cause 3": 0.5,
+    "cause": 0.55,
+    "sets of causes": 0.55,
+    "laws in place": 0.6,
+    "where it lies": 0.65,
+    "refit": 0.7,
+    "network": 0.8,
+    "joint error": 0.8,
+    "laws beside nothing": 0.72,
+    "laws beside what": 0.8,
+    "poses to measure": 0.85,
+    "what these poses": 0.93,
     "the robot with": 0.96,
-}  # fmt: skip
+}
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
-# A solve counts as half done after so many iterations, because their number is not known
-# beforehand.
-HALF_DONE_ITERATIONS = 8.0
 # Words of a step that count its items, and the iterations of a solve.
 _COUNT = re.compile(r"(\d+) of (\d+)")
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
@@ -193,10 +203,8 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
     steps : share of the work at which each step begins
     """
     console = Console(stderr=True)
-    columns = (
-        SpinnerColumn(), BarColumn(10), TaskProgressColumn(), TimeElapsedColumn(), _ToGo(),
-        TextColumn("{task.description}", markup=False),
-    )  # fmt: skip
+    columns = [SpinnerColumn(), BarColumn(10), TaskProgressColumn(), TimeElapsedColumn(), _ToGo()]
+    columns.append(TextColumn("{task.description}", markup=False))
     head = f"{name}: " if name else ""
     with Progress(*columns, console=console, transient=True, disable=quiet or not console.file.isatty()) as bar:
         task = bar.add_task(head + step, total=None)
@@ -219,7 +227,8 @@ def share(text: str, steps: Steps) -> float:
         done, count = int(counted[1]), int(counted[2])
         iteration = _ITERATION.search(text)
         # A counted item is complete (a campaign), or has just begun (a solve with iterations).
-        begun = int(iteration[1]) / (int(iteration[1]) + HALF_DONE_ITERATIONS) if iteration else 0.0
+        # A solve counts as half done after 8 iterations: their number is not known beforehand.
+        begun = int(iteration[1]) / (int(iteration[1]) + 8.0) if iteration else 0.0
         inner = (done - 1 + begun) / count if iteration or named is not None else done / count
         return first + (last - first) * min(inner, 1.0)
     return first if named is not None else 0.0

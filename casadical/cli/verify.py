@@ -30,11 +30,12 @@ if TYPE_CHECKING:
 MODE_OPTIONS = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
     "--touches": (
-        "touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed", "json_file",
+        *("touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed"),
+        "json_file",
     ),
     "--iso9283": ("iso9283", "json_file"),
     "a check of some ten poses": ("promised_mm", "json_file"),
-}  # fmt: skip
+}
 
 
 def verify(
@@ -162,9 +163,15 @@ def verify(
 
 
 def _touched(
-    robot: Path, tables: list[Path], asked: dict[str, Any], update: Path | None, chart: Path | None,
-    report: Path | None, json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
+    robot: Path,
+    tables: list[Path],
+    asked: dict[str, Any],
+    update: Path | None,
+    chart: Path | None,
+    report: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
     """Judge the last of several days of touches; asked : arguments of `touched`."""
     from casadical.fleet.touches import touched
 
@@ -185,9 +192,14 @@ def _touched(
 
 
 def _replay(
-    problem: Path, tables: list[Path] | None, effects: str | None, seed: int, out: Path | None,
-    json_file: Path | None, quiet: bool,
-) -> None:  # fmt: skip
+    problem: Path,
+    tables: list[Path] | None,
+    effects: str | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
     """Replay measured poses of campaigns in MuJoCo."""
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign

@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from casadical.blind_check.protocol import Manifest
 
 
-# Exit code after Ctrl-C, as shells have it.
-EXIT_INTERRUPTED = 130
-
 Folder = Annotated[Path, Argument(metavar="DIR", help="Folder with the campaigns.")]
 Workers = Annotated[int | None, Option(min=1, max=1000, help="Processes; default: one a core.")]
 
@@ -60,9 +57,15 @@ def withheld_robot(
     lacking = [word.strip() for word in not_logged.split(",") if word.strip()]
     with working(quiet, "drawing campaigns") as step, pool(None, workers) as executor:
         checked = check_robot(
-            subject, poses=given, noise_um=noise_um, n=n, seed=seed, not_logged=lacking, executor=executor,
+            subject,
+            poses=given,
+            noise_um=noise_um,
+            n=n,
+            seed=seed,
+            not_logged=lacking,
+            executor=executor,
             show=_counted(step),
-        )  # fmt: skip
+        )
     console = wrapped(quiet)
     tell(console, *checked.blocks())
     keep(with_json({}, json_file, checked.to_json()), console)
@@ -156,6 +159,8 @@ def withheld_predict(
     from casadical.blind_check.prediction import predict
     from casadical.blind_check.worker_pool import workers as pool
 
+    # Exit code after Ctrl-C, as shells have it.
+    exit_interrupted = 130
     try:
         with working(quiet, "reading") as step, pool(None, workers) as executor:
             show = _counted(step)
@@ -165,7 +170,7 @@ def withheld_predict(
             "casadical: interrupted; the answers so far are kept, the same command goes on from there",
             err=True,
         )
-        raise Exit(EXIT_INTERRUPTED) from None
+        raise Exit(exit_interrupted) from None
     console = wrapped(quiet)
     console.print(f"wrote {path}", soft_wrap=True)
     usual = folder.with_name(f"{folder.resolve().name}-key")

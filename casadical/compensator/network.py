@@ -220,8 +220,8 @@ def residuals(residual_mm: ArrayLike, poses: int, outputs: int | None) -> Array:
     rows = _numbers(residual_mm, "residual_mm")
     if rows.ndim != 2 or rows.shape != (poses, outputs or rows.shape[1]):
         raise InputError(
-            f"residual_mm must have shape ({poses}, {outputs or 'outputs'}) [mm], one row for each row of q; "
-            f"its shape is {rows.shape}"
+            f"residual_mm must have shape ({poses}, {outputs or 'outputs'}) [mm], one row for each "
+            f"row of q; its shape is {rows.shape}"
         )
     _finite(rows, "residual_mm", "mm")
     return rows
@@ -247,8 +247,8 @@ def _finite(rows: Array, name: str, unit: str) -> None:
     if len(bad):
         row, column = bad[0]
         raise InputError(
-            f"{name}[{row}, {column}] is {rows[row, column]} {unit}: {len(bad)} value(s) of {name} are not finite; "
-            "drop these poses or repair them"
+            f"{name}[{row}, {column}] is {rows[row, column]} {unit}: {len(bad)} value(s) of {name} "
+            "are not finite; drop these poses or repair them"
         )
 
 

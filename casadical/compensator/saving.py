@@ -101,8 +101,9 @@ def _refuse_large(found: Compensator) -> None:
     most = 10 * found.training.before.max_mm
     if not size <= most:
         raise InputError(
-            f"its network corrects by up to {size:.3g} mm in the box of its training, where errors were "
-            f"{found.training.before.max_mm:.3g} mm at most; allowed: 10 times that; train it again"
+            f"its network corrects by up to {size:.3g} mm in the box of its training, where errors "
+            f"were {found.training.before.max_mm:.3g} mm at most; allowed: 10 times that; train it "
+            "again"
         )
 
 

@@ -27,9 +27,6 @@ MAX_CHUNK_NUMBERS = 400_000
 # Smallest number of points that are evaluated at a time, even if they have more than
 # MAX_CHUNK_NUMBERS output numbers.
 MIN_CHUNK_POINTS = 64
-# Largest number of versions of one function, each mapped over another number of points, that are
-# cached; at the next one the cache is emptied.
-MAX_CACHED_MAPS = 64
 
 
 class Buffered:
@@ -121,7 +118,12 @@ class MappedFunction:
         points : shape (a, n); shared : shape (b,)
         """
         n = points.shape[1]
-        self._compile(n)
+        self.evaluated += n
+        # Machine code is used once the points that were evaluated pay for it.
+        for make, threshold in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
+            if self._machine_code is None and self.evaluated >= threshold:
+                self.compile(make=make)
+                self._tried += 1
         (once,) = self._shared(shared)
         if self._machine_code:
             return self._machine_code(points, shared, once)
@@ -139,21 +141,12 @@ class MappedFunction:
     def _over(self, n: int) -> Buffered:
         """Return the CasADi function mapped over n points, from the cache if it is there."""
         if n not in self._mapped:
-            if len(self._mapped) >= MAX_CACHED_MAPS:
+            # Largest number of versions of one function, each mapped over another number of points,
+            # that are cached; at the next one the cache is emptied.
+            if len(self._mapped) >= 64:
                 self._mapped.clear()
             self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))
         return self._mapped[n]
-
-    def _compile(self, n: int) -> None:
-        """Count n points more and switch to a compiled library if their number pays for it.
-
-        It is looked up from LIBRARY_LOOKUP_POINTS on and built from COMPILATION_POINTS on.
-        """
-        self.evaluated += n
-        for make, threshold in ((False, LIBRARY_LOOKUP_POINTS), (True, COMPILATION_POINTS))[self._tried :]:
-            if self._machine_code is None and self.evaluated >= threshold:
-                self.compile(make=make)
-                self._tried += 1
 
     def compile(self, *, make: bool = True) -> None:
         """Switch to a compiled library, if one is in the cache or can be built.

@@ -11,9 +11,6 @@ from casadical.core.basics import Array, InputError
 # Unit of reports, and the factor to it from the SI unit, by SI unit.
 _REPORT_UNITS = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi), "rad/(N m)": ("urad/(N m)", 1e6), "": ("", 1.0)}
 
-# Words that select several groups of parameters, with these groups.
-_GROUP_UNIONS = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
-
 
 @dataclass(frozen=True)
 class Parameter:
@@ -104,16 +101,19 @@ class Parameters(Sequence[Parameter]):
         Raises InputError: a word that selects nothing.
         """
         chosen: set[str] = set()
+        # Words that select several groups of parameters, with these groups.
+        group_unions = {"kinematic": ("base", "geometry", "loop", "tool"), "placement": ("base", "tool")}
         for word in [wanted] if isinstance(wanted, str) else wanted:
             if word in self._index:  # a prior names hundreds of parameters: no search
                 chosen.add(word)
                 continue
-            groups = _GROUP_UNIONS.get(word, (word,))
+            groups = group_unions.get(word, (word,))
             hit = {p.name for p in self._items if p.group in groups or fnmatchcase(p.name, word)}
-            if not hit and word not in (*_GROUP_UNIONS, "compliance"):
+            if not hit and word not in (*group_unions, "compliance"):
                 raise InputError(
                     f"{word!r} is no parameter, group or pattern of this robot; groups: "
-                    f"{', '.join((*_GROUP_UNIONS, *self.groups))}; parameters: {', '.join(self.names)}"
+                    f"{', '.join((*group_unions, *self.groups))}; parameters: "
+                    f"{', '.join(self.names)}"
                 )
             chosen |= hit
         return tuple(n for n in self.names if n in chosen)

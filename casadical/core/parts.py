@@ -344,7 +344,12 @@ class Arm:
         lacking = [i > 0 and j.beta is None and parallel(self.joints, i - 1) for i, j in enumerate(self.joints)]
         rows = (replace(j, beta=0.0) if lacks else j for j, lacks in zip(self.joints, lacking, strict=True))
         object.__setattr__(self, "joints", tuple(rows))
-        _refuse_couplings(self)
+        for i, joint in enumerate(self.joints, 1):
+            for other, _ in joint.coupling.follows if joint.coupling else ():
+                if other not in self.numbers or other == i or self.joints[other - 1].coupling:
+                    own = [str(k) for k, j in enumerate(self.joints, 1) if not j.coupling and k != i]
+                    allowed = f"{', '.join(own)}, which are not coupled"
+                    raise InputError(f"joint[{i}].follows: joint {other}; allowed: {allowed}")
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
         if self.drive:
@@ -409,15 +414,6 @@ class Arm:
         return float(links + np.linalg.norm(self.tool.T[:3, 3]))
 
 
-def _refuse_couplings(arm: Arm) -> None:
-    """Check that coupled joints follow joints that are not coupled. Raises InputError."""
-    for i, joint in enumerate(arm.joints, 1):
-        for other, _ in joint.coupling.follows if joint.coupling else ():
-            if other not in arm.numbers or other == i or arm.joints[other - 1].coupling is not None:
-                own = [str(k) for k, j in enumerate(arm.joints, 1) if j.coupling is None and k != i]
-                raise InputError(f"joint[{i}].follows: joint {other}; allowed: {', '.join(own)}, which are not coupled")
-
-
 def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
     """Check that a four-bar drives a revolute joint from its parallel neighbour.
 
@@ -441,15 +437,6 @@ def _refuse_unbuildable(arm: Arm, number: int, loop: FourBar) -> None:
         raise InputError(f"{where}: joint {loop.driven} is driven by two loops; keep one")
 
 
-# Estimated mass of all moving links together, divided by the cube of the reach [kg/m^3].
-LINK_MASS_PER_CUBED_REACH = 10.0
-# Estimated mass of each link divided by that of the one before.
-LINK_MASS_RATIO = 0.5
-# Prior standard deviation of each estimated mass, divided by the mass.
-ESTIMATED_MASS_PRIOR_SHARE = 2.0
-# Prior standard deviation of each coordinate of an estimated mass centre, divided by the reach.
-ESTIMATED_CENTRE_PRIOR_OF_REACH = 0.1
-
 A = TypeVar("A", bound=Arm)
 
 
@@ -463,13 +450,21 @@ def with_estimated_masses(robot: A) -> A:
 
     It is marked by `masses`, and their prior standard deviations are wide.
     """
-    shares = LINK_MASS_RATIO ** np.arange(robot.n)
-    masses = LINK_MASS_PER_CUBED_REACH * robot.reach**3 * shares / shares.sum()
+    # Estimated mass of each link divided by that of the one before.
+    link_mass_ratio = 0.5
+    shares = link_mass_ratio ** np.arange(robot.n)
+    # Estimated mass of all moving links together, divided by the cube of the reach [kg/m^3].
+    link_mass_per_cubed_reach = 10.0
+    masses = link_mass_per_cubed_reach * robot.reach**3 * shares / shares.sum()
     joints = tuple(
         replace(joint, body=Body(float(f"{mass:.3g}"), _middle(robot, i)))
         for i, (joint, mass) in enumerate(zip(robot.joints, masses, strict=True))
     )
-    width = BodyWidth(ESTIMATED_MASS_PRIOR_SHARE, float(f"{ESTIMATED_CENTRE_PRIOR_OF_REACH * robot.reach:.2g}"))
+    # Prior standard deviation of each estimated mass, divided by the mass.
+    estimated_mass_prior_share = 2.0
+    # Prior standard deviation of each coordinate of an estimated mass centre, divided by the reach.
+    estimated_centre_prior_of_reach = 0.1
+    width = BodyWidth(estimated_mass_prior_share, float(f"{estimated_centre_prior_of_reach * robot.reach:.2g}"))
     return replace(robot, joints=joints, masses="estimated", body_width=width)
 
 

@@ -46,17 +46,8 @@ MAX_ITEMS = 1000
 LARGEST_NUMBER = 1e100
 # Smallest absolute value of a number in a file other than zero; smaller ones are refused.
 SMALLEST_NUMBER = 1e-100
-# Largest length of a text in a file, such as a name or title [characters]; longer ones are refused.
-MAX_TEXT_CHARACTERS = 10_000
 # Largest depth of nested tables and lists in a file; files with a greater one are refused.
 MAX_NESTING = 50
-# Largest number of digits of an integer in JSON; longer ones are refused.
-MAX_INTEGER_DIGITS = 100
-
-# Pattern of the encoding that the declaration of an XML file states.
-_XML_ENCODING = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
-# Names of the encodings in which XML files are read.
-_XML_ENCODINGS_READ = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
 
 
 def missing(path: str | Path, what: str = "file") -> InputError:
@@ -209,8 +200,10 @@ def json_of(text: bytes | str, source: str, kind: Any = dict) -> Any:
 
 def _integer(text: str) -> int:
     """Return the integer of a JSON number. Raises ValueError for one of too many digits."""
-    if len(text) > MAX_INTEGER_DIGITS:
-        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {MAX_INTEGER_DIGITS}")
+    # Largest number of digits of an integer in JSON; longer ones are refused.
+    max_integer_digits = 100
+    if len(text) > max_integer_digits:
+        raise ValueError(f"an integer of {len(text)} digits; allowed: up to {max_integer_digits}")
     return int(text)
 
 
@@ -227,13 +220,17 @@ def read_xml(path: str | Path) -> bytes:
     Raises InputError, also where the file defines a document type (entities).
     """
     data = read_bytes(path, MAX_TEXT_BYTES)
-    declared = _XML_ENCODING.match(data)
+    # Pattern of the encoding that the declaration of an XML file states.
+    xml_encoding = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
+    declared = xml_encoding.match(data)
     marks = (name for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
              if data.startswith(mark))  # fmt: skip
     name = next(marks, declared[1].decode("ascii", "replace").lower() if declared else "utf-8")
-    if name not in _XML_ENCODINGS_READ:
+    # Names of the encodings in which XML files are read.
+    xml_encodings_read = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")
+    if name not in xml_encodings_read:
         raise InputError(
-            f"{shown(path)}: malformed XML: encoding {name[:30]!r}; allowed: {', '.join(_XML_ENCODINGS_READ)}"
+            f"{shown(path)}: malformed XML: encoding {name[:30]!r}; allowed: {', '.join(xml_encodings_read)}"
         )
     with foreign(f"{shown(path)}: malformed XML"):
         text = data.decode(name)
@@ -292,8 +289,11 @@ def number_fault(value: float) -> str:
 
 def text_fault(text: str) -> str:
     """Return as text what is wrong with a name or title of a file; empty for a usable one."""
-    if len(text) > MAX_TEXT_CHARACTERS:
-        return f"has {len(text)} characters; allowed: up to {MAX_TEXT_CHARACTERS}"
+    # Largest length of a text in a file, such as a name or title [characters]; longer ones are
+    # refused.
+    max_text_characters = 10_000
+    if len(text) > max_text_characters:
+        return f"has {len(text)} characters; allowed: up to {max_text_characters}"
     bad = next((c for c in text if unicodedata.category(c) in ("Cc", "Cs") and c not in "\n\t"), None)
     return "" if bad is None else f"holds the control character {bad!a}; remove it"
 

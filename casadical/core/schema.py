@@ -186,8 +186,6 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
     return f"{key}{given}: {_text(error)}"
 
 
-# Pydantic's name of the limit of a list's length, by the word that a message has for it.
-_LIMITS = {"most": "max_length", "least": "min_length"}
 # Messages of casadical, by the type of pydantic's error.
 _MESSAGES = {"model_type": "must be a table", "dict_type": "must be a table", "string_too_short": "must not be empty"}
 
@@ -196,8 +194,10 @@ def _text(error: Any) -> str:
     """Return the message of one of pydantic's errors in the wording of casadical."""
     if error["type"] in _MESSAGES:
         return _MESSAGES[error["type"]]
+    # Pydantic's name of the limit of a list's length, by the word that a message has for it.
+    limits = {"most": "max_length", "least": "min_length"}
     if error["type"] in ("too_long", "too_short"):
-        wanted = next(f"at {w} {error['ctx'][k]}" for w, k in _LIMITS.items() if k in error["ctx"])
+        wanted = next(f"at {w} {error['ctx'][k]}" for w, k in limits.items() if k in error["ctx"])
         return f"must have {wanted} entries, not {error['ctx']['actual_length']}"
     return str(error["msg"]).removeprefix("Value error, ").replace("Input should be", "must be")
 

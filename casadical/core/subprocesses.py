@@ -25,9 +25,14 @@ def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProc
     """
     try:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-            errors="replace", start_new_session=True,
-        )  # fmt: skip
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
     except OSError:
         return None
     try:
@@ -54,14 +59,12 @@ def tried(code: str, *arguments: str) -> str | None:
     return done.stdout if done is not None and done.returncode == 0 else None
 
 
-# Environment variables that linear algebra libraries read once, when they are loaded.
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
 def one_thread() -> None:
     """Limit linear algebra to one thread, unless the environment sets the number.
 
     To be called before numpy is loaded.
     """
-    if not any(name in os.environ for name in _THREAD_VARIABLES):
-        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    # Environment variables that linear algebra libraries read once, when they are loaded.
+    thread_variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    if not any(name in os.environ for name in thread_variables):
+        os.environ.update(dict.fromkeys(thread_variables, "1"))

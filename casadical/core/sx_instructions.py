@@ -18,8 +18,6 @@ from casadical.core.basics import Array
 
 # Name in lower case of each operation, by CasADi's integer code.
 _OPERATION_NAMES = {getattr(ca, name): name.removeprefix("OP_").lower() for name in dir(ca) if name.startswith("OP_")}
-# Names of instructions that are no operations on values.
-_SPECIAL = frozenset(("input", "const", "output", "call"))
 
 
 class Instruction(NamedTuple):
@@ -84,8 +82,10 @@ class SxInstructions:
         """
         work: list[Any] = [zero] * self.places
         outputs = [[zero] * count for count in self.nonzeros]
+        # Names of instructions that are no operations on values.
+        special = frozenset(("input", "const", "output", "call"))
         for name, operands, results, number in self.instructions:
-            if name not in _SPECIAL or (name == "call" and call is None):
+            if name not in special or (name == "call" and call is None):
                 work[results[0]] = operation(name)(*[work[k] for k in operands])
             elif name == "input":
                 work[results[0]] = inputs[operands[0]][operands[1]]

@@ -27,13 +27,8 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Pattern of a date in a file's name: 2026-03-14, 2026_03_14, 20260314 or 2026-03. A clock that was
-# not set gives 1970.
-_DATE = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
 # Name of the folder of a problem's later campaigns.
 CAMPAIGNS_FOLDER = "campaigns"
-# Proleptic Gregorian ordinal of 1970-01-01, from which days are counted [d].
-EPOCH_ORDINAL = date(1970, 1, 1).toordinal()
 Item = TypeVar("Item")
 
 
@@ -217,17 +212,23 @@ def other_regions(campaigns: Sequence[Estimate]) -> list[str]:
         return []
     more = f" and {len(said) - 3} more" if len(said) > 3 else ""
     return [
-        f"other regions of the joints than in {first.label} were measured in {', '.join(said[:3])}{more}: errors that "
-        "the model leaves there may look like a change; measure the same poses in each campaign"
+        f"other regions of the joints than in {first.label} were measured in "
+        f"{', '.join(said[:3])}{more}: errors that the model leaves there may look like a change; "
+        "measure the same poses in each campaign"
     ]
 
 
 def day_of(path: Path) -> float | None:
     """Return the date in a file's or its folder's name, in days since 1970; None without one."""
+    # Pattern of a date in a file's name: 2026-03-14, 2026_03_14, 20260314 or 2026-03. A clock that
+    # was not set gives 1970.
+    date_pattern = re.compile(r"(?<!\d)(1970|20\d\d)[-_.]?([01]\d)(?:[-_.]?([0-3]\d))?(?!\d)")
+    # Proleptic Gregorian ordinal of 1970-01-01, from which days are counted [d].
+    epoch_ordinal = date(1970, 1, 1).toordinal()
     for name in (path.name, path.parent.name):
-        for year, month, day in _DATE.findall(name):
+        for year, month, day in date_pattern.findall(name):
             with suppress(ValueError):
-                return float(date(int(year), int(month), int(day or 1)).toordinal() - EPOCH_ORDINAL)
+                return float(date(int(year), int(month), int(day or 1)).toordinal() - epoch_ordinal)
     return None
 
 
@@ -264,8 +265,8 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
     if len(known) < len(days):
         lost = ", ".join(c.label for c in campaigns if c.day is None)
         said.append(
-            f"no date in the name of {lost}: the campaigns are in the order given, and dates are not used; put the day "
-            "into the name of the table (2026-03-14.csv)"
+            f"no date in the name of {lost}: the campaigns are in the order given, and dates are "
+            "not used; put the day into the name of the table (2026-03-14.csv)"
         )
         return [replace(c, day=None) for c in campaigns], said
     if known != sorted(known):
@@ -280,8 +281,8 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
         # Two campaigns more than three years [d] apart more likely have a wrong date than a pause.
         if step > 1100.0:
             said.append(
-                f"{b.label} is {step / 365.25:.1f} years after {a.label}, by their names: if a clock was wrong, rename "
-                "the file; drifts are counted in these years"
+                f"{b.label} is {step / 365.25:.1f} years after {a.label}, by their names: if a "
+                "clock was wrong, rename the file; drifts are counted in these years"
             )
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # Campaigns seem to be missing where a gap is more than 1.75 times the median one.

@@ -21,8 +21,6 @@ from casadical.identification.prior import probability_of_change
 # Smallest Bayes factor of any change against none for which a change is reported. For a robot that
 # does not change this happens with a probability of 1/100 at most over its whole life (Ville 1939).
 MIN_ODDS_OF_CHANGE = 100.0
-# Smallest difference at which a parameter of another robot counts as different [standard errors].
-MIN_CLEAR_SIGMAS = 3
 # Words of a report for each course of a change; the label of the campaign follows them.
 COURSE_WORDS: dict[Course, str] = {
     "jump": "a jump since",
@@ -30,46 +28,18 @@ COURSE_WORDS: dict[Course, str] = {
     "season": "comes again every year since",
     "once": "only in",
 }
-# Title of the axis of a change's size, by the kind of its cause; others have the parameter's name.
-AXIS_TITLES = {
-    "joint_zero": "zero of joint {joint}",
-    "joint_stiffness": "compliance of joint {joint}",
-    "lengths": "all lengths",
-}
-# Caption of the figure of a change over the campaigns.
-_COURSE_CAPTION = (
-    "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. Of several parameters "
-    "the one that moved most surely is drawn; the others move with it. Shaded: where it began, with 95 % probability."
-)
 # Caption of the figure of each campaign's residuals.
 _RESIDUALS_CAPTION = (
     "What nothing explains, of one coordinate. A campaign that stands out was measured or prepared differently."
 )
-# Largest number of possible causes in the table of a change.
-MAX_RIVALS_SHOWN = 4
-# Largest number of parameters in the table of a change.
-MAX_AMOUNTS_SHOWN = 8
 # Largest ratio of a campaign's residual sigma to that of the others that needs no cause.
 MAX_USUAL_RATIO = 1.2
 # Probability that a ratio above MAX_USUAL_RATIO is reported by chance, over all campaigns together.
 FALSE_ALARM_PROBABILITY = 0.01
-# Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's reach; a
-# greater one is reported as unusual.
-MAX_SIGMA_OF_REACH = 0.003
-# End of a sentence on unusual residuals.
-NO_KNOWN_CAUSE = (
-    "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
-)
-# Smallest number of degrees of freedom with which a campaign determines its own noise.
-MIN_DEGREES_OF_FREEDOM = 6
 # Smallest probability of a possible cause that is listed; the most probable one always is.
 MIN_PROBABILITY_SHOWN = 0.005
-# Largest power of ten of the odds that is reported as a number; greater ones are "more than" it.
-MAX_ODDS_EXPONENT = 100
 # JSON keys of an entry of `Comparison.seen_from`.
 _DETECTABLE_KEYS = ("cause", "size", "unit")
-# Text for a size that is not detectable (see `casadical.fleet.comparison._detectable_sizes`).
-NOT_DETECTABLE = "not below 30 times its usual size"
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,17 +188,24 @@ class Comparison(Result):
         """
         left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
         said = []
+        # End of a sentence on unusual residuals.
+        no_known_cause = (
+            "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
+        )
         for k, (c, sigma, freedom) in enumerate(left):
             others = [(s, f) for _, s, f in left[:k] + left[k + 1 :]]
-            if sigma > MAX_SIGMA_OF_REACH * c.robot.reach:
+            # Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's
+            # reach; a greater one is reported as unusual.
+            if sigma > 0.003 * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {NO_KNOWN_CAUSE}")
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {no_known_cause}")
             elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(left)):
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {NO_KNOWN_CAUSE}")
-            elif freedom < MIN_DEGREES_OF_FREEDOM and not others:
+                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {no_known_cause}")
+            # Smallest number of degrees of freedom with which a campaign determines its own noise.
+            elif freedom < 6 and not others:
                 said.append(
-                    f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem folder of the "
-                    "calibration, or measure more poses"
+                    f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem "
+                    "folder of the calibration, or measure more poses"
                 )
         return tuple(said)
 
@@ -245,11 +222,22 @@ class Comparison(Result):
 
     def blocks(self) -> list[Block]:
         """Return the report as blocks of text and tables."""
-        rows = [(name, f"{v:.2g} {unit}" if np.isfinite(v) else NOT_DETECTABLE) for name, v, unit in self.seen_from]
+        # Text for a size that is not detectable (see
+        # `casadical.fleet.comparison._detectable_sizes`).
+        rows = [
+            (name, f"{v:.2g} {unit}" if np.isfinite(v) else "not below 30 times its usual size")
+            for name, v, unit in self.seen_from
+        ]
         seen = Table("A jump before the last campaign would be seen from", ("cause", "size"), rows, folded=True)
         functions = (in_words, times_in_words, probability_of_change)
         named = {function.__name__: function for function in functions}
-        return self._report_blocks(tables=[_campaigns(self), seen], tables_of=_tables_of, **named)
+        lines = []
+        for c, at in zip(self.campaigns, _places(self), strict=True):
+            left = "" if c.sigma is None else mm(c.sigma)
+            lines.append((c.label, str(at), str(c.poses), left, f"{c.misfit:.2f}", "; ".join(c.notes)))
+        head = ("campaign", "day" if self.dated else "number", "poses", "left [mm]", "misfit", "")
+        campaigns = Table("Campaigns", head, lines, frozenset({2, 3, 4}))
+        return self._report_blocks(tables=[campaigns, seen], tables_of=_tables_of, **named)
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -321,9 +309,12 @@ def in_words(found: Comparison, change: Change) -> str:
         held = np.cumsum([r.probability for r in change.rivals])
         rivals = " or ".join(r.label for r in change.rivals[: 1 + int(np.searchsorted(held, 0.95))])
         return f"{rivals}, which these poses do not distinguish, {COURSE_WORDS[change.course]} {since}"
+    # Smallest difference at which a parameter of another robot counts as different [standard
+    # errors].
+    min_clear_sigmas = 3
     if change.cause.kind == ANOTHER_ROBOT:
-        moved = sum(abs(a.value) > MIN_CLEAR_SIGMAS * a.std_error for a in change.amounts)
-        of = f"{moved} of {len(change.amounts)} parameters differ by more than {MIN_CLEAR_SIGMAS} standard errors"
+        moved = sum(abs(a.value) > min_clear_sigmas * a.std_error for a in change.amounts)
+        of = f"{moved} of {len(change.amounts)} parameters differ by more than {min_clear_sigmas} standard errors"
         return f"{change.cause.label}, {COURSE_WORDS[change.course]} {since}: {of}"
     main = best_of(change.amounts, _sureness)
     size = f"{main.name} {main.value:+.3g} {main.unit}{_per(found, change)} +/- {main.std_error:.2g}"
@@ -342,15 +333,15 @@ def _per(found: Comparison, change: Change) -> str:
 
 def _tables_of(found: Comparison, change: Change) -> list[Table]:
     """Return two tables of a change: its possible causes, and the changes of its parameters."""
-    rows = [
-        (r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}")
-        for r in change.rivals[:MAX_RIVALS_SHOWN]
-    ]
+    # Largest number of possible causes in the table of a change.
+    rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:4]]
     rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= MIN_PROBABILITY_SHOWN]
     causes = Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))
     amounts: Sequence[Amount] = change.amounts
-    if len(amounts) > MAX_AMOUNTS_SHOWN:
-        amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:MAX_AMOUNTS_SHOWN]]
+    # Largest number of parameters in the table of a change.
+    max_amounts_shown = 8
+    if len(amounts) > max_amounts_shown:
+        amounts = [amounts[k] for k in ranked([_sureness(a) for a in amounts])[:max_amounts_shown]]
     per = _per(found, change)
     cells = [(a.name, f"{a.value:+.3g}", f"{a.std_error:.2g}", a.unit + per) for a in amounts]
     return [causes, Table("By how much", ("parameter", "change", "std error", "unit"), cells, frozenset({1, 2}))]
@@ -358,19 +349,12 @@ def _tables_of(found: Comparison, change: Change) -> list[Table]:
 
 def times_in_words(log_odds: float) -> str:
     """Return the odds of a change as text, such as 1e12; log_odds : their natural logarithm."""
-    if log_odds > MAX_ODDS_EXPONENT * np.log(10):
-        return f"more than 1e{MAX_ODDS_EXPONENT}"
+    # Largest power of ten of the odds that is reported as a number; greater ones are "more than"
+    # it.
+    max_odds_exponent = 100
+    if log_odds > max_odds_exponent * np.log(10):
+        return f"more than 1e{max_odds_exponent}"
     return f"{np.exp(log_odds):.3g}" if log_odds < 20 else f"1e{log_odds / np.log(10):.0f}"
-
-
-def _campaigns(found: Comparison) -> Table:
-    """Return the table of the campaigns with their poses, residuals and notes."""
-    rows = [
-        (c.label, str(at), str(c.poses), "" if c.sigma is None else mm(c.sigma), f"{c.misfit:.2f}", "; ".join(c.notes))
-        for c, at in zip(found.campaigns, _places(found), strict=True)
-    ]
-    head = ("campaign", "day" if found.dated else "number", "poses", "left [mm]", "misfit", "")
-    return Table("Campaigns", head, rows, frozenset({2, 3, 4}))
 
 
 def _places(found: Comparison) -> list[Any]:
@@ -388,7 +372,14 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
     """
     x, main = _places(found), change.amounts[change.main]
     size, error = main.value * change.course_of[:, 0], abs(main.value) * change.course_of[:, 1]
-    what = AXIS_TITLES.get(change.cause.kind, main.name).format(joint=change.cause.joint)
+    # Title of the axis of a change's size, by the kind of its cause; others have the parameter's
+    # name.
+    axis_titles = {
+        "joint_zero": "zero of joint {joint}",
+        "joint_stiffness": "compliance of joint {joint}",
+        "lengths": "all lengths",
+    }
+    what = axis_titles.get(change.cause.kind, main.name).format(joint=change.cause.joint)
     sizes = Series(
         "linked",
         x,
@@ -402,13 +393,19 @@ def _course(found: Comparison, change: Change, step: int | None) -> Figure:
     )
     first, last = change.between
     spans = [] if change.course == "season" else [Span(x[max(first - 1, 0)], x[last])]
+    # Caption of the figure of a change over the campaigns.
+    course_caption = (
+        "Change since the first campaign, as each campaign alone shows it, with its 95 % interval. "
+        "Of several parameters the one that moved most surely is drawn; the others move with it. "
+        "Shaded: where it began, with 95 % probability."
+    )
     return Figure(
         f"change/{change.cause.label}",
         f"{change.cause.label}: {COURSE_WORDS[change.course]} {found.campaigns[change.since].label}",
         [sizes],
         Axis("campaign", step=step),
         Axis(f"{what} [{main.unit}]"),
-        caption=_COURSE_CAPTION,
+        caption=course_caption,
         marks=spans,
     )
 

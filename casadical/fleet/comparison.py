@@ -22,16 +22,10 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 
 # Prior weights of the courses; of each kind of change the weights of its courses are normalised.
 COURSE_WEIGHTS: dict[Course, float] = {"jump": 0.6, "drift": 0.4, "season": 0.4, "once": 0.4}
-# Probability that a change begins at a campaign, given that it did not begin before, in the
-# geometric half of the prior of `_onsets`.
-ONSET_HAZARD = 0.03
 # Days in a year, the unit of time of a drift [d].
 DAYS_PER_YEAR = 365.25
 # Number of campaigns that count as a year where they have no dates.
 CAMPAIGNS_PER_YEAR = 12.0
-# Smallest displacement of the tool's point that is reported as another tool, or the same one
-# mounted again [standard errors, rms of the coordinates].
-OTHER_TOOL_SIGMAS = 4.0
 # Smallest displacement of tool or base that is reported as more than noise [standard errors, rms of
 # the coordinates]; noise alone exceeds it in one of a hundred pairs.
 MOVED_SIGMAS = 2.0
@@ -323,7 +317,10 @@ def _onsets(n: int) -> Array:
     campaign k from 1, half is geometric.
     """
     k = np.arange(1, n)
-    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * ONSET_HAZARD * (1 - ONSET_HAZARD) ** (k - 1))
+    # Probability that a change begins at a campaign, given that it did not begin before, in the
+    # geometric half of the prior of `_onsets`.
+    onset_hazard = 0.03
+    return np.asarray(0.5 / (k * (k + 1)) + 0.5 * onset_hazard * (1 - onset_hazard) ** (k - 1))
 
 
 def _change(
@@ -471,7 +468,9 @@ def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
     distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
-    if distance > OTHER_TOOL_SIGMAS:
+    # Smallest displacement of the tool's point that is reported as another tool, or the same one
+    # mounted again [standard errors, rms of the coordinates].
+    if distance > 4.0:
         words = "another tool, or mounted again"
     elif distance > MOVED_SIGMAS:
         words = "more than noise alone, too little for another tool"

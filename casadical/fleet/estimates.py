@@ -34,10 +34,6 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# Number of random poses that replace the measured ones of a robot file, which does not store
-# them.
-DRAWN_POSES = 200
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate(Shown):
@@ -201,16 +197,19 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
     if known is None or geometry.isdisjoint(known.std_errors):
         raise InputError(
-            f"robot {robot.name!r}: its file has no covariance of the geometry; write it with `casadical calibrate "
-            "--out`, or give the folder of the problem"
+            f"robot {robot.name!r}: its file has no covariance of the geometry; write it with "
+            "`casadical calibrate --out`, or give the folder of the problem"
         )
     drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
     wide = with_joint_harmonics(robot, MAX_FITTED_HARMONIC)
     solved = [n for n in robot.parameters.names if n in known.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
-    turns = np.arange(DRAWN_POSES) % (1 + len(wide.targets))  # each pose measures one of the targets
+    # Number of random poses that replace the measured ones of a robot file, which does not store
+    # them.
+    drawn_poses = 200
+    turns = np.arange(drawn_poses) % (1 + len(wide.targets))  # each pose measures one of the targets
     measured = {t.column: (turns == k).astype(float) for k, t in enumerate(wide.targets, 1)}
-    J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, DRAWN_POSES), measured)], doubts.names)[1]
+    J = residuals_and_jacobian(wide, [unmeasured(readings_of(robot, drawn_poses), measured)], doubts.names)[1]
     J = J[np.isfinite(J).all(axis=(1, 2))].reshape(-1, J.shape[2])  # poses that the robot can take
     at, rest = doubts.solved, np.setdiff1d(np.arange(len(doubts.names)), doubts.solved)
     names = [doubts.names[k] for k in at]

@@ -31,22 +31,10 @@ from casadical.identification.misfit import MAX_COMPARED_HARMONIC
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import Robot
 
-# The usual size of a change is the prior standard deviation of its amplitude, up to a factor kappa
-# on the grid `KAPPAS`. Tool, base, harmonics, compliances and effects have sizes of their own.
-# Usual size of a change of one length of the geometry [m].
-USUAL_LENGTH_CHANGE_M = 3e-4
-# Usual size of a change of one angle of the geometry [rad].
-USUAL_ANGLE_CHANGE_RAD = 3e-4
-# Usual size of a change of one harmonic's coefficient of a joint's error curve [rad].
-USUAL_HARMONIC_CHANGE_RAD = 5e-5
-# Usual size of a change of a compliance, divided by the compliance.
-USUAL_COMPLIANCE_CHANGE = 0.3
 # Usual size of a common change of all lengths, divided by the length.
 USUAL_GROWTH = 1e-4
 # Usual size of a change of one coordinate of the tool's or the base's pose [m or rad].
 USUAL_MOUNTING_CHANGE = 1e-3
-# Parameter groups of a robot without effects; parameters of other groups belong to effects.
-GROUPS_WITHOUT_EFFECTS = ("geometry", "loop", "compliance", "tool", "base")
 # Standard deviations of day-to-day differences of a robot that does not change, by kind of change:
 # relative growth of all lengths (2 K), pose of the tool on the flange and of the base in a
 # measuring frame that is established again each time [m or rad].
@@ -162,14 +150,25 @@ def _candidate(
 def _usual_size(kind: str, p: Parameter) -> float:
     """Return the usual size of a parameter's change in a candidate of this kind [SI]."""
     if p.group == "compliance":
-        return max(USUAL_COMPLIANCE_CHANGE * abs(p.value), 0.1 * p.prior)
+        # Usual size of a change of a compliance, divided by the compliance.
+        return max(0.3 * abs(p.value), 0.1 * p.prior)
     if p.group == "joint_error_curve":
-        return USUAL_HARMONIC_CHANGE_RAD
-    if kind == "effect" or (kind == ANOTHER_ROBOT and p.group not in GROUPS_WITHOUT_EFFECTS):
+        # Usual size of a change of one harmonic's coefficient of a joint's error curve [rad].
+        return 5e-5
+    # Parameter groups of a robot without effects; parameters of other groups belong to effects.
+    if kind == "effect" or (
+        kind == ANOTHER_ROBOT and p.group not in ("geometry", "loop", "compliance", "tool", "base")
+    ):
         return p.prior
     if kind in ("tool", "foot") or (kind == ANOTHER_ROBOT and p.group in ("tool", "base")):
         return USUAL_MOUNTING_CHANGE
-    return USUAL_LENGTH_CHANGE_M if p.unit == "m" else USUAL_ANGLE_CHANGE_RAD
+    # The usual size of a change is the prior standard deviation of its amplitude, up to a factor
+    # kappa on the grid `KAPPAS`. Tool, base, harmonics, compliances and effects have sizes of their
+    # own. Usual size of a change of one length of the geometry [m].
+    usual_length_change_m = 3e-4
+    # Usual size of a change of one angle of the geometry [rad].
+    usual_angle_change_rad = 3e-4
+    return usual_length_change_m if p.unit == "m" else usual_angle_change_rad
 
 
 def _joint_candidates(robot: Robot, chosen: Sequence[Parameter]) -> Iterable[Candidate]:

@@ -38,13 +38,6 @@ from casadical.robot.robot import Covariance, Knowledge, Robot
 
 # Smallest number of robots of a type from which their common deviations are estimated.
 MIN_ROBOTS_PER_TYPE = 5
-# Largest number of robots of a type that are used; those beyond it in the store are ignored.
-MAX_ROBOTS_PER_TYPE = 1000
-# Number of robots whose information matrices are inverted and held in memory at a time.
-ROBOTS_PER_BLOCK = 25
-# Weight, as a number of robots, of the mean variance of a parameter's group (see `_spread_group`)
-# in the estimate of that parameter's own variance between robots.
-ROBOTS_IN_USUAL_SPREAD = 4.0
 # Smallest mean deviation of a type's robots that is a fault of its drawing [standard errors].
 MIN_FAULT_SIGMAS = 5.0
 # Smallest mean deviation that is a fault of the drawing, in units of the parameter's scale, for
@@ -153,7 +146,8 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
     H, b = [], []
     first: dict[str, Any] = {}
     identified: Counter[str] = Counter()
-    for row in islice(rows, MAX_ROBOTS_PER_TYPE):
+    # Largest number of robots of a type that are used; those beyond it in the store are ignored.
+    for row in islice(rows, 1000):
         first = first or {k: row[k] for k in ("type", "type_name", "names", "spread", "scale")}
         place = {n: k for k, n in enumerate(row["names"])}
         order = [place[n] for n in first["names"]]
@@ -217,10 +211,15 @@ def population_of(
     C = np.zeros((len(spread), len(spread)))
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
     at = _packed_places(len(spread)) if at is None else at
+    # Number of robots whose information matrices are inverted and held in memory at a time.
+    robots_per_block = 25
+    # Weight, as a number of robots, of the mean variance of a parameter's group (see
+    # `_spread_group`) in the estimate of that parameter's own variance between robots.
+    robots_in_usual_spread = 4.0
     for _ in range(300):
         w = 1 / tau2
         whole, informed, squares = np.zeros_like(C), np.zeros_like(mean), np.zeros_like(mean)
-        for some in (slice(k, k + ROBOTS_PER_BLOCK) for k in range(0, len(H), ROBOTS_PER_BLOCK)):
+        for some in (slice(k, k + robots_per_block) for k in range(0, len(H), robots_per_block)):
             V = np.array([inverse_of(own[at] + np.diag(w)) for own in H[some]])
             whole += V.sum(axis=0)
             informed += np.einsum("nij,nj->i", V, b[some])
@@ -237,20 +236,13 @@ def population_of(
         before, tau2 = (
             tau2,
             np.maximum(
-                (squares + ROBOTS_IN_USUAL_SPREAD * usual / len(H)) / (len(H) + ROBOTS_IN_USUAL_SPREAD), MIN_SPREAD**2
+                (squares + robots_in_usual_spread * usual / len(H)) / (len(H) + robots_in_usual_spread), MIN_SPREAD**2
             ),
         )
         # Iteration ends when no spread changes by more, relatively.
         if np.abs(np.log(tau2 / before)).max() < 1e-3:
             break
     return mean, C, np.sqrt(tau2)
-
-
-# Keys of DH parameters in a joint's table of a robot file. Unless the file has standard DH rows,
-# the first four belong to the row after the number in the parameter's name.
-_ROW_KEYS = {"alpha": "alpha_deg", "a": "a_mm", "beta": "beta_deg", "b": "b_mm", "theta": "theta_deg", "d": "d_mm"}
-# Keys of the lengths of a four-bar in a robot file.
-_BAR_KEYS = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,10 +291,22 @@ class Drawing:
             given = f"{1 / drawn:.6g}" if drawn else "no number"
             number = f"{1 / new:.12g}" if taken else f"{float(f'{1 / new:.3g}'):.0f}"
             return f"[[joint]] {place[4]}: {key} = {number} (drawn {given}{said})" if new > 0 else ""
+        # Keys of DH parameters in a joint's table of a robot file. Unless the file has standard DH
+        # rows, the first four belong to the row after the number in the parameter's name.
+        row_keys = {
+            "alpha": "alpha_deg",
+            "a": "a_mm",
+            "beta": "beta_deg",
+            "b": "b_mm",
+            "theta": "theta_deg",
+            "d": "d_mm",
+        }
+        # Keys of the lengths of a four-bar in a robot file.
+        bar_keys = {"L5": "crank_mm", "L4": "coupler_mm", "L3": "rocker_mm"}
         if place[1]:
-            key, where = _BAR_KEYS[place[1]], f"[[four_bar]] {place[2] or 1}"
+            key, where = bar_keys[place[1]], f"[[four_bar]] {place[2] or 1}"
         else:
-            key = _ROW_KEYS[place[3]]
+            key = row_keys[place[3]]
             where = f"[[joint]] {int(place[4]) + (place[3] in ('alpha', 'a', 'beta', 'b') and not self.standard)}"
         factor = 1e3 if key.endswith("mm") else np.rad2deg(1.0)
         digits = max(0, int(np.ceil(-np.log10(common.std_error[k] * common.scale[k] * factor))))

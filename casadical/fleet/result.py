@@ -21,19 +21,12 @@ from casadical.fleet.store import records
 from casadical.project.problem import read_problem_robot
 from casadical.robot.robot_file import to_toml
 
-# Words in a robot's notes that mark a campaign which was not used.
-LEFT_OUT_MARK = "is left out:"
-# Smallest number of robots of a type whose 95 % quantile is reported; with fewer it would simply be
-# the worst of them.
-MIN_ROBOTS_FOR_QUANTILE = 20
 # Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
 # Largest number of letters of an error message on the terminal.
 MAX_ERROR_LETTERS = 240
 # Largest number of robots in the table of all robots on the page.
 MAX_ROWS_ON_PAGE = 2000
-# Largest number of letters of an error message on the page.
-MAX_ERROR_LETTERS_ON_PAGE = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +143,8 @@ class Fleet(Result):
         rows = []
         for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
-            figures = (short(r["error"], MAX_ERROR_LETTERS_ON_PAGE), *errors, str(r["poses"]), str(r["campaigns"]))
+            # Largest number of letters of an error message on the page.
+            figures = (short(r["error"], 60), *errors, str(r["poses"]), str(r["campaigns"]))
             rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")
         title = (
@@ -217,11 +211,14 @@ class Fleet(Result):
         type has enough robots. Without calibrated robots there is no table.
         """
         rows, types = [], self.good.groupby("type", sort=False)
-        large = bool((types.size() >= MIN_ROBOTS_FOR_QUANTILE).any())
+        # Smallest number of robots of a type whose 95 % quantile is reported; with fewer it would
+        # simply be the worst of them.
+        min_robots_for_quantile = 20
+        large = bool((types.size() >= min_robots_for_quantile).any())
         for kind, some in types:
             after = some["after_mm"]
             figures = [f"{v:.4f}" for v in (some["before_mm"].median(), after.median())]
-            figures += [f"{after.quantile(0.95):.4f}" if len(some) >= MIN_ROBOTS_FOR_QUANTILE else ""] if large else []
+            figures += [f"{after.quantile(0.95):.4f}" if len(some) >= min_robots_for_quantile else ""] if large else []
             rows.append((some["type_name"].iloc[0], str(kind), str(len(some)), *figures))
         head = ("type", "drawing", "robots", "before", "after", *(["95 % below"] if large else []))
         if rows:
@@ -233,11 +230,12 @@ class Fleet(Result):
         They are outliers, or have grown residuals, changes, parameters at bounds, unused campaigns
         or a cause that the diagnosis found.
         """
+        # Words in a robot's notes that mark a campaign which was not used.
         some = self.robots[
             self.robots["robot"].isin([*self.outliers, *self.grown])
             | (self.robots["changes"] != "")
             | (self.robots["at_bounds"] != "")
-            | self.robots["notes"].str.contains(LEFT_OUT_MARK, regex=False)
+            | self.robots["notes"].str.contains("is left out:", regex=False)
             | ~self.robots["verdict"].isin(["", "none"])
         ]
         return some.sort_values("after_mm", ascending=False)
@@ -362,23 +360,6 @@ def _outliers(some: pd.DataFrame) -> list[str]:
 MAX_LABELS = 12
 # Smallest distance between two names in a figure, as a fraction of its ordinate's range.
 MIN_LABEL_DISTANCE = 0.07
-# Caption of the figure of `accuracy_map`.
-_MAP_CAPTION = (
-    "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue after calibration, orange "
-    "where it stands out from its type (four scaled median absolute deviations); the worst of these are named."
-)
-# Caption of the figure of `trends`.
-_TREND_CAPTION = (
-    "What nothing explains in each campaign of a robot, of one coordinate; orange where something changed. Of many "
-    "robots those are named that changed or whose last campaign leaves more than those before; point at a line to see "
-    "which it is. Beside campaigns with a day, one without is not drawn."
-)
-# Caption of the figure of `common_departures`.
-_COMMON_CAPTION = (
-    "How far all robots of the type are from the drawing, in standard errors, over the size of the departure; of "
-    "compliances, what they yield under the joint's greatest torque. Red: a fault of the drawing, or of the "
-    "instrument's set-up; the surest are named."
-)
 
 
 def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
@@ -410,7 +391,13 @@ def accuracy_map(good: pd.DataFrame, outliers: Collection[str]) -> Figure:
         far = good.assign(x=x)[good["robot"].isin(outliers).to_numpy()].nlargest(MAX_LABELS, "after_mm")
         rows = zip(far["robot"], far["x"], far["after_mm"], strict=True)
         marks = [Note(name, at, error, side="left", gap=8, colour="muted", size=12.5) for name, at, error in rows]
-    return Figure("map", "Every robot", series, axis, Axis("mean error [mm]", log=True), 380, _MAP_CAPTION, marks=marks)
+    # Caption of the figure of `accuracy_map`.
+    map_caption = (
+        "Mean error of held-out poses, a point a robot, on a logarithmic axis: grey before, blue "
+        "after calibration, orange where it stands out from its type (four scaled median absolute "
+        "deviations); the worst of these are named."
+    )
+    return Figure("map", "Every robot", series, axis, Axis("mean error [mm]", log=True), 380, map_caption, marks=marks)
 
 
 def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
@@ -441,7 +428,14 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
     ]
     right = 12 + 8 * max((min(len(life[0]), 20) for life in named), default=0)
     by_change = sorted(lives, key=lambda life: life[3])  # what changed is on top
-    return residuals_figure("trends", by_change, height=340, caption=_TREND_CAPTION, marks=notes, right=right)
+    # Caption of the figure of `trends`.
+    trend_caption = (
+        "What nothing explains in each campaign of a robot, of one coordinate; orange where "
+        "something changed. Of many robots those are named that changed or whose last campaign "
+        "leaves more than those before; point at a line to see which it is. Beside campaigns with "
+        "a day, one without is not drawn."
+    )
+    return residuals_figure("trends", by_change, height=340, caption=trend_caption, marks=notes, right=right)
 
 
 def _apart(heights: Sequence[float], gap: float) -> list[float]:
@@ -479,7 +473,13 @@ def common_departures(c: Common) -> Figure:
         tip="<b>%{customdata[0]}</b><br>%{customdata[1]} from the drawing",
     )
     x, y = Axis("common departure [mm or mrad]"), Axis("in standard errors")
-    return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=_COMMON_CAPTION)
+    # Caption of the figure of `common_departures`.
+    common_caption = (
+        "How far all robots of the type are from the drawing, in standard errors, over the size of "
+        "the departure; of compliances, what they yield under the joint's greatest torque. Red: a "
+        "fault of the drawing, or of the instrument's set-up; the surest are named."
+    )
+    return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=common_caption)
 
 
 def common_table(c: Common) -> Table:

@@ -56,8 +56,8 @@ def run_fleet(
     with claimed([place]):
         if foreign := [p.name for p in place.iterdir() if not (p.name.startswith(".") or p.suffix == ".parquet")]:
             raise InputError(
-                f"{shown(place)}: holds {shown(min(foreign))}, which is no part of a store; a store is a folder "
-                "of its own: give another name with --store"
+                f"{shown(place)}: holds {shown(min(foreign))}, which is no part of a store; a "
+                "store is a folder of its own: give another name with --store"
             )
         if not os.access(place, os.W_OK):
             raise InputError(f"{shown(place)}: this store cannot be written to; change its permissions or its place")
@@ -200,8 +200,9 @@ def client_of(scheduler: str | None, workers: int | None) -> Iterator[Any]:
     if scheduler is not None:
         if scheduler.startswith("tls://"):
             raise InputError(
-                f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which this command cannot "
-                "give; start the scheduler with tcp:// on a network that you trust, or reach it through an SSH tunnel"
+                f"--scheduler {shown(scheduler)}: an encrypted one asks for certificates, which "
+                "this command cannot give; start the scheduler with tcp:// on a network that you "
+                "trust, or reach it through an SSH tunnel"
             )
         parts = re.fullmatch(r"(tcp://)?(\[[0-9a-fA-F:.]+\]|[\w.-]+):(\d{1,5})", scheduler)
         if not parts or int(parts[3]) > 65535:
@@ -240,8 +241,9 @@ def _refuse_other_versions(client: Any, scheduler: str) -> None:
     for worker, version in versions.items():
         if version != __version__:
             raise InputError(
-                f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; this is casadical "
-                f"{__version__}: install the same one there, and start the worker again"
+                f"worker {worker} has {f'casadical {version}' if version else 'no casadical'}; "
+                f"this is casadical {__version__}: install the same one there, and start the "
+                "worker again"
             )
 
 

@@ -40,9 +40,6 @@ CRASH = "crash"
 UNKNOWN = "unknown"
 # Relative frequency of each kind of change; only ratios count.
 CHANGE_FREQUENCY = {**{kind: float(RELATIVE_FREQUENCY[kind]) for kind in USUAL_KINDS}, CRASH: 2.0, UNKNOWN: 1.0}
-# Grid of the ratio of the noise variance of a coordinate to its unexplained variance, the square of
-# `TouchModel.rest` over 3, where the noise is not declared.
-NOISE_SHARES = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01)
 # Prior mean of the thermal growth of all lengths, where the temperature is logged [1/K].
 GROWTH_PER_K = 12e-6
 # Prior standard deviation of the thermal growth of all lengths [1/K].
@@ -167,8 +164,9 @@ class TouchModel:
             own, rest = covariance_root(robot.knowledge, names), noise * np.sqrt(3)
         else:
             raise InputError(
-                f"{robot.name}: its file does not say how far it may be off ([remaining], or a covariance beside "
-                "--noise-mm); write it with `casadical calibrate --out` from 30 positions or more"
+                f"{robot.name}: its file does not say how far it may be off ([remaining], or a "
+                "covariance beside --noise-mm); write it with `casadical calibrate --out` from 30 "
+                "positions or more"
             )
         known = robot.knowledge.conditions.get(TEMPERATURE) if robot.knowledge else None
         reference = None if known is None else float(np.mean(known))
@@ -287,7 +285,9 @@ class TouchModel:
         """
         y, S, same = self._gaussian_model
         v = self.rest**2 / 3
-        shares = NOISE_SHARES if self.noise is None else (min(1.0, self.noise**2 / v),)
+        # Grid of the ratio of the noise variance of a coordinate to its unexplained variance, the
+        # square of `TouchModel.rest` over 3, where the noise is not declared.
+        shares = (1.0, 0.5, 0.2, 0.08, 0.03, 0.01) if self.noise is None else (min(1.0, self.noise**2 / v),)
         levels = []
         noises = [share * v if self.noise is None else self.noise**2 for share in shares]
         for noise, unexplained in [(n, r) for n in noises for r in (max(v - n, 0.0), v)]:

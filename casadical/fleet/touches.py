@@ -37,13 +37,6 @@ from casadical.robot.robot_file import read_robot, to_toml
 # Smallest probability of an error within the tolerance at which the calibration is reported as
 # valid.
 MIN_PROBABILITY_VALID = 0.99
-# Smallest probability of an error above the tolerance at which the calibration is reported as no
-# longer valid.
-MIN_PROBABILITY_CHANGED = 0.9
-# Smallest number of touched points per day.
-MIN_TOUCHES = 2
-# Number of additional touches that are proposed where those of the last day do not decide.
-ADDITIONAL_TOUCHES = 2
 # JSON keys of a parameter that moved.
 _MOVED_KEYS = ("name", "value", "std_error", "unit")
 # Columns of the control chart, of which `Touches.rows` returns one row per day.
@@ -121,7 +114,9 @@ class Touches(Result):
         """The verdict by `probability` and its two limits: "valid", "open" or "changed"."""
         if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
-        return "changed" if 1 - self.probability >= MIN_PROBABILITY_CHANGED else "open"
+        # Smallest probability of an error above the tolerance at which the calibration is reported
+        # as no longer valid.
+        return "changed" if 1 - self.probability >= 0.9 else "open"
 
     @property
     def label(self) -> str:
@@ -222,7 +217,14 @@ class Touches(Result):
         sure = f"probability {self.draws.probability(label):.2f}"
         if not label:
             return f"nothing changed that these touches show ({sure})"
-        words = _CHANGE_WORDS.get(label, label.replace("@", " of joint ").replace("_", " "))
+        # Words for labels of changes in reports; other labels are written with spaces.
+        change_words = {
+            CRASH: "zeros and tool together, as after a crash",
+            UNKNOWN: "nothing that usually changes explains it",
+            "lengths": "all lengths, as by warmth",
+            "joint_zero": "zero",
+        }
+        words = change_words.get(label, label.replace("@", " of joint ").replace("_", " "))
         since = int(np.median(self.draws.since[self.draws.label == label]))
         return f"{words} ({sure}, since {self.model.days[since - 1].source})"
 
@@ -320,8 +322,9 @@ class Touches(Result):
         centre = float(np.mean([3 * r[2] / r[5] for r in rows]))
         marks = [Rule("y", 1.0, "red", "solid", 1.5), Rule("y", centre, "green", "dot", 1.5)]
         caption = (
-            "What each day's touches depart from what the robot file and the days before say, T2 over its limit, which "
-            "is passed once in 370 days while nothing changes: the red line. Dotted: what is usual."
+            "What each day's touches depart from what the robot file and the days before say, T2 "
+            "over its limit, which is passed once in 370 days while nothing changes: the red line. "
+            "Dotted: what is usual."
         )
         many = len(rows) > 12
         axis = Axis("day", whole=True) if many else Axis("day", ticks=x, labels=[r[0] or r[1] for r in rows])
@@ -348,15 +351,6 @@ class Touches(Result):
         )
         sections = (Section("Today", self.blocks()), Section("Control chart", [chart, table]))
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
-
-
-# Words for labels of changes in reports; other labels are written with spaces.
-_CHANGE_WORDS = {
-    CRASH: "zeros and tool together, as after a crash",
-    UNKNOWN: "nothing that usually changes explains it",
-    "lengths": "all lengths, as by warmth",
-    "joint_zero": "zero",
-}
 
 
 def _widened_knowledge(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
@@ -486,11 +480,13 @@ def touched(
     paths = [Path(t) for t in tables]
     days = [(p, read_campaign(place, p, arm, later=True, words=True)) for p in paths]
     notes: list[str] = []
+    # Smallest number of touched points per day.
+    min_touches = 2
     for p, m in days:
         if m.position is None:
             raise InputError(f"{p}: measurements of kind {m.kind}; touches are positions, or poses")
-        if len(m) < MIN_TOUCHES:
-            raise InputError(f"{p}: {len(m)} touch; {MIN_TOUCHES} or more are needed")
+        if len(m) < min_touches:
+            raise InputError(f"{p}: {len(m)} touch; {min_touches} or more are needed")
         if m.lost:
             notes.append(f"{m.source}: row {', '.join(map(str, m.lost))} left out, a cell is no number")
 
@@ -523,9 +519,9 @@ def touched(
     # A greater median distance from the predictions shows another frame or another robot [m].
     if (far := float(np.median(today))) > 0.03:
         raise InputError(
-            f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has them: the instrument "
-            "stands elsewhere, or it is another robot; touch in the frame of the calibration, or measure ten poses "
-            "anywhere and leave --touches out"
+            f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has "
+            "them: the instrument stands elsewhere, or it is another robot; touch in the frame of "
+            "the calibration, or measure ten poses anywhere and leave --touches out"
         )
     if np.isfinite(model.temperatures).any():
         today = f"{1e6 * GROWTH_PER_K * model.warming[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
@@ -535,6 +531,7 @@ def touched(
     touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
     named = not touches.label or touches.draws.probability(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
-        more = plan_touches(place, ADDITIONAL_TOUCHES, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
+        # Number of additional touches that are proposed where those of the last day do not decide.
+        more = plan_touches(place, 2, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
         return replace(touches, more=more)
     return touches

@@ -68,7 +68,9 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
         return _warmth(m, float(lag[1]), order)
     if heat := re.fullmatch(r"heat(\d+)_(\d+)s", name):
         return _heat(m, int(heat[1]), float(heat[2]), order, loads)
-    if station := re.fullmatch(rf"head_{_INTEGER_MM}_{_INTEGER_MM}_{_INTEGER_MM}mm", name):
+    # Pattern of a whole number of millimetres in a column's name; "m" stands for a minus sign.
+    integer_mm = r"(m?\d+)"
+    if station := re.fullmatch(rf"head_{integer_mm}_{integer_mm}_{integer_mm}mm", name):
         return _head(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
     for pattern, of_joint in _JOINT_COLUMNS.items():
         if match := re.fullmatch(pattern, name):
@@ -76,10 +78,6 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
             known = 1 <= joint <= m.q.shape[1]
             return _in_row_order(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
     return None
-
-
-# Pattern of a whole number of millimetres in a column's name; "m" stands for a minus sign.
-_INTEGER_MM = r"(m?\d+)"
 
 
 def _in_row_order(values: Array, order: Array) -> Array:
@@ -218,8 +216,8 @@ def clock_faults(m: Measurements) -> tuple[str, ...]:
             where = ", ".join(f"from {time[k]:.10g} to {time[k + 1]:.10g} s at row {row[k + 1]}" for k in at[:3])
             more = f" and {len(at) - 3} times more" if len(at) > 3 else ""
             said.append(
-                f"{m.source}: {TIME_COLUMN} {what} {where}{more}: a clock was set or started again; "
-                "correct the column or "
-                "leave it out, else what follows time or temperature is judged by it"
+                f"{m.source}: {TIME_COLUMN} {what} {where}{more}: a clock was set or started "
+                "again; correct the column or leave it out, else what follows time or temperature "
+                "is judged by it"
             )
     return tuple(said)

@@ -21,12 +21,6 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 
-# The unit at the end of a heading, in brackets, behind "in" or behind a comma, slash or underscore.
-_BRACKETS = re.compile(r"[\[({<【]([^\])}>】]*)[\])}>】]|(?:\bin\b|[,/_])\s*([^\s,/_]+)\s*$")
-# A comment or title that states the units of the table.
-_UNIT_LINE = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
-# Fewer rows do not show by the size of their numbers whether these are radians or metres.
-MIN_ROWS_FOR_UNIT = 10
 # Largest deviation from unit quaternions and orthonormal matrices, which tables hold rounded.
 ROTATION_TOLERANCE = 1e-2
 # Groups of columns with the lowest rank are taken.
@@ -37,22 +31,9 @@ _CONDITIONS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg
 _AXIS_WORDS = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
 # Words for the components of an orientation.
 _ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
-# Letters of controllers for three angles: KUKA's A, B, C are about z, y, x, FANUC's W, P, R about
-# x, y, z.
-_ANGLE_LETTERS = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
 # Our names of the columns of an orientation and of a position, without their units.
 _ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
-_QUATERNION = ("qw", "qx", "qy", "qz")
-_MATRIX = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
 _XYZ = ("x", "y", "z")
-# Numbers of a rotation matrix's entries, counted from 0 and from 1.
-_MATRIX_ENTRIES = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
-# Possible meanings of three angles rx, ry, rz, with our names for them.
-_TRIPLES = {
-    "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
-    "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
-    "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL_PITCH_YAW,
-}
 
 
 @dataclass(frozen=True)
@@ -250,7 +231,10 @@ def words_of(heading: str) -> tuple[list[str], str]:
     """Return the lower-case words of a heading, and its unit's word (a key of `UNITS`) or ""."""
     text = unicodedata.normalize("NFKC", heading).strip()
     unit = ""
-    for match in _BRACKETS.finditer(text):
+    # The unit at the end of a heading, in brackets, behind "in" or behind a comma, slash or
+    # underscore.
+    bracket_pattern = re.compile(r"[\[({<【]([^\])}>】]*)[\])}>】]|(?:\bin\b|[,/_])\s*([^\s,/_]+)\s*$")
+    for match in bracket_pattern.finditer(text):
         word = (match[1] or match[2] or "").strip().casefold()
         if word in UNITS:
             unit, text = word, text[: match.start()] + " " + text[match.end() :]
@@ -305,8 +289,11 @@ def _meaning(
     if joint and len(numbers) == 1 and not axis:
         # The joint's word stays in the rest: A1 .. A6 and J1 .. J6 in one table are two groups.
         return "joint", str(int(numbers[0])), rest | joint
-    if len(said) == 1 and (letter := min(said)) in _ANGLE_LETTERS:
-        return ("abc" if letter in "abc" else "wpr"), _ANGLE_LETTERS[letter], ()
+    # Letters of controllers for three angles: KUKA's A, B, C are about z, y, x, FANUC's W, P, R
+    # about x, y, z.
+    angle_letters = {"a": "yaw", "b": "pitch", "c": "roll", "w": "roll", "p": "pitch", "r": "yaw"}
+    if len(said) == 1 and (letter := min(said)) in angle_letters:
+        return ("abc" if letter in "abc" else "wpr"), angle_letters[letter], ()
     if len(axis) == 1:
         (word,) = axis
         if word in _ROTATION_WORDS or said & WORDS["rotation"]:
@@ -423,14 +410,24 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
     """Return the possible meanings of the orientation, the question, and what it concerns."""
     which = "Which columns are the orientation?"
     triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
+    quaternion_columns = ("qw", "qx", "qy", "qz")
+    matrix_columns = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
+    # Numbers of a rotation matrix's entries, counted from 0 and from 1.
+    matrix_entries = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
+    # Possible meanings of three angles rx, ry, rz, with our names for them.
+    triples_by_meaning = {
+        "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
+        "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
+        "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL_PITCH_YAW,
+    }
     sure = [
-        ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], _QUATERNION, ""),
-        *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], _MATRIX, "") for e in _MATRIX_ENTRIES),
+        ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], quaternion_columns, ""),
+        *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], matrix_columns, "") for e in matrix_entries),
         *(
             (_groups(headings, quantity, _ROLL_PITCH_YAW), _ROLL_PITCH_YAW, "angle")
             for quantity in ("roll", "abc", "wpr")
         ),
-        ([g for g in triples if g[0].rest & WORDS["vector"]], _TRIPLES["a rotation vector"], "angle"),
+        ([g for g in triples if g[0].rest & WORDS["vector"]], triples_by_meaning["a rotation vector"], "angle"),
     ]
     for groups, names, quantity in sure:
         if groups:
@@ -438,12 +435,12 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
     ways: Mapping[str, Sequence[str]] = {}
     quantity = ""
     if groups := _groups(headings, "turn", _XYZ):
-        ways, quantity = _TRIPLES, "angle"
+        ways, quantity = triples_by_meaning, "angle"
     elif groups := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
-        ways = {"a quaternion, w first": _QUATERNION, "a quaternion, w last": (*_QUATERNION[1:], "qw")}
+        ways = {"a quaternion, w first": quaternion_columns, "a quaternion, w last": (*quaternion_columns[1:], "qw")}
     elif groups := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:
-        turned = tuple(f"R{name[2]}{name[1]}" for name in _MATRIX)
-        ways = {"a matrix, row by row": _MATRIX, "a matrix, column by column": turned}
+        turned = tuple(f"R{name[2]}{name[1]}" for name in matrix_columns)
+        ways = {"a matrix, row by row": matrix_columns, "a matrix, column by column": turned}
     options = [(way, [(groups[0], names, quantity)]) for way, names in ways.items()]
     return options, f"How is the orientation {_listed(groups[0])} meant?" if groups else "", "orientation"
 
@@ -524,20 +521,24 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return ("deg" if quantity == "angle" else "mm"), False
+    # Fewer rows do not show by the size of their numbers whether these are radians or metres.
+    min_rows_for_unit = 10
     if quantity == "angle":
         largest = float(np.abs(values).max())
-        return ("deg", True) if largest > FULL_TURN_RAD + 1 else ("rad", len(values) >= MIN_ROWS_FOR_UNIT)
+        return ("deg", True) if largest > FULL_TURN_RAD + 1 else ("rad", len(values) >= min_rows_for_unit)
     # Quantiles are used, because single outliers must not decide on the unit.
     spread = float(np.linalg.norm(np.quantile(values, 0.9, axis=0) - np.quantile(values, 0.1, axis=0)))
     # The positions of a robot spread over more than 30 mm and less than 10 m.
-    return ("m", len(values) >= MIN_ROWS_FOR_UNIT) if spread < 10.0 else ("mm", spread > 30.0)
+    return ("m", len(values) >= min_rows_for_unit) if spread < 10.0 else ("mm", spread > 30.0)
 
 
 def _stated_units(lines: Sequence[str]) -> dict[str, str]:
     """Return the units that comments and titles state for lengths and angles."""
     units: dict[str, str] = {}
+    # A comment or title that states the units of the table.
+    unit_line = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
     for line in lines:
-        match = _UNIT_LINE.search(unicodedata.normalize("NFKC", line))
+        match = unit_line.search(unicodedata.normalize("NFKC", line))
         for word in re.findall(r"[^\s,;:/()\[\]]+", match[1].casefold()) if match else ():
             if word in UNITS:
                 quantity = {"mm": "length", "m": "length", "deg": "angle", "rad": "angle"}.get(UNITS[word][0])

@@ -195,8 +195,8 @@ class Measurements(Shown):
         many = len(self.copies) > 1
         rows, count = (f"rows {few} repeat", "are") if many else (f"row {few} repeats", "is")
         return (
-            f"{self.source}: {rows} another to the last digit and {count} counted once; a true repeat differs by its "
-            "noise"
+            f"{self.source}: {rows} another to the last digit and {count} counted once; a true "
+            "repeat differs by its noise"
         )
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
@@ -245,8 +245,9 @@ class Measurements(Shown):
         if not counts.size or counts.min() <= 0 or edges[-1] > len(self):
             wanted = ", ".join(f"{name} {size:g}" for name, size in sizes.items())
             raise InputError(
-                f"{self.source}: sets of {wanted} cannot be taken from {len(self)} poses; give positive sizes "
-                "(shares below 1, or numbers) that add up to no more than the poses there are"
+                f"{self.source}: sets of {wanted} cannot be taken from {len(self)} poses; give "
+                "positive sizes (shares below 1, or numbers) that add up to no more than the poses "
+                "there are"
             )
         copies = np.bincount(near, minlength=int(reading.max()) + 1)
         order = np.random.default_rng(seed).permutation(len(copies))
@@ -258,8 +259,8 @@ class Measurements(Shown):
         for name, own in members.items():
             if not own.any():
                 raise InputError(
-                    f"{self.source}: no poses are left for the set {name!r}, {sizes[name]:g} of {len(self)}; give it "
-                    "more in [sets], or measure more"
+                    f"{self.source}: no poses are left for the set {name!r}, {sizes[name]:g} of "
+                    f"{len(self)}; give it more in [sets], or measure more"
                 )
         return {name: self[own] for name, own in members.items()}
 
@@ -359,8 +360,9 @@ def _refuse_separations(m: Measurements) -> None:
     if m.separations and not find_kind(m.kind).places:
         first, second, _ = m.separations[0]
         raise InputError(
-            f"{m.source}: separation {first!r} - {second!r}: kind {m.kind!r} has no points whose distance could be "
-            "known; allowed: touched points, centres of balls, far ends of distances"
+            f"{m.source}: separation {first!r} - {second!r}: kind {m.kind!r} has no points whose "
+            "distance could be known; allowed: touched points, centres of balls, far ends of "
+            "distances"
         )
     for first, second, length in m.separations:
         unknown = sorted({first, second} - present)

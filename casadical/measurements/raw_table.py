@@ -27,8 +27,6 @@ from casadical.core.reading import (
 )
 from casadical.measurements import table_form
 
-# A longer heading shows that the file is no table of measurements.
-MAX_HEADING_CHARACTERS = 1000
 # More columns show that the file is no table of measurements.
 MAX_COLUMNS = 2000
 
@@ -63,11 +61,13 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
     """Check the headings. Raises InputError: too many, too long, or control characters in one."""
     if len(header) > MAX_COLUMNS:
         raise InputError(f"{path}: has {len(header)} columns; at most {MAX_COLUMNS} are read")
+    # A longer heading shows that the file is no table of measurements.
+    max_heading_characters = 1000
     for k, name in enumerate(header, 1):
-        if len(name) > MAX_HEADING_CHARACTERS:
+        if len(name) > max_heading_characters:
             raise InputError(
-                f"{path}: the heading of column {k} has {len(name)} characters, {name[:30]!r}...; allowed: up to "
-                f"{MAX_HEADING_CHARACTERS}; is it a table?"
+                f"{path}: the heading of column {k} has {len(name)} characters, {name[:30]!r}...; "
+                f"allowed: up to {max_heading_characters}; is it a table?"
             )
         if fault := text_fault(name):
             raise InputError(f"{path}: the heading of column {k} {fault}")
@@ -248,10 +248,14 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
     if not rows:
         raise InputError(f"{path}: a header but no rows; at least one row is needed")
     form = table_form.Form(
-        encoding, separator, decimal, header_line=head_line, sheet=sheet,
+        encoding,
+        separator,
+        decimal,
+        header_line=head_line,
+        sheet=sheet,
         units=tuple(map(table_form.unit_word, units[1])) if units else (),
         skipped=tuple((line, " ".join(" ".join(cells).split())[:80]) for line, cells in sorted(skipped)),
-    )  # fmt: skip
+    )
     text = io.StringIO(newline="")
     plain = [[table_form.as_plain_number(cell, decimal) if cell else cell for cell in cells] for _, cells in rows]
     csv.writer(text).writerows([names, *plain])

@@ -242,8 +242,8 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
             # chance.
             if shared >= 0.5 * min(len(hashes), len(others)):
                 raise InputError(
-                    f"{m.source}: {shared} of its {len(hashes)} poses are in {other.source}, too; a pose counts once: "
-                    "take one of the two tables out"
+                    f"{m.source}: {shared} of its {len(hashes)} poses are in {other.source}, too; "
+                    "a pose counts once: take one of the two tables out"
                 )
         seen.append((alike, hashes, m))
 

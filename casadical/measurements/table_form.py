@@ -16,24 +16,10 @@ from dataclasses import dataclass
 
 from casadical.measurements.vocabulary import UNITS, hits
 
-# Separators of cells that are tried, in this order.
-SEPARATORS = (",", ";", "\t", "|", " ")
 # A line that begins with one of these is a comment.
 COMMENTS = ("#", "//", "%", "!")
-# Encodings by the byte order mark at the beginning of a file.
-_BYTE_ORDER_MARKS = {
-    codecs.BOM_UTF8: "utf-8-sig",
-    codecs.BOM_UTF32_LE: "utf-32",
-    codecs.BOM_UTF32_BE: "utf-32",
-    codecs.BOM_UTF16_LE: "utf-16",
-    codecs.BOM_UTF16_BE: "utf-16",
-}
-# A longer number is rounded to a double: pandas reads longer whole numbers as Python objects.
-MAX_NUMBER_CHARACTERS = 40
 # Number of lines, without comments, from which the separator is recognised.
 SAMPLE_LINES = 200
-# Number of characters of a text, with comments, from which the separator is recognised.
-MAX_SAMPLE_CHARACTERS = 1_000_000
 # Pattern of a number with a decimal point.
 _POINT_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 # Pattern of a number with a decimal comma.
@@ -87,7 +73,15 @@ def decoded(data: bytes) -> tuple[str, str]:
     charset-normalizer is not used: it takes "q1 [°]" in cp1252 for big5, because it needs longer
     texts.
     """
-    name = next((name for mark, name in _BYTE_ORDER_MARKS.items() if data.startswith(mark)), "utf-8")
+    # Encodings by the byte order mark at the beginning of a file.
+    byte_order_marks = {
+        codecs.BOM_UTF8: "utf-8-sig",
+        codecs.BOM_UTF32_LE: "utf-32",
+        codecs.BOM_UTF32_BE: "utf-32",
+        codecs.BOM_UTF16_LE: "utf-16",
+        codecs.BOM_UTF16_BE: "utf-16",
+    }
+    name = next((name for mark, name in byte_order_marks.items() if data.startswith(mark)), "utf-8")
     if name == "utf-8" and b"\0" in data[:1000]:
         name = "utf-16-le" if data[1:1000:2].count(0) > data[0:1000:2].count(0) else "utf-16-be"
     try:
@@ -140,12 +134,16 @@ def separator_of(text: str) -> str:
 
     For a text without rows it is the most frequent separator of the first line.
     """
-    if len(text) > MAX_SAMPLE_CHARACTERS:
-        text = text[:MAX_SAMPLE_CHARACTERS].rpartition("\n")[0] or text
+    # Number of characters of a text, with comments, from which the separator is recognised.
+    max_sample_characters = 1_000_000
+    if len(text) > max_sample_characters:
+        text = text[:max_sample_characters].rpartition("\n")[0] or text
     sample = "\n".join(line for line in text.splitlines() if not line.startswith(COMMENTS))
     lines = sample.splitlines()[:SAMPLE_LINES]
     best, most = ",", 0
-    for separator in SEPARATORS:
+    # Separators of cells that are tried, in this order.
+    separators_tried = (",", ";", "\t", "|", " ")
+    for separator in separators_tried:
         try:
             rows = [cells for _, cells in records_of("\n".join(lines), separator)]
         except csv.Error:
@@ -160,7 +158,7 @@ def separator_of(text: str) -> str:
         if count > most * (2 if separator == " " else 1):
             best, most = separator, count
     if not most and lines:
-        return max(SEPARATORS[:4], key=lines[0].count)
+        return max(separators_tried[:4], key=lines[0].count)
     return best
 
 
@@ -173,7 +171,9 @@ def decimal_of(rows: Sequence[Record]) -> str:
 
 def as_plain_number(cell: str, decimal: str) -> str:
     """Return a number with a decimal point and no separators; other cells stay unchanged."""
-    if len(cell) < MAX_NUMBER_CHARACTERS and _POINT_NUMBER.fullmatch(cell):
+    # A longer number is rounded to a double: pandas reads longer whole numbers as Python objects.
+    max_number_characters = 40
+    if len(cell) < max_number_characters and _POINT_NUMBER.fullmatch(cell):
         return cell
     text = clean(cell)
     if decimal == "," and _COMMA_NUMBER.fullmatch(text):
@@ -182,7 +182,7 @@ def as_plain_number(cell: str, decimal: str) -> str:
         text = text.replace(",", "")
     elif not _POINT_NUMBER.fullmatch(text):
         return cell
-    return text if len(text) < MAX_NUMBER_CHARACTERS else repr(float(text))
+    return text if len(text) < max_number_characters else repr(float(text))
 
 
 def is_data(cells: Sequence[str]) -> bool:

@@ -18,8 +18,6 @@ from casadical.pose_selection.workspace import Workspace
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
-# Pattern of the names of columns that follow from the time of a measurement.
-_TIMED = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
 # Pattern of the names of columns with the direction of approach of a joint.
 _APPROACH = re.compile(r"approach\d+")
 # Column of candidates with the index, from 0, of the socket that holds the tool.
@@ -148,8 +146,9 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
             return kept
     refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
     raise InputError(
-        f"only {len(kept)} of {100 * count} readings drawn are allowed; of the last {count} were refused: "
-        f"{', '.join(f'{reason} {number}' for reason, number in refused.items())}; widen the tightest of these"
+        f"only {len(kept)} of {100 * count} readings drawn are allowed; of the last {count} were "
+        f"refused: {', '.join(f'{reason} {number}' for reason, number in refused.items())}; widen "
+        "the tightest of these"
     )
 
 
@@ -169,6 +168,8 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
     turn, payload, side = np.unravel_index(np.arange(g), counts)
     moment = rng.uniform(size=(N, 1)) * np.ones(g)
     columns: dict[str, Array] = {}
+    # Pattern of the names of columns that follow from the time of a measurement.
+    timed_column = re.compile(r"progress|time_s|temperature_degC|warmth_\d+s")
     for name in robot.conditions:
         if name == "payload_kg":
             start = 0 if circumstances.every_payload else rng.integers(len(states), size=(N, 1))
@@ -181,9 +182,9 @@ def candidates_at(robot: Robot, q: Array, circumstances: Circumstances, n: int, 
             )
         elif name in GRAVITY_COLUMNS:  # the robot is mounted as declared
             columns[name] = np.full((N, g), robot.declared[robot.conditions.index(name)])
-        elif not _TIMED.fullmatch(name):
+        elif not timed_column.fullmatch(name):
             raise InputError(f"column {name!r} is needed by an effect and cannot be planned; leave that effect out")
-    if timed := [name for name in robot.conditions if _TIMED.fullmatch(name)]:
+    if timed := [name for name in robot.conditions if timed_column.fullmatch(name)]:
         columns |= timeline(timed, moment, n * g, circumstances)
         columns["progress"] = moment
     return Candidates(q, columns, np.asarray(turn))
@@ -347,7 +348,8 @@ def reachable_places(robot: Robot, places: Array, count: int, workspace: Workspa
         out = int(np.argmin(there))
         text = ", ".join(f"{1e3 * x:.0f}" for x in places[out])
         raise InputError(
-            f"{robot.name} reaches {there.sum()} of {len(places)} sockets, and {count} are wanted: socket {out + 1} at "
-            f"({text}) mm, for one, is out of reach or not allowed; give other places"
+            f"{robot.name} reaches {there.sum()} of {len(places)} sockets, and {count} are wanted: "
+            f"socket {out + 1} at ({text}) mm, for one, is out of reach or not allowed; give other "
+            "places"
         )
     return np.asarray(places[there])

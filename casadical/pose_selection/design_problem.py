@@ -156,9 +156,9 @@ def prepare(
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
     if prior is None and numbers * total < (unknowns := len(names) + extra):
         raise InputError(
-            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be identified"
-            f"{f' and {extra} coordinates of places' if extra else ''}; "
-            f"at least {-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
+            f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be "
+            f"identified{f' and {extra} coordinates of places' if extra else ''}; at least "
+            f"{-(-unknowns // numbers)} poses are needed, and some more to estimate their accuracy"
         )
     task_q = draw(robot, 300, workspace, rng) if task is None else np.atleast_2d(task)
     one = replace(circumstances, every_payload=False, both_approaches=False, repeats=1)
@@ -169,11 +169,29 @@ def prepare(
         fixed = fixed + A.T @ A
     weight = np.zeros((p + extra, p + extra))
     J = jacobian_of(robot, names, goal, instrument)
-    weight[:p, :p] = _task_weight(J, _weights_of_interest(robot, interest, names), inverse(information(names))[:p, :p])
+    # The task's mean J'J and, with equal weight, the parameters of interest, both normalised by
+    # the covariance from as many random poses.
+    chosen, C = _weights_of_interest(robot, interest, names), inverse(information(names))[:p, :p]
+    weight[:p, :p] = np.einsum("kip,kiq->pq", J, J) / len(J)
+    if chosen.any():
+        of_task, of_interest = weight[:p, :p], np.diag(chosen)
+        weight[:p, :p] = of_task / np.sum(of_task * C) + of_interest / np.sum(of_interest * C)
     return DesignProblem(
-        robot, workspace, circumstances, noise, names, held, measured, goal, ready,
-        candidates is None and SOCKET_COLUMN not in ready.conditions, fixed, weight, instrument, prior,
-    )  # fmt: skip
+        robot,
+        workspace,
+        circumstances,
+        noise,
+        names,
+        held,
+        measured,
+        goal,
+        ready,
+        candidates is None and SOCKET_COLUMN not in ready.conditions,
+        fixed,
+        weight,
+        instrument,
+        prior,
+    )
 
 
 def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument: Instrument | None) -> Array:
@@ -198,8 +216,8 @@ def _refuse_combination(instrument: Instrument | None, *, measured: bool, given:
         return
     if measured:
         raise InputError(
-            f"poses measured before are counted with positions alone, not with {instrument.kind}: plan with the robot "
-            "file that calibrate --out wrote"
+            f"poses measured before are counted with positions alone, not with {instrument.kind}: "
+            "plan with the robot file that calibrate --out wrote"
         )
     if given and instrument.kind == "sockets":
         raise InputError("sockets: poses that hold the tool in them are computed, and are no candidates to be given")
@@ -230,21 +248,6 @@ def _readings(
             reachable_places(robot, instrument.places, len(instrument.places), workspace, rng)
         return q, {SOCKET_COLUMN: which}
     return draw(robot, pool, workspace, rng, to_ends=True) if given is None else _allowed(robot, given, workspace), {}
-
-
-def _task_weight(J: Array, chosen: Array, C: Array) -> Array:
-    """Return W of the mean variance: the task's mean J'J, and the parameters of interest, (p, p).
-
-    With parameters of interest both parts are normalised to equal variance at random poses.
-
-    J : Jacobian of the task, shape (n, 3, p); chosen : weight of each parameter, shape (p,)
-    C : covariance of the parameters from as many random poses as are planned, shape (p, p)
-    """
-    of_interest = np.diag(chosen)
-    of_task = np.einsum("kip,kiq->pq", J, J) / len(J)
-    if chosen.any():
-        return np.asarray(of_task / np.sum(of_task * C) + of_interest / np.sum(of_interest * C))
-    return np.asarray(of_task)
 
 
 def _weights_of_interest(robot: Robot, interest: Iterable[str], names: Sequence[str]) -> Array:

@@ -239,8 +239,9 @@ def search(design: Design, n: int, restarts: int, seed: int) -> Array:
                 design.add(int(candidate))
         if not grow_to(design, n):
             raise InputError(
-                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates lie too near to "
-                "each other or to measured ones; give more candidates, a smaller min_distance, or fewer poses"
+                f"only {len(design.chosen)} of {n} poses can be chosen: the {design.N} candidates "
+                "lie too near to each other or to measured ones; give more candidates, a smaller "
+                "min_distance, or fewer poses"
             )
         improve(design)
         if best is None or design.value > best[0] + 1e-6:

@@ -88,10 +88,21 @@ def select_poses(
     candidates, workspace = _sources(among, workspace)
     rng = np.random.default_rng(seed)
     problem = prepare(
-        robot, n, pool=max(pool, 3 * n), rng=rng, candidates=candidates, workspace=workspace,
-        circumstances=circumstances, measured=measured, free=free, interest=interest, task=task, noise=noise,
-        instrument=instrument, prior=prior,
-    )  # fmt: skip
+        robot,
+        n,
+        pool=max(pool, 3 * n),
+        rng=rng,
+        candidates=candidates,
+        workspace=workspace,
+        circumstances=circumstances,
+        measured=measured,
+        free=free,
+        interest=interest,
+        task=task,
+        noise=noise,
+        instrument=instrument,
+        prior=prior,
+    )
     design = problem.design(problem.pool, min_distance)
     chosen = problem.pool[search(design, n, restarts, seed)]
     lower, upper = workspace.ranges(robot)
@@ -212,10 +223,19 @@ def forecast(
     if most <= before:
         raise InputError(f"{before} poses were measured already; most is {most} and must be greater")
     problem = prepare(
-        robot, most - before, pool=pool, rng=np.random.default_rng(seed), workspace=workspace,
-        circumstances=circumstances, measured=measured, free=free, task=task, noise=noise, instrument=instrument,
+        robot,
+        most - before,
+        pool=pool,
+        rng=np.random.default_rng(seed),
+        workspace=workspace,
+        circumstances=circumstances,
+        measured=measured,
+        free=free,
+        task=task,
+        noise=noise,
+        instrument=instrument,
         prior=prior,
-    )  # fmt: skip
+    )
     design = problem.design(problem.pool, 0.0)
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
     known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
@@ -276,9 +296,17 @@ def place_instrument(
     noise, every = noise or Noise(), Instrument(kind, places, known)
     size = max(300, 4 * len(places))
     problem = prepare(
-        robot, size, pool=size, rng=rng, candidates=q, workspace=room, free=free, task=task, noise=noise,
+        robot,
+        size,
+        pool=size,
+        rng=rng,
+        candidates=q,
+        workspace=room,
+        free=free,
+        task=task,
+        noise=noise,
         instrument=every,
-    )  # fmt: skip
+    )
     p, m = len(problem.names), problem.pool.measurements(robot)
     best = best_places(robot, every, count, problem.names, m, noise, problem.weight[:p, :p])
     return Instrument(kind, places[best], known)
@@ -316,9 +344,16 @@ def select_with_places(
         if best is not None and best.instrument and np.array_equal(best.instrument.places, instrument.places):
             break
         chosen = select_poses(
-            robot, None, n, workspace=workspace, free=free, noise=noise, seed=seed, instrument=instrument,
+            robot,
+            None,
+            n,
+            workspace=workspace,
+            free=free,
+            noise=noise,
+            seed=seed,
+            instrument=instrument,
             **options,
-        )  # fmt: skip
+        )
         if best is not None and chosen.accuracy >= best.accuracy:
             break
         best = chosen

@@ -38,8 +38,6 @@ from casadical.robot.robot import Robot
 # Number of parts of equal time into which a campaign is divided; poses that are planned for a
 # certain time are reordered within their part only.
 TIME_PARTS = 4
-# Columns of conditions that are chosen with a pose and do not depend on the order of measurement.
-POSE_COLUMNS = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
 
 
 def travel_distances(robot: Robot, q: Array) -> Array:
@@ -111,8 +109,11 @@ def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumst
             size = len(block)
             block = block[short_tour(D[:size, :size], D[size, :size] if order else None)]
         order += block.tolist()
-    kept = {n: v[order] for n, v in rows.items() if n in POSE_COLUMNS or n.startswith(("approach", SESSION_PREFIX))}
-    timed = [n for n in robot.conditions if n not in POSE_COLUMNS and not n.startswith(("approach", SESSION_PREFIX))]
+    # Columns of conditions that are chosen with a pose and do not depend on the order of
+    # measurement.
+    pose_columns = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
+    kept = {n: v[order] for n, v in rows.items() if n in pose_columns or n.startswith(("approach", SESSION_PREFIX))}
+    timed = [n for n in robot.conditions if n not in pose_columns and not n.startswith(("approach", SESSION_PREFIX))]
     if timed:
         kept |= timeline(timed, np.arange(len(q)) / max(1, len(q) - 1), len(q), circumstances)
     return expected(robot, q[order], kept, "plan")

@@ -322,7 +322,8 @@ def calibrate(
     >>> calibration.identification.method
     'KM'
     >>> casadical.calibrate("problems/planar/robot.toml", "data/planar/planar.csv")
-    <Calibration of 'Planar arm of two links': 1.680 -> 0.0242 mm with KM, mean of 12 held-out poses>
+    <Calibration of 'Planar arm of two links': 1.680 -> 0.0242 mm with KM, mean of 12 held-out
+    poses>
     """
     tables = (tables,) if isinstance(tables, (str, Path)) else tuple(tables)
     if method is not None and method not in all_methods():

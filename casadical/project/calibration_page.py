@@ -59,29 +59,6 @@ NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "hexagon", "longdashdot"),
     ("green", "triangle-left", "dashdot"),
 )
-# Captions of the figures of each set; the next three are added where they apply.
-_SET_CAPTIONS = {
-    "report": "No model saw these poses.",
-    "identify": "Poses that identified the parameters; errors here are smaller than on new poses.",
-    "train": "Poses that the networks learnt from.",
-    "choose": "Poses by which the networks were kept or refused.",
-}
-_LEGEND_CAPTION = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
-_OUTLIER_CAPTION = " Crosses: poses left out as outliers; no figure of this report counts them."
-_REFUSED_CAPTION = " Refused networks are drawn as they were trained; they are not in use."
-_WORKSPACE_CAPTION = (
-    "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured point "
-    "in the direction of the error (measured less computed), longer than it by the factor in the legend."
-)
-_TRAINING_CAPTION = (
-    "A low loss on the training poses alone is no proof: the poses that each network was judged on decide. Trainers "
-    "that choose a penalty on the weights may end at a greater loss on purpose."
-)
-_DIAGNOSIS_NOTE = (
-    "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis does, given the poses in "
-    "the order of measuring, with payload and temperature where they were logged:"
-)
-_DIAGNOSIS_ARGUMENTS = "CAMPAIGN.csv --report diagnosis.html"
 Identifications = Mapping[str, Identification]
 
 
@@ -164,17 +141,32 @@ def calibration_figures(
     """
     last, poses = list(results.values())[-1], pose_errors(problem, results, networks)
     trained = networks.results.values() if networks else ()
-    more = _LEGEND_CAPTION + (_OUTLIER_CAPTION if any(p.left_out for p in poses.values()) else "")
-    more += _REFUSED_CAPTION if any(r.compensator and not r.helps for r in trained) else ""
+    legend_caption = "Before: with base and tool fitted. Click a name in the legend to show or hide it."
+    outlier_caption = " Crosses: poses left out as outliers; no figure of this report counts them."
+    more = legend_caption + (outlier_caption if any(p.left_out for p in poses.values()) else "")
+    refused_caption = " Refused networks are drawn as they were trained; they are not in use."
+    more += refused_caption if any(r.compensator and not r.helps for r in trained) else ""
+    # Captions of the figures of each set; the next three are added where they apply.
+    caption_of_set = {
+        "report": "No model saw these poses.",
+        "identify": "Poses that identified the parameters; errors here are smaller than on new poses.",
+        "train": "Poses that the networks learnt from.",
+        "choose": "Poses by which the networks were kept or refused.",
+    }
     for name, of_set in poses.items():
-        caption = f"{_SET_CAPTIONS.get(name.split('/')[0], '')} {more}"
+        caption = f"{caption_of_set.get(name.split('/')[0], '')} {more}"
         yield errors_by_pose(of_set, f"errors/{name}", caption)
         yield error_distribution(
             of_set, f"distribution/{name}", "The farther left, the better; grey lines at 50 and 95 %."
         )
     spatial = next((p for p in poses.values() if p.position is not None), None)
+    workspace_caption = (
+        "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs "
+        "from the measured point in the direction of the error (measured less computed), longer "
+        "than it by the factor in the legend."
+    )
     if spatial is not None:
-        yield workspace(spatial, last.robot, _WORKSPACE_CAPTION)
+        yield workspace(spatial, last.robot, workspace_caption)
     if where:
         yield from where_figures(where)
     yield from parameter_figures(last)
@@ -198,12 +190,26 @@ def training_history(networks: Networks) -> Figure:
             words, tip = name + ("" if result.helps else ", refused"), "step %{customdata:d}: %{y:.4g} mm²"
             series.append(
                 Series(
-                    "linked", share, history[:, 1], name=words, colour=colour, symbol=symbol, size=5, width=1.8,
-                    dash=dash, facts=history[:, 0], tip=f"<b>{name}</b><br>{tip}",
+                    "linked",
+                    share,
+                    history[:, 1],
+                    name=words,
+                    colour=colour,
+                    symbol=symbol,
+                    size=5,
+                    width=1.8,
+                    dash=dash,
+                    facts=history[:, 0],
+                    tip=f"<b>{name}</b><br>{tip}",
                 )
-            )  # fmt: skip
+            )
     x, y = Axis("share of the training done [%]", (-2, 102)), Axis("loss on the training poses [mm²]", log=True)
-    return Figure("training", "Training history", series, x, y, 380, _TRAINING_CAPTION)
+    training_caption = (
+        "A low loss on the training poses alone is no proof: the poses that each network was "
+        "judged on decide. Trainers that choose a penalty on the weights may end at a greater loss "
+        "on purpose."
+    )
+    return Figure("training", "Training history", series, x, y, 380, training_caption)
 
 
 def calibration_page(
@@ -224,6 +230,12 @@ def calibration_page(
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."
+    diagnosis_note = (
+        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis "
+        "does, given the poses in the order of measuring, with payload and temperature where they "
+        "were logged:"
+    )
+    diagnosis_arguments = "CAMPAIGN.csv --report diagnosis.html"
     sections = [
         Section("Verdict", [*_verdict(problem, results, accuracies, networks)]),
         Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
@@ -231,7 +243,7 @@ def calibration_page(
         Section("In the workspace", figures_named(figures, "workspace") or [Words(no_map, "note")]),
         Section("Where the gap lies", [*_where(figures_named(figures, "where"), last)]),
         Section(
-            "Which causes", [Words(_DIAGNOSIS_NOTE, code=f"casadical diagnose {problem.folder} {_DIAGNOSIS_ARGUMENTS}")]
+            "Which causes", [Words(diagnosis_note, code=f"casadical diagnose {problem.folder} {diagnosis_arguments}")]
         ),
         Section("Parameters", [*_parameters(figures_named(figures, "parameters"), last)]),
         Section("Can the fit be trusted", figures_named(figures, "fit")),
@@ -302,8 +314,8 @@ def _next(problem: Problem, result: Identification) -> Iterator[Words]:
     unsure = identified[(identified.low - identified.nominal) * (identified.high - identified.nominal) < 0]
     if len(unsure):
         yield Words(
-            f"{len(unsure)} of {len(identified)} identified parameters do not differ from nominal for certain: "
-            f"{', '.join(unsure.name)}."
+            f"{len(unsure)} of {len(identified)} identified parameters do not differ from nominal "
+            f"for certain: {', '.join(unsure.name)}."
         )
     yield Words(
         "Poses that would add most to what these data tell, and the accuracy to expect of them:",

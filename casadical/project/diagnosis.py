@@ -228,9 +228,16 @@ def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: 
     """
     asked = options or Options()
     diagnosis = diagnose(
-        campaign.robot, campaign.sets, asked.effects, seed=asked.seed, bootstrap=asked.bootstrap, prior=campaign.prior,
-        masses=asked.masses, laws=asked.laws is not False, show=show,
-    )  # fmt: skip
+        campaign.robot,
+        campaign.sets,
+        asked.effects,
+        seed=asked.seed,
+        bootstrap=asked.bootstrap,
+        prior=campaign.prior,
+        masses=asked.masses,
+        laws=asked.laws is not False,
+        show=show,
+    )
     return CampaignDiagnosis(campaign, asked, diagnosis)
 
 
@@ -286,9 +293,12 @@ class LogCampaign:
 
 
 def read_logs(
-    folder: Path, tables: Sequence[Path] | None = None, reference: Path | None = None, drive: Path | None = None,
+    folder: Path,
+    tables: Sequence[Path] | None = None,
+    reference: Path | None = None,
+    drive: Path | None = None,
     effects: Sequence[str] = (),
-) -> LogCampaign | None:  # fmt: skip
+) -> LogCampaign | None:
     """Read the joint logs of a problem folder, or given ones; None where tables are of poses.
 
     folder : problem folder or robot file

@@ -22,9 +22,6 @@ from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, ro
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 
-# Files with these endings are tables; all others are robot files or problem folders.
-TABLE_SUFFIXES = (".csv", ".txt", ".tsv", ".xlsx", ".parquet", ".gz")
-
 Given = ParamSpec("Given")
 Read = TypeVar("Read")
 
@@ -38,10 +35,12 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
     later : whether rows with a cell that is no number are left out of tables
     """
     collected, given = _Collected([error]), list(paths)
-    tables = [path for path in given if path.suffix.lower() in TABLE_SUFFIXES and not is_log(path)]
+    # Files with these endings are tables; all others are robot files or problem folders.
+    table_suffixes = (".csv", ".txt", ".tsv", ".xlsx", ".parquet", ".gz")
+    tables = [path for path in given if path.suffix.lower() in table_suffixes and not is_log(path)]
     robot: Robot | None = None
     joints: list[str] = []
-    source = next((path for path in given if path.suffix.lower() not in TABLE_SUFFIXES), Path())
+    source = next((path for path in given if path.suffix.lower() not in table_suffixes), Path())
     for path in given:
         if (path / "problem.toml").is_file():
             file = collected.tried(_problem_file, path, collected) or ProblemFile(casadical=1, title="")
@@ -49,7 +48,7 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
             own = _robot(collected, place, urdf)
             for data in () if tables and not later else file.measurements:  # given ones replace them
                 collected.tried(_check_table, path / data.file, data, *own, False)
-        elif path.suffix.lower() not in TABLE_SUFFIXES and path.is_file() and _is_robot(path):
+        elif path.suffix.lower() not in table_suffixes and path.is_file() and _is_robot(path):
             own = _robot(collected, path, UrdfTable())
         else:
             continue

@@ -17,10 +17,6 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem, error_groups
 
-# Largest numbers of identification poses that are lent to the network sets, drawn with the seed:
-# a training then takes seconds.
-MAX_LENT_POSES = {"train": 1500, "choose": 500}
-
 
 @dataclass(frozen=True, eq=False)
 class NetworkResult:
@@ -144,10 +140,13 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
     if "identify" not in sets or "report" not in sets:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
         return (
-            f"no network: the data are {kinds}, which do not say where the point is; a network needs measured "
-            "positions, and a set report to be judged on"
+            f"no network: the data are {kinds}, which do not say where the point is; a network "
+            "needs measured positions, and a set report to be judged on"
         )
     lent = ""
+    # Largest numbers of identification poses that are lent to the network sets, drawn with the
+    # seed: a training then takes seconds.
+    max_lent_poses = {"train": 1500, "choose": 500}
     if "train" not in sets:
         with_positions = [m for m in result.used if m.position is not None]
         readings = 3 * sum(map(len, with_positions))
@@ -155,15 +154,17 @@ def training_material(problem: Problem, result: Identification, seed: int = 0) -
         # many readings per parameter that the identification did not fit their noise.
         if readings < 20 * len(result.names) or len(with_positions[0]) < 40:
             return (
-                f"no network: there is no set train, and {readings} readings for {len(result.names)} parameters are "
-                "too few to learn from what identification left of them; name a set train in problem.toml"
+                f"no network: there is no set train, and {readings} readings for "
+                f"{len(result.names)} parameters are too few to learn from what identification "
+                "left of them; name a set train in problem.toml"
             )
-        train = min(MAX_LENT_POSES["train"], int(0.75 * len(with_positions[0])))
-        choose = min(MAX_LENT_POSES["choose"], len(with_positions[0]) - train)
+        train = min(max_lent_poses["train"], int(0.75 * len(with_positions[0])))
+        choose = min(max_lent_poses["choose"], len(with_positions[0]) - train)
         sets |= {name: (m,) for name, m in with_positions[0].split({"train": train, "choose": choose}, seed).items()}
         lent = (
-            f"Networks: no set train, so {len(sets['train'][0])} of the poses that identified the robot were lent to "
-            f"train and {len(sets['choose'][0])} others of them to choose; report was kept from all."
+            f"Networks: no set train, so {len(sets['train'][0])} of the poses that identified the "
+            f"robot were lent to train and {len(sets['choose'][0])} others of them to choose; "
+            "report was kept from all."
         )
     q = {name: np.concatenate([m.q for m in parts]) for name, parts in sets.items()}
     residuals = {name: np.concatenate([residual_mm(result.robot, m) for m in parts]) for name, parts in sets.items()}

@@ -132,8 +132,9 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
     kinds, noise = declared_kinds_and_noise(path, robot)
     if places is None and kinds and not any("position" in find_kind(kind).arrays for kind in kinds):
         raise InputError(
-            f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions unless it is told more; "
-            "give --wires N for N draw wires, --sockets N for touched points, or --noise-mm for positions all the same"
+            f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions "
+            "unless it is told more; give --wires N for N draw wires, --sockets N for touched "
+            "points, or --noise-mm for positions all the same"
         )
     return TRACKER_SIGMA_MM if noise is None else noise
 
@@ -148,8 +149,9 @@ def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -
     if not (path / "problem.toml").exists():
         return f"Planned with the robot of {path}, as it stands there."
     return (
-        f"Planned with the robot that {path} declares, its base and tool as declared too. Once something is measured, "
-        "give it with --measured, or plan with the robot file that calibrate --out wrote."
+        f"Planned with the robot that {path} declares, its base and tool as declared too. Once "
+        "something is measured, give it with --measured, or plan with the robot file that "
+        "calibrate --out wrote."
     )
 
 
@@ -170,19 +172,20 @@ def calibrated_so_far(
     return result.robot, m, noise or Noise(result.sigmas[0][0])
 
 
-def _with_first_target_alone(robot: Robot, measured: Measurements | None) -> tuple[Robot, Measurements | None]:
-    """Return robot and measurements with the first target alone, for which poses are planned."""
-    if measured is not None and (rest := [t.column for t in robot.targets if t.column in measured.conditions]):
-        first = ~measured.condition_matrix(rest, np.zeros(len(rest))).any(axis=1)
-        measured = measured[np.flatnonzero(first)] if first.any() else None
-    return replace(robot, targets=(), tool_name=""), measured
-
-
 def plan_problem(
-    path: Path, n: int | None, measured: Path | None, carried: Carried, *, effects: Sequence[str],
-    room: Path | None, noise_mm: float | None, joint_noise_urad: float, target_mm: float | None, places: Places | None,
+    path: Path,
+    n: int | None,
+    measured: Path | None,
+    carried: Carried,
+    *,
+    effects: Sequence[str],
+    room: Path | None,
+    noise_mm: float | None,
+    joint_noise_urad: float,
+    target_mm: float | None,
+    places: Places | None,
     **asked: Any,
-) -> MeasurementPlan:  # fmt: skip
+) -> MeasurementPlan:
     """Return the plan of a problem folder or robot file, asked for in the units of the command.
 
     path : problem folder, robot file or folder of results
@@ -207,10 +210,17 @@ def plan_problem(
         noise_mm = noise_declared(path, robot, places)
     noise = None if noise_mm is None else Noise(1e-3 * noise_mm, 1e-6 * joint_noise_urad)
     return plan(
-        robot, n, middle, workspace=read_workspace(room, robot) if room else None,
-        measured=before, noise=noise, target=None if target_mm is None else 1e-3 * target_mm, places=places,
-        prior=prior, **asked,
-    )  # fmt: skip
+        robot,
+        n,
+        middle,
+        workspace=read_workspace(room, robot) if room else None,
+        measured=before,
+        noise=noise,
+        target=None if target_mm is None else 1e-3 * target_mm,
+        places=places,
+        prior=prior,
+        **asked,
+    )
 
 
 def plan(
@@ -247,8 +257,8 @@ def plan(
     """
     if places is not None and measured is not None:
         raise InputError(
-            f"poses measured before are counted with positions alone, not with {places.kind}: plan with the robot file "
-            "that calibrate --out wrote"
+            f"poses measured before are counted with positions alone, not with {places.kind}: plan "
+            "with the robot file that calibrate --out wrote"
         )
     own_labels = {e.label for e in robot.effects}
     if effects:
@@ -259,7 +269,12 @@ def plan(
         show("calibrating with the poses measured so far")
         robot, measured, noise = calibrated_so_far(robot, measured, noise, free, prior)
         free = (*free, *(e.label for e in robot.effects if isinstance(e, Session)))
-    robot, measured = _with_first_target_alone(robot, measured)
+    # Poses are planned for the first target alone.
+    others = [] if measured is None else [t.column for t in robot.targets if t.column in measured.conditions]
+    if measured is not None and others:
+        first = ~measured.condition_matrix(others, np.zeros(len(others))).any(axis=1)
+        measured = measured[np.flatnonzero(first)] if first.any() else None
+    robot = replace(robot, targets=(), tool_name="")
     circumstances = circumstances or Circumstances()
     # If effects are to be identified, payloads that were mounted before can be mounted again.
     mounted = np.unique(measured.conditions["payload_kg"]) if measured and "payload_kg" in measured.conditions else ()
@@ -270,22 +285,45 @@ def plan(
         show("choosing poses")
         choose: Callable[..., Selection] = partial(select_poses, among=None) if places is None else places.select
         chosen = choose(
-            robot, n=n, workspace=workspace, circumstances=circumstances, measured=measured,
-            interest=tuple(e.label for e in effects), noise=noise, free=free, min_distance=min_distance, seed=seed,
+            robot,
+            n=n,
+            workspace=workspace,
+            circumstances=circumstances,
+            measured=measured,
+            interest=tuple(e.label for e in effects),
+            noise=noise,
+            free=free,
+            min_distance=min_distance,
+            seed=seed,
             prior=prior,
-        )  # fmt: skip
+        )
     instrument = chosen.instrument if chosen else None
     if places is not None and instrument is None:
         instrument = place_instrument(
-            robot, places.kind, places.candidates_for(robot), places.count, known=places.known, workspace=workspace,
-            free=free, noise=noise, seed=seed,
-        )  # fmt: skip
+            robot,
+            places.kind,
+            places.candidates_for(robot),
+            places.count,
+            known=places.known,
+            workspace=workspace,
+            free=free,
+            noise=noise,
+            seed=seed,
+        )
     show("accuracy of further poses")
     total = (0 if measured is None else len(measured)) + (0 if chosen is None else len(chosen))
     ahead = forecast(
-        robot, total + (100 if n is None else max(20, total // 2)), workspace=workspace, circumstances=circumstances,
-        measured=measured, noise=noise, free=free, seed=seed, instrument=instrument, prior=prior,
-    )  # fmt: skip
+        robot,
+        total + (100 if n is None else max(20, total // 2)),
+        workspace=workspace,
+        circumstances=circumstances,
+        measured=measured,
+        noise=noise,
+        free=free,
+        seed=seed,
+        instrument=instrument,
+        prior=prior,
+    )
     if chosen and order:
         chosen = chosen.ordered()
     return MeasurementPlan(ahead, chosen, target, workspace is not None, instrument, noise or Noise())
@@ -338,9 +376,17 @@ def poses_of_changes(
     """
     workspace = read_workspace(room, robot) if room else None
     chosen = select_poses(
-        robot, None, n, workspace=workspace, measured=measured, free=prior.free, noise=noise, prior=prior, seed=seed,
+        robot,
+        None,
+        n,
+        workspace=workspace,
+        measured=measured,
+        free=prior.free,
+        noise=noise,
+        prior=prior,
+        seed=seed,
         min_distance=0.05,
-    )  # fmt: skip
+    )
     return chosen.table
 
 

@@ -137,7 +137,13 @@ class Problem(Shown):
         SET/KIND/FILE.
         """
         for name, parts in self.sets.items():
-            yield from zip(_part_names(name, parts), parts, strict=True)
+            names = [name]
+            if len(parts) > 1:
+                alike = Counter(m.kind for m in parts)
+                files = (f"/{Path(m.source).name}" if alike[m.kind] > 1 else "" for m in parts)
+                names = [f"{name}/{m.kind}{file}" for m, file in zip(parts, files, strict=True)]
+            for k, (each, m) in enumerate(zip(names, parts, strict=True)):
+                yield each if names.count(each) == 1 else f"{each} ({names[: k + 1].count(each)})", m
 
     @cached_property
     def table(self) -> Measurements | None:
@@ -183,15 +189,6 @@ class Problem(Shown):
         if self.urdf is None:
             raise InputError(f"{self.folder}: its robot is not from a URDF; write its robot file, or a new URDF")
         return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
-
-
-def _part_names(name: str, parts: Sequence[Measurements]) -> list[str]:
-    """Return the name of each table of a set: SET, SET/KIND or SET/KIND/FILE."""
-    if len(parts) == 1:
-        return [name]
-    alike = Counter(m.kind for m in parts)
-    named = [f"{name}/{m.kind}{f'/{Path(m.source).name}' if alike[m.kind] > 1 else ''}" for m in parts]
-    return [n if named.count(n) == 1 else f"{n} ({named[: k + 1].count(n)})" for k, n in enumerate(named)]
 
 
 def error_groups(names: Iterable[str]) -> dict[str, list[str]]:
@@ -243,8 +240,8 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
         raise InputError(f"{path}: holds joint logs, no measured poses; take casadical diagnose {shown(folder)}")
     if not file.measurements:
         raise InputError(
-            f"{path}: measurements: is missing; a calibration needs at least one table: [[measurements]], or a CSV "
-            "after the folder"
+            f"{path}: measurements: is missing; a calibration needs at least one table: "
+            "[[measurements]], or a CSV after the folder"
         )
     place, urdf = folder / (file.of_campaigns if campaign else file.robot), file.urdf or UrdfTable()
     robot, prior = carried(replace(robot_of_file(place, urdf), sessions=file.sessions.sessions()))
@@ -255,8 +252,8 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
     named = any(name.startswith("session_") for whole, _ in measured for name in whole.conditions)
     if "sessions" in file.model_fields_set and not tables and not named:
         raise InputError(
-            f"{path}: sessions: has no effect, no table names a session; take it out, or name sessions in a column "
-            "`session` or a key of [[measurements]]"
+            f"{path}: sessions: has no effect, no table names a session; take it out, or name "
+            "sessions in a column `session` or a key of [[measurements]]"
         )
     for name, part in (item for _, parts in measured for item in parts.items()):
         split.setdefault(name, []).append(part)
@@ -433,9 +430,9 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
         lost = [c for c in effect.conditions if c in missing and not (c == "payload_kg" and robot.payload)]
         if lost:
             raise InputError(
-                f"{m.source}: {effect.label} of robot {robot.name!r} follows {lost[0]}, which its columns do not tell "
-                f"({', '.join(effect.needs) or 'see docs/robot-file.md'}); log it, or take the effect out of the "
-                "robot file"
+                f"{m.source}: {effect.label} of robot {robot.name!r} follows {lost[0]}, which its "
+                f"columns do not tell ({', '.join(effect.needs) or 'see docs/robot-file.md'}); log "
+                "it, or take the effect out of the robot file"
             )
     refuse_undefined(robot, derived)
     return derived

@@ -24,17 +24,8 @@ from casadical.robot.robot import Robot
 # An angle convention is accepted without a question if the nominal robot's median orientation error
 # is below this [rad] ...
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
-# ... and every other convention has at least this many times the error.
+# Every other convention must have at least this many times the error of the best one.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
-# Positions that agree with the nominal model within this [m], or within their last digit, were
-# computed by a controller and not measured.
-COMPUTED_POSITION_TOLERANCE = 2e-6
-# The same of orientations [rad].
-COMPUTED_ORIENTATION_TOLERANCE_RAD = 2e-5
-# With fewer poses it is not judged whether they are inverted.
-MIN_POSES_COMPARED = 5
-# A camera is where it has its target at an angle that the other frame exceeds by this factor.
-MIN_CONE_RATIO = 1.3
 # Where a camera is; empty where that is not known.
 Camera = Literal["", "in hand", "to base"]
 
@@ -75,10 +66,12 @@ def _without_other_frame(
     turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
     if not turned or found.questions:
         return found
+    # Orientations that agree with the nominal model within this [rad] were computed as well.
+    computed_orientation_tolerance_rad = 2e-5
     with suppress(InputError, np.linalg.LinAlgError):
         m = _measurements_of(raw, robot, {**found.sources, **given})
         if m.orientation is not None and (
-            frame_error(robot, m) or _orientation_error(robot, m) < COMPUTED_ORIENTATION_TOLERANCE_RAD
+            frame_error(robot, m) or _orientation_error(robot, m) < computed_orientation_tolerance_rad
         ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
@@ -97,7 +90,8 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
             key = "inverted" if inverted else "camera"
             raise InputError(f"{m.source}: {key}: has no effect on kind {m.kind!r}; take it out of problem.toml")
         return m
-    if inverted is None and len(m) >= MIN_POSES_COMPARED:
+    # With fewer poses it is not judged whether they are inverted.
+    if inverted is None and len(m) >= 5:
         here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
         inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
         undecided = here < MIN_ERROR_RATIO_TO_OTHERS * there and not inverted
@@ -125,7 +119,8 @@ def _camera_of(m: Measurements) -> Camera:
         off[camera] = float(np.quantile(np.arctan2(np.hypot(x, y), z), 0.9))
     near, far = sorted(off, key=off.__getitem__)
     # A field of view is at most 100 deg wide.
-    sure = off[near] < np.deg2rad(50.0) and MIN_CONE_RATIO * off[near] < off[far]
+    # A camera is where it has its target at an angle that the other frame exceeds by this factor.
+    sure = off[near] < np.deg2rad(50.0) and 1.3 * off[near] < off[far]
     if not sure:
         return ""
     return "in hand" if near == "in hand" else "to base"
@@ -178,7 +173,10 @@ def computed(robot: Robot, m: Measurements) -> bool:
     if m.position is None or len(m) < 6:
         return False
     digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
-    return placed_by(robot, m)[1] < max(COMPUTED_POSITION_TOLERANCE, 10.0**-digits)
+    # Positions that agree with the nominal model within this [m], or within their last digit, were
+    # computed by a controller and not measured.
+    computed_position_tolerance = 2e-6
+    return placed_by(robot, m)[1] < max(computed_position_tolerance, 10.0**-digits)
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
@@ -202,8 +200,9 @@ def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
     if missing:
         there = f"the robot file has {', '.join(target_names)}" if robot.targets else "the robot file has one tool"
         raise InputError(
-            f"{m.source}: column 'tool' names {', '.join(measured)}, and {there}: give a table [[tool]] with name, "
-            f"xyz_mm and unknown for each (docs/robot-file.md); missing: {', '.join(missing)}"
+            f"{m.source}: column 'tool' names {', '.join(measured)}, and {there}: give a table "
+            "[[tool]] with name, xyz_mm and unknown for each (docs/robot-file.md); missing: "
+            f"{', '.join(missing)}"
         )
     return m
 
@@ -223,9 +222,9 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
     if robot.targets and not names_in(m):
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(
-            f"{m.source}: the robot file has several targets, {target_names}, and the table does not say which one was "
-            "measured: add a column 'tool' with one of these names in each row, or list the rows in `tools` of "
-            "problem.toml (docs/problem-folder.md)"
+            f"{m.source}: the robot file has several targets, {target_names}, and the table does "
+            "not say which one was measured: add a column 'tool' with one of these names in each "
+            "row, or list the rows in `tools` of problem.toml (docs/problem-folder.md)"
         )
 
 
@@ -243,16 +242,17 @@ def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
                 if target not in fitted and len(rows):
                     listed = some_rows(rows.tolist())
                     faults.append(
-                        f"{m.source}: target {target!r} was measured in row {listed} only, of the set {name!r}; no "
-                        "pose that is fitted tells where it is: measure it at three poses or more, or leave the rows "
-                        f"out (leave_out = [{listed}] in problem.toml)"
+                        f"{m.source}: target {target!r} was measured in row {listed} only, of the "
+                        f"set {name!r}; no pose that is fitted tells where it is: measure it at "
+                        f"three poses or more, or leave the rows out (leave_out = [{listed}] in "
+                        "problem.toml)"
                     )
     inside = set(sessions_in(sets.get("identify", ())))
     for name, parts in sets.items():
         for session in sorted(set(sessions_in(parts)) - inside):
             faults.append(
-                f"session {session!r} has poses of the set {name!r} only; none that is fitted tells where its base and "
-                "tool are: put some of them into the set 'identify'"
+                f"session {session!r} has poses of the set {name!r} only; none that is fitted "
+                "tells where its base and tool are: put some of them into the set 'identify'"
             )
     return faults
 
@@ -261,11 +261,6 @@ def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list
     """Return the targets of the robot file that no row names."""
     seen = {name for parts in sets.values() for m in parts for name in names_in(m)}
     return [name for name in (robot.tool_name, *(t.name for t in robot.targets)) if name and name not in seen]
-
-
-# Logged readings of a coupled or locked joint may differ by this from what the robot file computes
-# [rad or m]; it is well above the resolution of a reading.
-COUPLING_TOLERANCE = 2e-3
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
@@ -290,7 +285,9 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
             table = table.assign(**{f"q{i}_{'rad' if turning else 'm'}": made[:, i - 1]})
             continue
         off = np.abs(q[:, i - 1] - made[:, i - 1])
-        if off.max() > COUPLING_TOLERANCE:
+        # Logged readings of a coupled or locked joint may differ by this from what the robot file
+        # computes [rad or m]; it is well above the resolution of a reading.
+        if off.max() > 2e-3:
             _refuse_coupled_reading(columns, robot, i, int(np.argmax(off)), q, made)
     return replace(columns, table=table)
 
@@ -306,7 +303,7 @@ def _refuse_coupled_reading(columns: Columns, robot: Robot, i: int, row: int, q:
     what = "follows other joints and would be" if coupling and coupling.follows else "is locked"
     read, said = (f"{factor * v[row, i - 1]:.6g} {unit}" for v in (q, made))
     raise InputError(
-        f"{columns.at(row)}, column q{i}: {read}, and by the robot file joint {i} {what} at {said}: no pose can be "
-        f"computed from both. Leave `follows` and `at_{unit}` out of its row if it moves by itself; else leave the "
-        f"column q{i} out"
+        f"{columns.at(row)}, column q{i}: {read}, and by the robot file joint {i} {what} at "
+        f"{said}: no pose can be computed from both. Leave `follows` and `at_{unit}` out of its "
+        f"row if it moves by itself; else leave the column q{i} out"
     )

@@ -66,13 +66,15 @@ class Targets:
         far = ", ".join(f"{1e3 * d:.1f}" for d in self.distances)
         if not self.turning:
             return (
-                f"{source}: repeats disagree at {self.poses} poses, by the same way everywhere ({far} mm): the station "
-                "was moved between them, or several targets were measured with one orientation of the tool; name them "
-                "in a column 'tool', or turn the tool between poses"
+                f"{source}: repeats disagree at {self.poses} poses, by the same way everywhere "
+                f"({far} mm): the station was moved between them, or several targets were measured "
+                "with one orientation of the tool; name them in a column 'tool', or turn the tool "
+                "between poses"
             )
         return (
-            f"{source}: repeats disagree: {self.count} targets on one flange, distances {far} mm between them (seen at "
-            f"{self.poses} poses); a column 'tool' in the table and tables [[tool]] in the robot file name them"
+            f"{source}: repeats disagree: {self.count} targets on one flange, distances {far} mm "
+            f"between them (seen at {self.poses} poses); a column 'tool' in the table and tables "
+            "[[tool]] in the robot file name them"
         )
 
 
@@ -245,8 +247,9 @@ class WrongNames:
             texts.append(f"{self.names[b]}, not {self.names[a]}, was measured in {len(rows)} rows: {listed}")
         first, last = self.row[wrong[0]], self.row[wrong[-1]]
         return (
-            f"{source}: column 'tool' names the wrong target from row {first} to row {last}: {'; '.join(texts)}; "
-            "correct the names, or casadical check --repair writes them, as `tools` in problem.toml"
+            f"{source}: column 'tool' names the wrong target from row {first} to row {last}: "
+            f"{'; '.join(texts)}; correct the names, or casadical check --repair writes them, as "
+            "`tools` in problem.toml"
         )
 
 

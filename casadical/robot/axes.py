@@ -66,7 +66,12 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
     for k in range(len(axes)):
         entry = T @ row_matrix(row)
         if k + 1 < len(axes):
-            row, following = _row_and_next(row, np.linalg.inv(entry), axes[k + 1])
+            # Theta and d of the row point its x at the next axis, which begins the next row.
+            to_entry = np.linalg.inv(entry)
+            p = to_entry[:3, :3] @ axes[k + 1].point + to_entry[:3, 3]
+            z = to_entry[:3, :3] @ axes[k + 1].direction
+            parallel = np.hypot(z[0], z[1]) < np.sin(NEAR_PARALLEL_RAD)
+            row, following = _hayati(row, p, z) if parallel else _craig(row, p, z)
         else:
             # The last frame has its origin at the height of the tip, and x oriented like the tip's.
             end = np.linalg.inv(entry) @ tip
@@ -104,18 +109,6 @@ def _perpendicular_x(R: Array, z: Array) -> Array:
     x = R[:, 0] if abs(R[:, 0] @ z) < np.sqrt(0.75) else R[:, 1]
     x = x - (x @ z) * z
     return np.asarray(x / np.linalg.norm(x))
-
-
-def _row_and_next(row: Joint, to_entry: Array, axis: Axis) -> tuple[Joint, Joint]:
-    """Return the row with theta and d that point x at the next axis, and the next row's beginning.
-
-    to_entry : transform from the common frame to that of the row without theta and d, shape (4, 4)
-    """
-    p = to_entry[:3, :3] @ axis.point + to_entry[:3, 3]
-    z = to_entry[:3, :3] @ axis.direction
-    if np.hypot(z[0], z[1]) < np.sin(NEAR_PARALLEL_RAD):
-        return _hayati(row, p, z)
-    return _craig(row, p, z)
 
 
 def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:

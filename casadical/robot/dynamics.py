@@ -22,16 +22,8 @@ from casadical.robot.robot import Robot
 
 # Coupling of each joint, None without; a model of poses has none, as all readings are given there.
 Couplings = tuple[Coupling | None, ...]
-# Names of a link's ten inertial parameters.
-BODY_PARAMETERS = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 # Prior standard deviation of the logarithm of a declared link inertia.
 INERTIA_LOG_SIGMA = 0.3
-# Prior standard deviation of the logarithm of a link inertia that is estimated.
-ESTIMATED_INERTIA_LOG_SIGMA = 1.0
-# Prior standard deviation of the logarithm of a declared rotor inertia.
-ROTOR_LOG_SIGMA = 0.1
-# Prior standard deviation of the logarithm of a rotor inertia that is estimated.
-ESTIMATED_ROTOR_LOG_SIGMA = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +47,9 @@ class Dynamics:
 
         m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
         """
-        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in BODY_PARAMETERS)
+        # Names of a link's ten inertial parameters.
+        body_parameters = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+        links = tuple(f"{name}{i}" for i in self.robot.numbers for name in body_parameters)
         return (*links, *(f"Ia{i}" for i in self.robot.numbers))
 
     @cached_property
@@ -141,11 +135,17 @@ class Dynamics:
         """Prior sigma of each coordinate by the robot file, shape (11 n,) [1 or m]."""
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
+        # Prior standard deviation of the logarithm of a link inertia that is estimated.
+        estimated_inertia_log_sigma = 1.0
         for joint in self.robot.joints:
-            shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else ESTIMATED_INERTIA_LOG_SIGMA
+            shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else estimated_inertia_log_sigma
             sigma += [width.share / 2, *[width.centre] * 3, *[shape / 2] * 6]
         stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
-        return np.array([*sigma, *[ROTOR_LOG_SIGMA if stated else ESTIMATED_ROTOR_LOG_SIGMA] * self.robot.n])
+        # Prior standard deviation of the logarithm of a declared rotor inertia.
+        rotor_log_sigma = 0.1
+        # Prior standard deviation of the logarithm of a rotor inertia that is estimated.
+        estimated_rotor_log_sigma = 2.0
+        return np.array([*sigma, *[rotor_log_sigma if stated else estimated_rotor_log_sigma] * self.robot.n])
 
     def at(self, coordinates: Array) -> Array:
         """Return the parameters pi, shape (11 n,), for coordinates, shape (11 n,).

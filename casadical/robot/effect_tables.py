@@ -33,9 +33,6 @@ COVARIANCE_DIGITS = 12
 # of the processor.
 KNOWN_DIGITS = 6
 
-# Maximum number of parameters of one effect, more than those of an error curve for each joint.
-MAX_EFFECT_PARAMETERS = 3000
-
 
 class Value(TomlTable):
     """Value of a parameter of an effect, with its unit and standard error."""
@@ -61,8 +58,11 @@ class EffectTable(TomlTable):
         """
         effect = find_effect(self.name, own).from_dict({"joint": self.joint, "settings": self.settings})
         sizes = effect.sizes()
-        if len(sizes) > MAX_EFFECT_PARAMETERS:
-            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {MAX_EFFECT_PARAMETERS}")
+        # Maximum number of parameters of one effect, more than those of an error curve for each
+        # joint.
+        max_effect_parameters = 3000
+        if len(sizes) > max_effect_parameters:
+            raise InputError(f"settings: {len(sizes)} parameters; allowed: up to {max_effect_parameters}")
         if wrong := [name for name, (size, _) in sizes.items() if not (size > 0 and math.isfinite(size))]:
             raise InputError(f"settings: one sigma of {wrong[0]} is {sizes[wrong[0]][0]:g}; it must be above 0")
         for name, given in self.values.items():

@@ -130,9 +130,10 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
         crank, ground = angles = loop_angles(loop, middle, own, nominal)
         if not float(fourbar.margin(ca.DM(crank), ca.DM(ground), bars)) > MIN_LOOP_MARGIN:
             raise InputError(
-                f"{arm.name}: four_bar[{k}] cannot be assembled at the middle of its joints' ranges, crank at "
-                f"{np.rad2deg(crank):.1f} deg and ground bar at {np.rad2deg(ground):.1f} deg; give limits_deg of "
-                f"joints {loop.carrier} and {loop.driven} in whose middle it stands open, or correct the bars"
+                f"{arm.name}: four_bar[{k}] cannot be assembled at the middle of its joints' "
+                f"ranges, crank at {np.rad2deg(crank):.1f} deg and ground bar at "
+                f"{np.rad2deg(ground):.1f} deg; give limits_deg of joints {loop.carrier} and "
+                f"{loop.driven} in whose middle it stands open, or correct the bars"
             )
         sides[k] = fourbar.assembly_side(float(crank), float(ground), bars)
         own[loop.driven - 1] = float(_driven(arm, k, angles, sides[k], nominal))

@@ -9,9 +9,6 @@ from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, FourBar, Joint, parallel
 from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
-# A four-bar is a parallelogram if opposite bars differ by less than this share.
-PARALLELOGRAM_TOLERANCE = 0.02
-
 # Placement (base or tool) -> names of its six parameters.
 PLACEMENT_PARAMETERS = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
 
@@ -99,9 +96,11 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
     """Yield the bar lengths of loop k (1-based); a parallelogram's rocker is fixed."""
     names = bar_names(k)
     ground = abs(arm.joints[loop.driven - 1].a)
+    # A four-bar is a parallelogram if opposite bars differ by less than this share.
+    parallelogram_tolerance = 0.02
     parallelogram = (
-        abs(loop.crank - loop.rocker) < PARALLELOGRAM_TOLERANCE * loop.rocker
-        and abs(loop.coupler - ground) < PARALLELOGRAM_TOLERANCE * ground
+        abs(loop.crank - loop.rocker) < parallelogram_tolerance * loop.rocker
+        and abs(loop.coupler - ground) < parallelogram_tolerance * ground
     )
     scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
     for bar, name in names.items():
@@ -114,7 +113,12 @@ def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
     width = arm.widths["compliance"]
     rotary = arm.joints[i - 1].kind == "revolute"
     bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)
-    load = _largest_load(arm, i)
+    # The largest load is roughly that of all weight beyond the joint at half the reach beyond.
+    beyond = arm.joints[i - 1 :]
+    mass = sum(j.body.mass for j in beyond if j.body) + (arm.payload.mass if arm.payload else 0.0)
+    reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(arm.tool.T[:3, 3]))
+    lever = max(0.5 * reach, 0.05) if rotary else 1.0
+    load = max(mass * float(np.linalg.norm(arm.gravity)) * lever, 1e-3)  # [N m] or [N]
     unit = "rad/(N m)" if rotary else "m/N"
     # With estimated masses the data determine only their product with the compliance, so that both
     # have priors.
@@ -122,15 +126,3 @@ def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
     return Parameter(
         f"c{i}", "compliance", unit, value, 1e-3 / load, 0.0, value + bound / load, prior / load, guess=guess
     )
-
-
-def _largest_load(arm: Arm, i: int) -> float:
-    """Return a rough upper limit of the torque [N m] (or force [N]) at joint i (1-based).
-
-    All weight beyond it acts at half the reach beyond.
-    """
-    beyond = arm.joints[i - 1 :]
-    mass = sum(j.body.mass for j in beyond if j.body) + (arm.payload.mass if arm.payload else 0.0)
-    reach = sum(abs(j.a) + abs(j.d) for j in beyond) + float(np.linalg.norm(arm.tool.T[:3, 3]))
-    lever = 1.0 if arm.joints[i - 1].kind == "prismatic" else max(0.5 * reach, 0.05)
-    return max(mass * float(np.linalg.norm(arm.gravity)) * lever, 1e-3)

@@ -30,8 +30,6 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, para
 
 # Maximum number of parameters in one covariance block; with more, each effect has its own block.
 MAX_BLOCK_PARAMETERS = 120
-# A smallest eigenvalue of a correlation matrix above minus this, times its size, counts as zero.
-EIGENVALUE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +56,13 @@ class Covariance:
                 raise InputError(f"{some}: the variance of {name} is {variance:.6g}; it must be zero or more")
         scale = np.sqrt(np.diag(C))
         correlation = C / np.outer(*[np.where(scale > 0, scale, 1.0)] * 2)
-        if not np.allclose(correlation, correlation.T, rtol=0, atol=EIGENVALUE_TOLERANCE):
+        # A smallest eigenvalue of a correlation matrix above minus this, times its size, counts as
+        # zero.
+        eigenvalue_tolerance = 1e-9
+        if not np.allclose(correlation, correlation.T, rtol=0, atol=eigenvalue_tolerance):
             raise InputError(f"{some}: it is not symmetric")
         least = float(np.linalg.eigvalsh(correlation)[0]) if k else 0.0
-        if least < -EIGENVALUE_TOLERANCE * k:
+        if least < -eigenvalue_tolerance * k:
             raise InputError(
                 f"{some}: the least eigenvalue of its correlations is {least:.3g}; a covariance has none below zero"
             )

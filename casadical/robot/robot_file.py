@@ -52,8 +52,8 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
     if isinstance(version, int) and version > FILE_VERSION:
         raise InputError(
             f"{source}: casadical = {version}: a file of version {version}, written by "
-            f"{data.get('written_by', 'a newer casadical')}; this is casadical {__version__}, which reads files up to "
-            f"version {FILE_VERSION}: install the newer one"
+            f"{data.get('written_by', 'a newer casadical')}; this is casadical {__version__}, "
+            f"which reads files up to version {FILE_VERSION}: install the newer one"
         )
     file = check(RobotFile, _with_tools_apart(data), source)
     with errors_of(f"{source}: "):
@@ -127,6 +127,8 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
+    # Keys of a four-bar with their units in a file.
+    four_bar_units = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
     tables = {
         "casadical": 2 if more else 1,
         "written_by": f"casadical {__version__}" if more else None,
@@ -141,7 +143,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
         "width": _width_tables(robot),
         "joint": [_joint_table(joint) for joint in robot.joints],
         "four_bar": [
-            {"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **_FOUR_BAR_UNITS)} for f in robot.loops
+            {"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **four_bar_units)} for f in robot.loops
         ]
         or None,
     }
@@ -158,11 +160,6 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     return text
 
 
-# Unit suffix of a key -> decimals of its values that do not depend on a processor's rounding:
-# lengths [mm], angles [deg], accelerations [m/s^2].
-_DECIMALS = {"_mm": 8, "_deg": 9, "_s2": 9}
-
-
 def _without_rounding_digits(key: str, value: Any) -> Any:
     """Return a value of the file without the digits that depend on a processor's rounding."""
     if isinstance(value, dict):
@@ -173,7 +170,10 @@ def _without_rounding_digits(key: str, value: Any) -> Any:
         return value
     if key.startswith("stiffness"):
         return known_digits(value, value, 7)
-    return round(value, next((n for end, n in _DECIMALS.items() if key.endswith(end)), 15)) + 0.0
+    # Unit suffix of a key -> decimals of its values that do not depend on a processor's rounding:
+    # lengths [mm], angles [deg], accelerations [m/s^2].
+    decimals_of_unit = {"_mm": 8, "_deg": 9, "_s2": 9}
+    return round(value, next((n for end, n in decimals_of_unit.items() if key.endswith(end)), 15)) + 0.0
 
 
 def _mm(values: Any) -> Any:
@@ -218,10 +218,6 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     if joint.body:
         table["body"] = _body_table(joint.body)
     return table
-
-
-# Keys of a four-bar with their units in a file.
-_FOUR_BAR_UNITS = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:

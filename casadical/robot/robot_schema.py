@@ -42,12 +42,6 @@ from casadical.robot.robot import Robot
 
 # Maximum number of rows and of loops in a robot file.
 MAX_JOINTS = 100
-# Maximum magnitude of gravity [m/s^2]; larger values are in another unit, such as mm/s^2.
-MAX_GRAVITY = 30.0
-# The twists [rad] that result when a right or a straight angle in radians is read as degrees.
-TWISTS_READ_AS_DEGREES = np.deg2rad([np.pi / 2, np.pi])
-# Twists this close [rad] to one that results from radians read as degrees are refused.
-TWIST_TOLERANCE = np.deg2rad(1e-3)
 
 # A positive length.
 Bar = Annotated[float, LENGTH, Field(gt=0)]
@@ -219,8 +213,10 @@ class _Gravity(TomlTable):
     @model_validator(mode="after")
     def _possible(self) -> _Gravity:
         """Refuse gravity that is too large, as in another unit."""
-        if np.linalg.norm(self.vector_m_per_s2) > MAX_GRAVITY:
-            allowed = f"at most {MAX_GRAVITY:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
+        # Maximum magnitude of gravity [m/s^2]; larger values are in another unit, such as mm/s^2.
+        max_gravity = 30.0
+        if np.linalg.norm(self.vector_m_per_s2) > max_gravity:
+            allowed = f"at most {max_gravity:g} m/s2, on Earth {STANDARD_GRAVITY:.3g}"
             raise FaultError("vector_m_per_s2", f"no planet has that; allowed: {allowed}")
         return self
 
@@ -299,9 +295,14 @@ class RobotFile(TomlTable):
         for i in (i for i, row in enumerate(self.joint) if names.count(row.name) > 1):
             raise FaultError(("joint", i, "name"), "another joint has this name; each needs one of its own")
         twists = np.array([abs(row.alpha) for row in self.joint])
-        in_radians = np.flatnonzero((np.abs(twists[:, None] - TWISTS_READ_AS_DEGREES) < TWIST_TOLERANCE).any(axis=1))
+        # The twists [rad] that result when a right or a straight angle in radians is read as
+        # degrees.
+        twists_read_as_degrees = np.deg2rad([np.pi / 2, np.pi])
+        # Twists this close [rad] to one that results from radians read as degrees are refused.
+        twist_tolerance = np.deg2rad(1e-3)
+        in_radians = np.flatnonzero((np.abs(twists[:, None] - twists_read_as_degrees) < twist_tolerance).any(axis=1))
         if (
-            len(in_radians) > 1 and (twists < TWISTS_READ_AS_DEGREES[1] + TWIST_TOLERANCE).all()
+            len(in_radians) > 1 and (twists < twists_read_as_degrees[1] + twist_tolerance).all()
         ):  # a single one may be a coincidence
             raise FaultError(("joint", int(in_radians[0]), "alpha"), "looks like radians; write them as alpha_rad")
         if self.drive:
@@ -366,8 +367,9 @@ def refuse_far(robot: Robot) -> None:
         # A mass centre may be 1 m farther from its joint than twice the arm's reach.
         if away > (most := 2 * robot.reach + 1.0):
             raise InputError(
-                f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that reaches "
-                f"{robot.reach:.4g} m; allowed: up to {most:.4g} m. Is it in the unit that the key says?"
+                f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that "
+                f"reaches {robot.reach:.4g} m; allowed: up to {most:.4g} m. Is it in the unit that "
+                "the key says?"
             )
 
 

@@ -13,12 +13,6 @@ from casadical.core.basics import InputError
 SECONDS_A_POSE = 30.0
 # Names of effects that are visible only in joints that carry a torque.
 _EFFECTS_UNDER_LOAD = ("backlash", "nonlinear_stiffness", "rubber_coupling")
-# Names of effects that any revolute joint may have.
-_EFFECTS_OF_ANY_JOINT = (
-    *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
-    *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
-    *("tight_cable", "lost_bits"),
-)
 
 
 def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int = 100) -> Hidden:
@@ -31,12 +25,18 @@ def draw_effect(plant: Plant, effect: str, rng: np.random.Generator, poses: int 
     if effect not in {**LISTED, **UNLISTED}:
         raise InputError(f"effect {effect!r} is unknown; there are {', '.join([*LISTED, *UNLISTED])}")
     joint: int | None = None
+    # Names of effects that any revolute joint may have.
+    effects_of_any_joint = (
+        *("gear_eccentricity", "transmission_ripple", "joint_scale", "joint_zero_step", "thermal_zero_drift"),
+        *("axis_wobble", "friction_windup", "bearing_play", "encoder_pit", "damaged_tooth"),
+        *("tight_cable", "lost_bits"),
+    )
     if effect in _EFFECTS_UNDER_LOAD:
         torque = rated_torque(plant) * np.isin(np.arange(1, plant.n + 1), plant.turning)
         joint = int(rng.choice(np.flatnonzero(torque > 0.06 * torque.max()) + 1))
     elif effect == "joint_coupling":
         joint = int(rng.integers(plant.n - 2, plant.n + 1))
-    elif effect in _EFFECTS_OF_ANY_JOINT:
+    elif effect in effects_of_any_joint:
         joint = plant.turning[int(rng.integers(len(plant.turning)))]
     usual = float(np.exp(rng.normal(0.2, 0.4)))
     return Hidden(effect, joint, _size(plant, effect, joint, usual, rng, SECONDS_A_POSE * poses))

@@ -100,9 +100,10 @@ def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
     if (aside_2 < 0).any():
         row = int(np.argmax(aside_2 < 0))
         raise InputError(
-            f"pose {row + 1}: the four-bar is open, crank end and joint {bar.driven} are {d[row]:.4f} m apart; "
-            f"coupler and rocker reach {abs(bar.coupler_m - bar.rocker_m):.4f} to "
-            f"{bar.coupler_m + bar.rocker_m:.4f} m; drop the pose"
+            f"pose {row + 1}: the four-bar is open, crank end and joint {bar.driven} are "
+            f"{d[row]:.4f} m apart; coupler and rocker reach "
+            f"{abs(bar.coupler_m - bar.rocker_m):.4f} to {bar.coupler_m + bar.rocker_m:.4f} m; "
+            "drop the pose"
         )
     unit = reach / d[:, None]
     left = np.stack([-unit[:, 1], unit[:, 0]], -1)

@@ -21,21 +21,21 @@ def _by_name(*kinds: Kind) -> dict[str, Kind]:
 
 # Effects on the list of those that the diagnosis knows, by name.
 LISTED: Mapping[str, Kind] = _by_name(
-    drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale,
-    drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth,
-    drive.thermal_zero_drift, setup.target_shift, structure.payload_error,
-    structure.axis_wobble, load.gravity_compensator, load.nonlinear_stiffness,
-    load.backlash, load.friction_windup, structure.link_flexure, structure.base_compliance,
-    setup.frame_drift, setup.outliers,
-)  # fmt: skip
+    *(drive.gear_eccentricity, drive.transmission_ripple, drive.joint_scale),
+    *(drive.joint_coupling, drive.joint_zero_step, structure.thermal_growth),
+    *(drive.thermal_zero_drift, setup.target_shift, structure.payload_error),
+    *(structure.axis_wobble, load.gravity_compensator, load.nonlinear_stiffness),
+    *(load.backlash, load.friction_windup, structure.link_flexure, structure.base_compliance),
+    *(setup.frame_drift, setup.outliers),
+)
 
 # Effects that the diagnosis does not know, by name.
 UNLISTED: Mapping[str, Kind] = _by_name(
-    structure.loose_flange, structure.tool_slip, structure.bearing_play, load.hose_pull,
-    structure.cracked_link, structure.loose_anchor, structure.thermal_bend,
-    drive.encoder_pit, drive.damaged_tooth, structure.loose_cargo, load.tight_cable,
-    drive.lost_bits, load.rubber_coupling, setup.range_offset,
-)  # fmt: skip
+    *(structure.loose_flange, structure.tool_slip, structure.bearing_play, load.hose_pull),
+    *(structure.cracked_link, structure.loose_anchor, structure.thermal_bend),
+    *(drive.encoder_pit, drive.damaged_tooth, structure.loose_cargo, load.tight_cable),
+    *(drive.lost_bits, load.rubber_coupling, setup.range_offset),
+)
 
 
 def sizes_in_words(sizes: Mapping[str, Any]) -> str:

@@ -18,8 +18,6 @@ from casadical.compensator.trainers.base import Trainer
 from casadical.compensator.trainers.levenberg_marquardt import LevenbergMarquardt, LmRun
 from casadical.core.basics import Array, InputError
 
-# Lower and upper bound of the length scales [half ranges of the joints].
-LENGTH_RANGE = (0.1, 100.0)
 # Largest number of poses from which the length scales are estimated; the process itself uses all.
 MAX_POSES_FOR_LENGTHS = 300
 
@@ -51,8 +49,10 @@ class GaussianProcess:
         few, wanted = inputs[:MAX_POSES_FOR_LENGTHS], targets[:MAX_POSES_FOR_LENGTHS]
         rms = np.log(np.sqrt(np.mean(wanted**2)) + 1e-12)
         width = inputs.shape[1]
-        low = np.r_[np.full(width, np.log(LENGTH_RANGE[0])), rms - 4, rms - 5]
-        high = np.r_[np.full(width, np.log(LENGTH_RANGE[1])), rms + 2, rms + 1]
+        # Lower and upper bound of the length scales [half ranges of the joints].
+        length_range = (0.1, 100.0)
+        low = np.r_[np.full(width, np.log(length_range[0])), rms - 4, rms - 5]
+        high = np.r_[np.full(width, np.log(length_range[1])), rms + 2, rms + 1]
         starts = [np.r_[np.full(width, np.log(s)), rms, rms - 1] for s in (1.0, 3.0)]  # of half the box
         logs = min(
             (_minimise_by_sign_steps(few, wanted, start, low, high, steps) for start in starts), key=lambda end: end[1]

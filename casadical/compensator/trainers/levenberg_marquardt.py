@@ -251,8 +251,16 @@ class LmRun:
         return begin_batch(self.task, weights, self.samples, self.ridges)
 
     def _next_ridge(self) -> None:
-        """Score the current ridge on held-out poses and begin the next or the final training."""
-        self.scores.append(self._held_out())
+        """Score the current ridge on held-out poses and begin the next or the final training.
+
+        The score is the mean square error on held-out poses, by each fold's best start.
+        """
+        cost = self.batch.cost.reshape(self.folds, -1)
+        chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
+        weights, inputs, targets = self.batch.weights[chosen], self.task.inputs, self.task.targets
+        squares = (forward(self.task.layout, weights, inputs) - targets) ** 2
+        held_out = (self.samples[chosen] == 0)[:, None]
+        self.scores.append(float(np.sum(squares * held_out) / targets.shape[1]))
         best = int(np.argmin(self.scores))
         self.level, self.inner = self.level + 1, 0
         if self.level == len(self._candidates) or self.level > best + 2:
@@ -260,13 +268,3 @@ class LmRun:
             self.batch = self._begin()
         else:
             self.batch = self._begin(self.batch.weights)
-
-    def _held_out(self) -> float:
-        """Return the mean squared norm of the held-out error, in squared units of the output layer.
-
-        Each fold predicts with the start of lowest training cost.
-        """
-        cost = self.batch.cost.reshape(self.folds, -1)
-        chosen = np.argmin(cost, axis=1) + np.arange(self.folds) * cost.shape[1]
-        errors = forward(self.task.layout, self.batch.weights[chosen], self.task.inputs) - self.task.targets
-        return float(np.sum(errors**2 * (self.samples[chosen] == 0)[:, None]) / self.task.targets.shape[1])

@@ -49,12 +49,6 @@ LINE_COLOUR = COLOURS["line"][0]
 GRID_COLOUR = COLOURS["grid"][0]
 # Background of a figure.
 PAPER_COLOUR = COLOURS["paper"][0]
-# Light grey, the colour of error bars.
-GREY_COLOUR = COLOURS["grey"][0]
-# CSS font families of all text.
-FONT_FAMILIES = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
-# Mode of plotly's scatter trace, by kind of a series.
-MODE_BY_KIND = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
 # Settings of plotly that all axes share.
 AXIS_DEFAULTS = {"gridcolor": GRID_COLOUR, "zeroline": False, "linecolor": LINE_COLOUR, "automargin": True}
 # Position of the camera when a 3D figure is first shown, in edge lengths of the drawn box.
@@ -73,16 +67,24 @@ def plain(text: object) -> str:
 def draw(figure: Figure) -> Picture:
     """Return a figure drawn by plotly. Raises InputError where plotly is not installed."""
     picture = optional("plotly.graph_objects", MISSING_PLOTLY).Figure()
+    # CSS font families of all text.
+    font_families = 'system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif'
+    font = {"family": font_families, "size": 12.5}
+    at_top = {"x": 0, "xref": "container", "y": 1, "yref": "container", "yanchor": "top"}
+    title_font = {"size": 15, "color": INK_COLOUR, "weight": 600}
+    label = {"align": "left", "namelength": -1, "bgcolor": PAPER_COLOUR, "bordercolor": LINE_COLOUR}
     picture.update_layout(
-        template=None, height=figure.height, dragmode="zoom",
-        font={"family": FONT_FAMILIES, "size": 12.5, "color": MUTED_COLOUR},
-        title={"text": plain(figure.title), "x": 0, "xref": "container", "y": 1, "yref": "container",
-               "yanchor": "top", "pad": {"t": 14}, "font": {"size": 15, "color": INK_COLOUR, "weight": 600}},
-        paper_bgcolor=PAPER_COLOUR, plot_bgcolor=PAPER_COLOUR, margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
-        hoverlabel={"font": {"family": FONT_FAMILIES, "size": 12.5, "color": INK_COLOUR}, "align": "left",
-                    "namelength": -1, "bgcolor": PAPER_COLOUR, "bordercolor": LINE_COLOUR},
-        legend={"orientation": "h", "x": 0, "xref": "container", "y": 0, "yref": "container", "yanchor": "bottom"},
-    )  # fmt: skip
+        template=None,
+        height=figure.height,
+        dragmode="zoom",
+        font=font | {"color": MUTED_COLOUR},
+        title={"text": plain(figure.title), **at_top, "pad": {"t": 14}, "font": title_font},
+        paper_bgcolor=PAPER_COLOUR,
+        plot_bgcolor=PAPER_COLOUR,
+        margin={"l": 8, "r": figure.right, "t": 48, "b": 8},
+        hoverlabel={"font": font | {"color": INK_COLOUR}} | label,
+        legend={"orientation": "h"} | at_top | {"y": 0, "yanchor": "bottom"},
+    )
     if any(s.z is not None and s.kind != "map" for s in figure.series):
         _space(picture)
     elif figure.panels:
@@ -138,11 +140,13 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
         position = {"textposition": "outside"} if s.kind == "bars" else {"textposition": "top center"}
         trace |= {"text": [plain(t) for t in s.text], **position, "cliponaxis": False}
         trace |= {"textfont": {"color": INK_COLOUR, "size": 12}}
+    # Light grey, the colour of error bars.
+    grey_colour = COLOURS["grey"][0]
     if s.more is not None:
         bars = (
             {"color": INK_COLOUR, "thickness": 1.4, "width": 4}
             if s.kind == "bars"
-            else {"color": GREY_COLOUR, "thickness": 2}
+            else {"color": grey_colour, "thickness": 2}
         )
         ends = {"array": s.more, "arrayminus": s.less if s.less is not None else s.more, "symmetric": False}
         trace["error_x" if figure.rows else "error_y"] = {"type": "data", "width": 0, **bars, **ends}
@@ -161,7 +165,9 @@ def _add(picture: Picture, figure: Figure, s: Series) -> None:
         return
     marker = {"color": colour, "symbol": s.symbol, "size": s.size}
     line = {"color": colour, "width": s.width, "dash": s.dash}
-    trace["mode"] = MODE_BY_KIND[s.kind] + ("+text" if len(s.text) else "")
+    # Mode of plotly's scatter trace, by kind of a series.
+    mode_by_kind = {"points": "markers", "line": "lines", "linked": "lines+markers", "area": "lines"}
+    trace["mode"] = mode_by_kind[s.kind] + ("+text" if len(s.text) else "")
     if s.kind == "area":
         trace |= {"fill": "toself", "fillcolor": _colour(s.fill or s.colour)}
         trace["line"] = {"color": colour, "width": s.width if s.fill else 0}
@@ -266,9 +272,15 @@ def _note(picture: Picture, figure: Figure, note: Note) -> None:
         for axis, value in (("x", note.x), ("y", note.y))
     )
     picture.add_annotation(
-        text=plain(note.text), x=x, y=y, **refs, **anchors, xshift=way * note.gap, showarrow=False,
+        text=plain(note.text),
+        x=x,
+        y=y,
+        **refs,
+        **anchors,
+        xshift=way * note.gap,
+        showarrow=False,
         font={"size": note.size, "color": _colour(note.colour)},
-    )  # fmt: skip
+    )
 
 
 def _space(picture: Picture) -> None:

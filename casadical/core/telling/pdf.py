@@ -19,16 +19,10 @@ if TYPE_CHECKING:
 else:
     Sheet = Any
 
-# Message of the InputError where fpdf2 is not installed.
-MISSING_FPDF = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
 # Margin at the left and right of an A4 page [mm].
 MARGIN_MM = 18.0
 # Width of the text on an A4 page [mm].
 TEXT_WIDTH_MM = 174.0
-# Largest distance of text from the top of an A4 page [mm].
-TEXT_BOTTOM_MM = 297.0 - 18.0
-# Style (bold, italic) and size [pt] of the font, by kind of words.
-_FONT_BY_KIND = {"title": ("B", 15), "verdict": ("B", 10), "warning": ("B", 8.5), "error": ("B", 8.5), "note": ("I", 8)}
 # Translation of letters that the built-in Latin-1 fonts of PDF readers lack to their substitutes.
 _LATIN1_SUBSTITUTES = str.maketrans(
     {"–": "-", "—": "-", "μ": "µ", "“": '"', "”": '"', "„": '"', "’": "'", "≤": "<=", "≥": ">="}
@@ -73,7 +67,9 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
 
     scale : factor on the size of type, distances and figures
     """
-    sheet: Sheet = optional("fpdf", MISSING_FPDF).FPDF(format="A4")
+    # Message of the InputError where fpdf2 is not installed.
+    missing_fpdf = "a PDF needs fpdf2, which is not installed: pip install 'casadical[certificate]'"
+    sheet: Sheet = optional("fpdf", missing_fpdf).FPDF(format="A4")
     sheet.set_auto_page_break(False)
     sheet.set_margins(MARGIN_MM, MARGIN_MM, MARGIN_MM)
     full = None
@@ -92,7 +88,8 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
                     _table(sheet, block, scale)
             if figures:
                 _figures(sheet, figures, scale)
-        if sheet.get_y() > TEXT_BOTTOM_MM and full is None:
+        # Largest distance of text from the top of an A4 page [mm].
+        if sheet.get_y() > 297.0 - 18.0 and full is None:
             full = number
         sheet.set_y(-14.0)  # mm from the bottom of the page
         _line(sheet, " · ".join((*page.badges, f"{number} / {len(pages)}")), "", 7.5, "muted")
@@ -126,7 +123,15 @@ def _words(sheet: Sheet, block: Words, scale: float) -> None:
 
     scale : factor on the size of the font
     """
-    style, points = _FONT_BY_KIND.get(block.kind, ("", 8.5))
+    # Style (bold, italic) and size [pt] of the font, by kind of words.
+    font_by_kind = {
+        "title": ("B", 15),
+        "verdict": ("B", 10),
+        "warning": ("B", 8.5),
+        "error": ("B", 8.5),
+        "note": ("I", 8),
+    }
+    style, points = font_by_kind.get(block.kind, ("", 8.5))
     role = "muted" if block.kind == "note" else "ink"
     _line(sheet, f"{block.mark} {block.text}".strip(), style, points * scale, role)
     sheet.ln(0.6 * scale)
@@ -154,10 +159,16 @@ def _table(sheet: Sheet, table: Table, scale: float) -> None:
     sheet.set_fill_color(*_rgb("paper"))
     align = tuple("RIGHT" if k in table.numbers else "LEFT" for k in range(len(longest)))
     with sheet.table(
-        col_widths=tuple(longest), width=sum(longest), align="LEFT", text_align=align,
+        col_widths=tuple(longest),
+        width=sum(longest),
+        align="LEFT",
+        text_align=align,
         line_height=3.9 * scale,
-        first_row_as_headings=any(table.columns), borders_layout="HORIZONTAL_LINES", padding=0.4, markdown=False,
-    ) as grid:  # fmt: skip
+        first_row_as_headings=any(table.columns),
+        borders_layout="HORIZONTAL_LINES",
+        padding=0.4,
+        markdown=False,
+    ) as grid:
         for row in rows:
             line = grid.row()
             for cell in row:

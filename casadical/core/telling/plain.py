@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -87,17 +86,17 @@ def _by_keys(result: Any) -> dict[str, Any]:
     keys = [(name, key) for name, key in marked if key] + [(key.name, key) for key in derived]
     data = {}
     for name, key in keys or [(name, Key()) for name, _ in marked]:
-        of = key.of or name
-        found = plain(of(result) if callable(of) else reduce(_attribute, of.split("."), result))
+        of, found = key.of or name, result
+        if callable(of):
+            found = of(result)
+        else:  # an attribute of None is None
+            for attribute in of.split("."):
+                found = None if found is None else getattr(found, attribute)
+        found = plain(found)
         if found is not None or not key.if_known:
             title = f"{key.name or name}_{key.unit}" if key.unit else key.name or name
             data[title] = _in_unit(found, PER_SI_UNIT.get(key.unit, 1), key.digits)
     return data
-
-
-def _attribute(owner: Any, name: str) -> Any:
-    """Return an attribute by its name; None for the attribute of None."""
-    return None if owner is None else getattr(owner, name)
 
 
 def _in_unit(value: Any, factor: float, digits: int | None) -> Any:

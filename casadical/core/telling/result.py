@@ -24,11 +24,6 @@ from casadical.core.telling.template import filled, pages, template_blocks
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 
-# Style of the library rich in which a terminal shows each kind of words.
-_STYLE_BY_KIND = {
-    "title": "bold underline", "text": "", "note": "dim", "warning": "yellow", "error": "bold red", "verdict": "bold",
-}  # fmt: skip
-
 
 def terminal(blocks: Sequence[Block]) -> RenderableType:
     """Return the words and tables among blocks as one object that a console of rich prints.
@@ -51,14 +46,17 @@ def _rendered(block: Words | Table) -> RenderableType:
 
     if isinstance(block, Table):
         return _Fitted(block)
+    # Style of the library rich in which a terminal shows each kind of words.
+    style_by_kind = {"title": "bold underline", "text": "", "note": "dim", "warning": "yellow"}
+    style_by_kind |= {"error": "bold red", "verdict": "bold"}
     if block.mark:
-        return Text.assemble((block.mark, _STYLE_BY_KIND[block.kind]), f" {visible(block.text)}")
+        return Text.assemble((block.mark, style_by_kind[block.kind]), f" {visible(block.text)}")
     code = block.code
     if code.startswith("casadical "):  # a command is broken so that it can be copied
         # A command is wrapped at 72 characters.
         code = " \\\n".join(wrap(code, 72, break_long_words=False, break_on_hyphens=False, subsequent_indent="  "))
     text = visible(f"{block.text}\n{indented(code, '    ')}" if code else block.text)
-    return Text(text, style=_STYLE_BY_KIND[block.kind])
+    return Text(text, style=style_by_kind[block.kind])
 
 
 @dataclass(frozen=True)
@@ -85,9 +83,13 @@ class _Fitted:
         block = self.block
         title = Text(block.title, style="bold") if block.title else None
         shown = rich.Table(
-            title=title, title_justify="left", box=None, padding=(0, 2, 0, 0), pad_edge=False,
+            title=title,
+            title_justify="left",
+            box=None,
+            padding=(0, 2, 0, 0),
+            pad_edge=False,
             show_header=any(block.columns),
-        )  # fmt: skip
+        )
         for k, name in enumerate(block.columns):
             number = k in block.numbers
             min_width = max((len(row[k]) for row in block.rows), default=0) if number and one_line else None
@@ -114,10 +116,6 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
-# Largest length of the one-line representation of a result [characters]; longer ones are cut.
-MAX_REPR_CHARACTERS = 160
-
-
 class Shown:
     """Base of results with a one-line `repr`: the class name and a summary.
 
@@ -142,7 +140,10 @@ class Shown:
 
     def __repr__(self) -> str:
         line = f"{type(self).__name__}{self._line}"
-        return f"<{line if len(line) <= MAX_REPR_CHARACTERS else line[: MAX_REPR_CHARACTERS - 3] + '...'}>"
+        # Largest length of the one-line representation of a result [characters]; longer ones are
+        # cut.
+        max_repr_characters = 160
+        return f"<{line if len(line) <= max_repr_characters else line[: max_repr_characters - 3] + '...'}>"
 
 
 def html(blocks: Sequence[Block], bars: Sequence[tuple[str, float]] = (), title: str = "") -> str:

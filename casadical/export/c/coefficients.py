@@ -155,9 +155,6 @@ def literal(value: float, real: Real) -> str:
 # Largest interpolation error of a table, in the unit of the function's outputs. For a joint angle
 # it is 0.05 urad: 0.05 um at 1 m, and less than the last bit of an angle of 1 rad in float.
 MAX_TABLE_ERROR = 5e-8
-# Numbers of samples per turn that are tried, in this order. Powers of two let a bit mask reduce the
-# index; with more samples the index would not be exact in float.
-TABLE_SIZES = (64, 128, 256, 512, 1024, 2048)
 # Largest absolute angle of a table lookup [rad]: up to it the angle is reduced exactly, by
 # multiples of the sample spacing in two parts.
 TABLE_LIMIT = 128.0
@@ -235,14 +232,17 @@ def _table(function: casadi.Function, output: int, samples: Array) -> tuple[tupl
     """
     amplitude = abs(np.fft.rfft(samples))[1:] * 2 / _HARMONIC_SAMPLES
     bound = np.inf
-    for points in TABLE_SIZES:
+    # Numbers of samples per turn that are tried, in this order. Powers of two let a bit mask reduce
+    # the index; with more samples the index would not be exact in float.
+    table_sizes = (64, 128, 256, 512, 1024, 2048)
+    for points in table_sizes:
         bound = float(amplitude @ spline_errors(points))
         if bound <= MAX_TABLE_ERROR:
             return spline_table(samples[:: _HARMONIC_SAMPLES // points]), bound
     high = 1 + int(np.flatnonzero(amplitude > 0.01 * amplitude.max())[-1])
     raise InputError(
         f"{_what(function)} is {1e6 * bound:.2g} urad off in joint {output + 1} with "
-        f"{TABLE_SIZES[-1]} points a turn; allowed are {1e6 * MAX_TABLE_ERROR:g} urad. It holds "
+        f"{table_sizes[-1]} points a turn; allowed are {1e6 * MAX_TABLE_ERROR:g} urad. It holds "
         f"harmonics up to {high}: are its coefficients right?"
     )
 

@@ -17,8 +17,6 @@ from casadical.export.c.tape import Node, Tape
 
 # Operations of a tape that the C calls as elementary functions.
 _CALLED_FUNCTIONS = ("sincos", "tansig", "exp", "sqrt", "atan2")
-# Operations of a tape that are C operators, by name.
-_INFIX_OPERATORS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 
 
 def template(name: str) -> str:
@@ -120,8 +118,10 @@ def _statement(k: int, node: Node, a: list[str], prefix: str, real: Real) -> str
 def _expression(node: Node, a: list[str], prefix: str, real: Real) -> str:
     """Return the C expression of a node's result; a : C texts of its arguments."""
     zero, one = literal(0.0, real), literal(1.0, real)
-    if node.op in _INFIX_OPERATORS:
-        return f"{a[0]} {_INFIX_OPERATORS[node.op]} {a[1]}"
+    # Operations of a tape that are C operators, by name.
+    infix_operators = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+    if node.op in infix_operators:
+        return f"{a[0]} {infix_operators[node.op]} {a[1]}"
     if node.op in _CALLED_FUNCTIONS:
         return f"{prefix}_{node.op}({', '.join(a)})"
     if node.op == "periodic":

@@ -110,28 +110,21 @@ class Plan:
         """
         pairs = []
         for k in batch:
-            args = tape.nodes[k].args
-            if tape.nodes[k].op in COMMUTATIVE_OPERATIONS:
+            node, args = tape.nodes[k], tape.nodes[k].args
+            if node.op in COMMUTATIVE_OPERATIONS:
                 args = tuple(sorted(args, key=lambda a: (-used[a], a)))
-            pairs.append((place[args[0]], self._second(tape.nodes[k], args, place), k))
+            # The second argument is a place, a guard's constant, a table's index, or 0.
+            second = place[args[1]] if len(args) > 1 else 0
+            if node.op.startswith("guard"):
+                second = self.constant_places[_word(node.value, self.real)]
+            elif node.op == "periodic":
+                second = self.tables.index(node.table)
+            pairs.append((place[args[0]], second, k))
         for first, second, k in sorted(pairs):
             place[k] = self._one(op, first, second)
         for k, node in enumerate(tape.nodes):
             if op == "sincos" and node.op in ("sin", "cos") and node.args[0] in place:
                 place[k] = place[node.args[0]] + (node.op == "cos")
-
-    def _second(self, node: Node, args: tuple[int, ...], place: dict[int, int]) -> int:
-        """Return the number of a node's second argument, or 0 if it has none.
-
-        It is a place, that of a guard's constant, or the index of a table.
-
-        args : node indices of its arguments; place : places of the nodes
-        """
-        if node.op.startswith("guard"):
-            return self.constant_places[_word(node.value, self.real)]
-        if node.op == "periodic":
-            return self.tables.index(node.table)
-        return place[args[1]] if len(args) > 1 else 0
 
     def _one(self, op: str, first: int, second: int) -> int:
         """Append one operation and return the place of its result; first, second : as of `Plan`."""

@@ -18,8 +18,6 @@ from casadical.export.c.reference import correct, network
 from casadical.export.c.runs import RESULT_PLACES, Plan
 from casadical.export.c.tape_program import TapeProgram, operations
 
-# Largest number of characters of a line of structured text.
-_LINE_LENGTH = 118
 # Template of a guard's statements: they replace a value that violates it, and clear `fine`.
 _GUARD_STATEMENT = """\
 v[k] := v[first[k]];
@@ -117,10 +115,13 @@ def _laid_out(text: str) -> str:
     Lines that are too long are broken.
     """
 
+    # Largest number of characters of a line of structured text.
+    line_length = 118
+
     def in_line(found: re.Match[str]) -> str:
         """Return a section in one line if it is short enough, else unchanged."""
         line = f"{found[1]}{found[2]} {found[3]} {end}"
-        short = len(line) <= _LINE_LENGTH and "ARRAY" not in found[3].partition(":=")[2]
+        short = len(line) <= line_length and "ARRAY" not in found[3].partition(":=")[2]
         return line if short else found[0]
 
     sections = (("VAR[A-Z_ ]*", "END_VAR"), ("FOR [^\n]* DO", "END_FOR;"), ("IF [^\n]* THEN", "END_IF;"))
@@ -130,8 +131,8 @@ def _laid_out(text: str) -> str:
             text = re.sub(pattern, in_line, text, flags=re.MULTILINE)
     lines: list[str] = []
     for line in text.split("\n"):
-        while len(line) > _LINE_LENGTH:
-            cut = max(line.rfind(end, 0, _LINE_LENGTH) for end in ", ") + 1
+        while len(line) > line_length:
+            cut = max(line.rfind(end, 0, line_length) for end in ", ") + 1
             lines.append(line[:cut])
             line = " " * 8 + line[cut:].lstrip()
         lines.append(line)

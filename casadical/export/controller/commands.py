@@ -23,7 +23,6 @@ from casadical.compensator import Compensator, load_compensator
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Body, Placement
 from casadical.core.reading import read_bytes
-from casadical.effects import Effect
 from casadical.effects.base import Omission
 from casadical.export.c.products import Command, CurveFunction, Limits, NetworkFunction, Product, mapped
 from casadical.export.c.write import Export, write_c
@@ -246,8 +245,8 @@ def network_of(sources: Sources) -> NetworkFunction:
     network = _network(sources, robot.n)
     if network is None:
         raise InputError(
-            f"{_source_name(sources.compensator)}: this network does not help and was refused when it was "
-            "trained; there is nothing to export"
+            f"{_source_name(sources.compensator)}: this network does not help and was refused when "
+            "it was trained; there is nothing to export"
         )
     return replace(network, units=robot.units)
 
@@ -263,9 +262,9 @@ def curves_of(sources: Sources) -> CurveFunction:
     curves = functions.joint_curves(robot)
     if curves is None:
         raise InputError(
-            f"{_source_name(sources.robot)}: it has no joint_error_curve; there is nothing to export. "
-            "`casadical diagnose` finds the curves; Diagnosis.apply() and write_robot put them "
-            "into a robot file"
+            f"{_source_name(sources.robot)}: it has no joint_error_curve; there is nothing to "
+            "export. `casadical diagnose` finds the curves; Diagnosis.apply() and write_robot put "
+            "them into a robot file"
         )
     q = ca.SX.sym("q", robot.n)
     lower, upper = robot.limits
@@ -330,18 +329,16 @@ def followed(sources: Sources) -> tuple[Robot, tuple[str, ...]]:
     effects of the measurement are omitted.
     """
     robot = _with_payload(robot_of(sources.robot), sources.payload_kg)
-    omissions = [o for e in robot.effects if (o := _omission_of(e))]
+    omissions = []
+    for e in robot.effects:
+        unknown = ", ".join(c for c in e.conditions if c != "payload_kg")
+        if e.of_measurement:
+            omissions.append(Omission(e.label, "an effect of the measurement, not of the robot"))
+        elif unknown:
+            omissions.append(Omission(e.label, f"follows {unknown}, which a controller does not know"))
     lines = left_out(robot, omissions, "the correction of a joint command", sources.leave_out)
     gone = {o.label for o in omissions}
     return robot.with_only(e for e in robot.effects if e.label not in gone), lines
-
-
-def _omission_of(effect: Effect) -> Omission | None:
-    """Return an effect's label with the reason why a controller cannot evaluate it, or None."""
-    lost = [c for c in effect.conditions if c != "payload_kg"]
-    if effect.of_measurement:
-        return Omission(effect.label, "an effect of the measurement, not of the robot")
-    return Omission(effect.label, f"follows {', '.join(lost)}, which a controller does not know") if lost else None
 
 
 def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
@@ -372,14 +369,14 @@ def _refuse_other_robot(real: Robot, nominal: Robot, sources: Sources) -> None:
         if a != b:
             kinds = {"rad": "revolute", "m": "prismatic"}
             raise InputError(
-                f"{_source_name(sources.nominal)}: joint {i} is {kinds[b]}, in {_source_name(sources.robot)} "
-                f"{kinds[a]}: both files must be of one robot"
+                f"{_source_name(sources.nominal)}: joint {i} is {kinds[b]}, in "
+                f"{_source_name(sources.robot)} {kinds[a]}: both files must be of one robot"
             )
     if real.n != nominal.n or loops[0] != loops[1]:
         raise InputError(
             f"{_source_name(sources.nominal)}: {nominal.n} joints, {len(nominal.loops)} four-bars; "
-            f"{_source_name(sources.robot)} has {real.n} and {len(real.loops)}: both files must be of one "
-            "robot"
+            f"{_source_name(sources.robot)} has {real.n} and {len(real.loops)}: both files must be "
+            "of one robot"
         )
 
 
@@ -392,10 +389,10 @@ def _refuse_far_apart(command: Command, sources: Sources) -> None:
     apart = np.linalg.norm((mapped(command.calibrated, q) - mapped(command.nominal, q))[:, :3], axis=1)
     if np.isnan(apart).all() or np.nanmedian(apart) > 0.1:
         raise InputError(
-            f"{_source_name(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from that "
-            f"of {_source_name(sources.robot)} (median over the joints' ranges); at most 100 mm can be "
-            "corrected: are both files of one robot, and with --tool own, is the nominal tool "
-            "really the one that the controller holds?"
+            f"{_source_name(sources.nominal)}: its tool is {1e3 * np.nanmedian(apart):.0f} mm from "
+            f"that of {_source_name(sources.robot)} (median over the joints' ranges); at most 100 "
+            "mm can be corrected: are both files of one robot, and with --tool own, is the nominal "
+            "tool really the one that the controller holds?"
         )
 
 
@@ -412,8 +409,8 @@ def _network(sources: Sources, joints: int) -> NetworkFunction | None:
     layout, box = compensator.layout, compensator.trained_box
     if (layout.joints, layout.outputs) != (joints, 3):
         raise InputError(
-            f"{_source_name(source)}: {layout.joints} joints in and {layout.outputs} numbers out; this "
-            f"robot needs {joints} joints and a position of 3"
+            f"{_source_name(source)}: {layout.joints} joints in and {layout.outputs} numbers out; "
+            f"this robot needs {joints} joints and a position of 3"
         )
     if not compensator.helps:
         return None

@@ -17,14 +17,6 @@ from casadical.export.omission import rigid_omissions
 from casadical.robot.axes import frames_at_zero, row_matrix
 from casadical.robot.robot import Robot, modified_dh
 
-# Names that the UR driver gives to a robot's links, in the order of the joints.
-UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
-# Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
-_UR_TWISTS_RAD = np.deg2rad([0, 90, 0, 0, 90, -90])
-# Largest sine of the angle between two axes at which they count as parallel, and largest distance
-# [m] at which parallel ones count as coincident, so that their common normal is not unique.
-_PARALLEL_TOLERANCE = 1e-9
-
 
 def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, tuple[str, ...]]:
     """Return the text of a robot's kinematics in a driver's format, and sentences on what it omits.
@@ -84,8 +76,12 @@ def standard_row(at: Array, following: Array, like: float) -> tuple[float, float
     local = np.array(inverse(at)) @ following
     z, p = local[:3, 2], local[:3, 3]
     normal = np.array([-z[1], z[0], 0.0])  # across both axes
-    if np.linalg.norm(normal) < _PARALLEL_TOLERANCE:
-        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > _PARALLEL_TOLERANCE else np.array([1.0, 0, 0])
+    # Largest sine of the angle between two axes at which they count as parallel, and largest
+    # distance [m] at which parallel ones count as coincident, so that their common normal is not
+    # unique.
+    parallel_tolerance = 1e-9
+    if np.linalg.norm(normal) < parallel_tolerance:
+        normal = np.array([p[0], p[1], 0.0]) if np.hypot(p[0], p[1]) > parallel_tolerance else np.array([1.0, 0, 0])
         on = p - p[2] / z[2] * z
     else:
         # The point of the next axis nearest to this one; its offset from it is along the normal.
@@ -123,18 +119,22 @@ def _ur(real: Robot, nominal: Robot, checksum: str) -> str:
     Raises InputError: the nominal robot does not have the DH structure of a UR.
     """
     twists = np.array([j.alpha for j in nominal.joints])
+    # Names that the UR driver gives to a robot's links, in the order of the joints.
+    ur_links = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
+    # Twists alpha [rad] of the rows of a UR robot's DH table, in casadical's convention.
+    ur_twists_rad = np.deg2rad([0, 90, 0, 0, 90, -90])
     if (
-        len(twists) != len(UR_LINKS)
-        or np.abs(twists - _UR_TWISTS_RAD).max() > np.deg2rad(3)
+        len(twists) != len(ur_links)
+        or np.abs(twists - ur_twists_rad).max() > np.deg2rad(3)
         or nominal.joints[0].b is not None
     ):
         raise InputError(
             f"{nominal.name}: its twists are {np.rad2deg(twists).round(3).tolist()} deg, those of "
-            f"a UR {np.rad2deg(_UR_TWISTS_RAD).tolist()}: give a robot file with the maker's DH table "
-            "(convention standard)"
+            f"a UR {np.rad2deg(ur_twists_rad).tolist()}: give a robot file with the maker's DH "
+            "table (convention standard)"
         )
     lines = ["kinematics:"]
-    for name, joint in zip(UR_LINKS, real.joints, strict=True):
+    for name, joint in zip(ur_links, real.joints, strict=True):
         T = row_matrix(joint)
         values = (*T[:3, 3], *to_rpy(T[:3, :3]))
         keys = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -33,8 +33,6 @@ from casadical.robot.robot import Robot
 # Time constant with which every spring joint alone comes to rest [s]. It is arbitrary, as statics
 # depend neither on inertia nor on damping.
 SETTLING_TIME_S = 0.02
-# Positions of the two Gauss points along a link, divided by its length.
-GAUSS_POINTS = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
 # Unit vectors x, y, z as the text of MJCF attributes.
 AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")
 # Length of a balancing spring's lever [m]. It is arbitrary, as stiffness and pull scale with it.
@@ -101,18 +99,20 @@ def add_pieces(
     spread : whether its weight bends it as distributed along the link; otherwise as at its centre
         of mass
     """
-    s1, s2 = GAUSS_POINTS
+    # Positions of the two Gauss points along a link, divided by its length.
+    gauss_points = (0.5 - 0.5 / np.sqrt(3), 0.5 + 0.5 / np.sqrt(3))
+    s1, s2 = gauss_points
     com = np.asarray(mass.com)
     # Each piece has a third of the mass. Their centres follow from the moments that the springs
     # must carry, (1 - s) m com or (1 - s)^2 m end / 2.
-    lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in GAUSS_POINTS)
+    lever1, lever2 = ((1 - s) ** 2 * end / 2 if spread else (1 - s) * com for s in gauss_points)
     c2 = s2 * end + 3 * lever2
     c1 = s1 * end + 3 * lever1 - (c2 - s1 * end)
     c0 = 3 * com - c1 - c2
     third = mass.mass / 3
     add_mass(body, third, c0)
     before = np.zeros(3)
-    for k, (share, centre) in enumerate(zip(GAUSS_POINTS, (c1, c2), strict=True), 1):
+    for k, (share, centre) in enumerate(zip(gauss_points, (c1, c2), strict=True), 1):
         body = add_body(body, f"{name}_piece{k}", frame(np.eye(3), share * end - before))
         before = share * end
         for axis, words, link_stiffness in zip("xyz", AXIS_VECTORS, stiffness, strict=True):

@@ -35,12 +35,6 @@ TIME_STEP_S = 0.002
 HARDEST_IMPEDANCE = {"solref": numbers(2 * TIME_STEP_S, 1), "solimp": "0.9999 0.9999 0.001 0.5 2"}
 # Name of the model's site at the measured point.
 MEASURED_SITE = "measured"
-# First lines of the comment at the beginning of a model.
-_MODEL_COMMENT = (
-    "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-    f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the "
-    "joint readings [rad or m].",
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +67,13 @@ def mjcf(robot: Robot) -> MjcfExport:
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
-    describe(root, _MODEL_COMMENT, parts.written, map(str, parts.left_out))
+    # First lines of the comment at the beginning of a model.
+    model_comment = (
+        "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
+        f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the "
+        "joint readings [rad or m].",
+    )
+    describe(root, model_comment, parts.written, map(str, parts.left_out))
     ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", autolimits="true")
     R = robot.base.T[:3, :3] if robot.gravity_frame != "measuring" else np.eye(3)
     gravity = numbers(*(R @ robot.gravity))

@@ -41,8 +41,6 @@ OPTIONAL_DRIVE_KEYS = {
     "torque_limit": "effort_limit",
     "speed_limit": "velocity_limit",
 }
-# Radius of the ball at the measured point that touches a surface [m].
-BALL_RADIUS_M = 0.005
 
 
 def has_motion_parameters(robot: Robot) -> bool:
@@ -106,12 +104,14 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
         return
     up = -gravity / np.linalg.norm(gravity)
     alone = {"contype": "0", "conaffinity": "0"}
-    place = {"pos": numbers(*((height - BALL_RADIUS_M) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
+    # Radius of the ball at the measured point that touches a surface [m].
+    ball_radius_m = 0.005
+    place = {"pos": numbers(*((height - ball_radius_m) * up)), "zaxis": numbers(*up), "size": "0 0 0.01"}
     ET.SubElement(world, "geom", {"name": "floor", "type": "plane", **place, **alone})
     last, site = next(
         (body, node) for body in root.iter("body") for node in body.findall("site") if node.get("name") == MEASURED_SITE
     )
-    ball = {"name": "ball", "type": "sphere", "pos": str(site.get("pos")), "size": numbers(BALL_RADIUS_M), "mass": "0"}
+    ball = {"name": "ball", "type": "sphere", "pos": str(site.get("pos")), "size": numbers(ball_radius_m), "mass": "0"}
     ET.SubElement(last, "geom", {**ball, **alone})
     pair = {"geom1": "floor", "geom2": "ball", "condim": "1", **HARDEST_IMPEDANCE}
     ET.SubElement(ET.SubElement(root, "contact"), "pair", pair)

@@ -75,8 +75,8 @@ class Contact(OfPoints):
         names, counts = np.unique(label.astype(str), return_counts=True)
         if counts.max() < 2:
             raise InputError(
-                f"{columns.source}: column 'point': no point is touched twice ({len(names)} labels); "
-                "poses at one point must have one label"
+                f"{columns.source}: column 'point': no point is touched twice ({len(names)} "
+                "labels); poses at one point must have one label"
             )
         return {"label": label}
 

@@ -18,8 +18,8 @@ class Distance(OfPoints):
 
     name = "distance"
     columns = (
-        "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none of these; of several "
-        "unknown ones `anchor` names each row's"
+        "`distance_mm` (or `_m`) to a point: known `to_x_mm, to_y_mm, to_z_mm` (or `_m`), or none "
+        "of these; of several unknown ones `anchor` names each row's"
     )
     unknown = "the point, or each of several"
     fill: ClassVar[tuple[str, ...]] = ("distance_mm",)
@@ -141,8 +141,8 @@ def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> st
         return ""
     used, other = ("metres", "mm") if too_long else ("millimetres", "m")
     return (
-        f"distances up to {distance.max():.4g} m do not fit the robot, which reaches {reach:.3g} m; "
-        f"they are taken as {used}: should the column be named distance_{other}?"
+        f"distances up to {distance.max():.4g} m do not fit the robot, which reaches {reach:.3g} "
+        f"m; they are taken as {used}: should the column be named distance_{other}?"
     )
 
 
@@ -196,7 +196,7 @@ def other_poses(columns: Columns) -> Array:
     missing = [k for k, o in enumerate(other) if float(o) not in where]
     if missing:
         raise InputError(
-            f"{columns.at(missing[0])}, column 'other_pose': {other[missing[0]]:g} is no pose of this "
-            "table; allowed: the numbers in column 'pose'"
+            f"{columns.at(missing[0])}, column 'other_pose': {other[missing[0]]:g} is no pose of "
+            "this table; allowed: the numbers in column 'pose'"
         )
     return np.array([where[float(o)] for o in other])

@@ -47,8 +47,8 @@ class Position(MeasurementKind):
             )
         if measured < 0.02 * moved:
             return (
-                f"positions spread over {1e3 * measured:.4g} mm only, the model over {1e3 * moved:.4g} mm; "
-                "are they metres? name the columns x_m, y_m, z_m"
+                f"positions spread over {1e3 * measured:.4g} mm only, the model over "
+                f"{1e3 * moved:.4g} mm; are they metres? name the columns x_m, y_m, z_m"
             )
         return ""
 
@@ -118,9 +118,10 @@ class Pose(Position):
 
     name = "pose"
     columns = (
-        "those of `position` and one of `qw, qx, qy, qz`, `R00` .. `R22`, `rotvec_x_rad, rotvec_y_rad, rotvec_z_rad` "
-        "(axis times angle), `roll_deg, pitch_deg, yaw_deg` (about the fixed x, y, z), or `rx_deg, ry_deg, rz_deg` "
-        "(about x, then the new y, then the new z); angles in `_deg` or `_rad`"
+        "those of `position` and one of `qw, qx, qy, qz`, `R00` .. `R22`, `rotvec_x_rad, "
+        "rotvec_y_rad, rotvec_z_rad` (axis times angle), `roll_deg, pitch_deg, yaw_deg` (about the "
+        "fixed x, y, z), or `rx_deg, ry_deg, rz_deg` (about x, then the new y, then the new z); "
+        "angles in `_deg` or `_rad`"
     )
     fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|{ORIENTATION}"
@@ -172,7 +173,8 @@ def orientations(columns: Columns) -> Array:
         row = int(off.argmax())
         raise InputError(
             f"{columns.at(row)}, columns 'R00' to 'R22': no rotation (R R' differs from one by "
-            f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, right-handed"
+            f"{off[row]:.3g}, mirrored ones by more than one); allowed: orthonormal matrices, "
+            "right-handed"
         )
     return R
 
@@ -202,9 +204,9 @@ class RelativePose(MeasurementKind):
 
     name = "relative_pose"
     columns = (
-        "`dx_mm, dy_mm, dz_mm` (or `_m`) and an orientation as of `pose`: of the tool in its frame at another pose, by "
-        "`pose` and `other_pose`, or else that of the row before; all of the first row, which has none, is zero, and a "
-        "row behind one that is left out does not count"
+        "`dx_mm, dy_mm, dz_mm` (or `_m`) and an orientation as of `pose`: of the tool in its frame "
+        "at another pose, by `pose` and `other_pose`, or else that of the row before; all of the "
+        "first row, which has none, is zero, and a row behind one that is left out does not count"
     )
     pattern = f"d[xyz]_mm?|{ORIENTATION}"
     signs = ("dx_mm?",)
@@ -226,8 +228,9 @@ class RelativePose(MeasurementKind):
         begun = max(np.abs(arrays["shift"][0]).max(), np.abs(arrays["turn"][0] - np.eye(3)).max())
         if begun > 0 and not begins[0]:
             raise InputError(
-                f"{columns.at(0)}: has no row before that it could be relative to, but a shift or a turn; give zeros "
-                "there, or name the other pose of each row in `pose` and `other_pose`"
+                f"{columns.at(0)}: has no row before that it could be relative to, but a shift or "
+                "a turn; give zeros there, or name the other pose of each row in `pose` and "
+                "`other_pose`"
             )
         before = np.maximum(np.arange(len(q)) - 1, 0)
         begins[0] = True

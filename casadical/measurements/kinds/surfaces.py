@@ -12,9 +12,6 @@ from casadical.measurements.kinds.base import Arrays, PoseExpression, PositionsA
 from casadical.measurements.kinds.contact import OfPoints, each_label, labels_of, labels_touched_often
 from casadical.measurements.kinds.distance import Distance, positive_lengths
 
-# Three touches determine the plane itself; only a fourth one carries information on the robot.
-MIN_TOUCHES_PER_PLANE = 4
-
 
 class Plane(OfPoints):
     """Contact of the measured point with planes that are identified too, by their labels.
@@ -44,9 +41,12 @@ class Plane(OfPoints):
 
         Raises InputError: an empty label, or a plane that is touched too few times.
         """
-        remedy = f"three touches only say where the plane is: touch it at {MIN_TOUCHES_PER_PLANE} poses at least"
+        # Three touches determine the plane itself; only a fourth one carries information on the
+        # robot.
+        min_touches_per_plane = 4
+        remedy = f"three touches only say where the plane is: touch it at {min_touches_per_plane} poses at least"
         label = labels_touched_often(
-            columns, "plane", MIN_TOUCHES_PER_PLANE, "it says which plane each pose touches", remedy
+            columns, "plane", min_touches_per_plane, "it says which plane each pose touches", remedy
         )
         return {"label": label}
 
@@ -83,10 +83,6 @@ class Plane(OfPoints):
         return np.asarray((length - 1 - normal @ origin[:, None]) * normal)
 
 
-# Required touches of a ball: one more than the four that determine a centre and a radius.
-MIN_TOUCHES_PER_SPHERE = 5
-
-
 class Sphere(Distance):
     """Contact of the measured point with balls whose centres are identified too, by their labels.
 
@@ -95,8 +91,8 @@ class Sphere(Distance):
 
     name = "sphere"
     columns = (
-        "`sphere`: poses of the same name touch the same ball; `radius_mm` (or `_m`) from its centre to the measured "
-        "point: the ball's and the tip's together"
+        "`sphere`: poses of the same name touch the same ball; `radius_mm` (or `_m`) from its "
+        "centre to the measured point: the ball's and the tip's together"
     )
     unknown = "the centres"
     fill: ClassVar[tuple[str, ...]] = ("sphere", "radius_mm")
@@ -112,13 +108,16 @@ class Sphere(Distance):
         """
         if not {"radius_mm", "radius_m"} & set(columns.table):
             raise InputError(
-                f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the robot unless its radius "
-                "is known: the ball's and the tip's together, from the data sheet or by a calliper"
+                f"{columns.source}: column 'radius_mm' is missing; a ball tells nothing of the "
+                "robot unless its radius is known: the ball's and the tip's together, from the "
+                "data sheet or by a calliper"
             )
         radius = positive_lengths(columns, "radius")
-        remedy = f"touch it at {MIN_TOUCHES_PER_SPHERE} poses at least, all around"
+        # Required touches of a ball: one more than the four that determine a centre and a radius.
+        min_touches_per_sphere = 5
+        remedy = f"touch it at {min_touches_per_sphere} poses at least, all around"
         label = labels_touched_often(
-            columns, "sphere", MIN_TOUCHES_PER_SPHERE, "it says which ball each pose touches", remedy
+            columns, "sphere", min_touches_per_sphere, "it says which ball each pose touches", remedy
         )
         return {"distance": radius, "label": label}
 
@@ -129,10 +128,6 @@ class Sphere(Distance):
         if longest < 20.0 * reach:
             return ""
         return f"a radius of {longest:.4g} m does not fit the robot, which reaches {reach:.3g} m; is it radius_mm?"
-
-
-# Three readings determine axis and zero of a gauge; only a fourth carries information on the robot.
-MIN_READINGS_PER_DIAL = 4
 
 
 class Dial(Plane):
@@ -146,8 +141,8 @@ class Dial(Plane):
 
     name = "dial"
     columns = (
-        "`reading_mm` (or `_m`) that grows along an axis: known `along_x, along_y, along_z`, or none of these; of "
-        "several gauges of unknown axes `dial` names each row's"
+        "`reading_mm` (or `_m`) that grows along an axis: known `along_x, along_y, along_z`, or "
+        "none of these; of several gauges of unknown axes `dial` names each row's"
     )
     unknown = "the axes and their zeros, or none"
     pattern = "reading_mm?|along_[xyz]|dial"
@@ -169,17 +164,21 @@ class Dial(Plane):
             if (np.abs(length - 1) > 1e-2).any():
                 row = int(np.argmax(np.abs(length - 1)))
                 raise InputError(
-                    f"{columns.at(row)}, columns 'along_x' to 'along_z': length {length[row]:.4g}; allowed: unit "
-                    "vectors of the measuring frame, such as 0, 0, 1 for a height"
+                    f"{columns.at(row)}, columns 'along_x' to 'along_z': length {length[row]:.4g}; "
+                    "allowed: unit vectors of the measuring frame, such as 0, 0, 1 for a height"
                 )
             return arrays | {"axis": axis / length[:, None]}
         if "dial" in columns.table:
             arrays["label"] = labels_of(columns, "dial", "it names the gauge of each reading")
+        # Three readings determine axis and zero of a gauge; only a fourth carries information on
+        # the robot.
+        min_readings_per_dial = 4
         for own in each_label(self._labels(arrays)):
-            if len(own) < MIN_READINGS_PER_DIAL:
+            if len(own) < min_readings_per_dial:
                 raise InputError(
-                    f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one gauge; its axis and zero "
-                    f"take three: give {MIN_READINGS_PER_DIAL} at least, or its axis in along_x, along_y, along_z"
+                    f"{columns.at(int(own[0]))}, column 'reading': {len(own)} readings of one "
+                    f"gauge; its axis and zero take three: give {min_readings_per_dial} at least, "
+                    "or its axis in along_x, along_y, along_z"
                 )
         return arrays
 

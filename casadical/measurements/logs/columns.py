@@ -31,8 +31,6 @@ _QUANTITIES: Mapping[str, frozenset[str]] = {
 }
 # Words that mark a channel as commanded.
 _COMMANDED = WORDS["nominal"] | WORDS["log_commanded"]
-# Words without a meaning of their own in a heading.
-_FILLER = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
 # End of messages about columns that are missing.
 NAMING_ADVICE = "Name them time_s, q1_rad, q2_rad, ... (_deg, _m, _mm), commands command1_rad, torque1_Nm or current1_A"
 
@@ -166,7 +164,9 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
         at = next((k for k in range(len(words) - len(part) + 1) if list(words[k : k + len(part)]) == part), None)
         if part and at is not None:
             return name, [*words[:at], *words[at + len(part) :]]
-    known = _FILLER | _COMMANDED | frozenset().union(*_QUANTITIES.values())
+    # Words without a meaning of their own in a heading.
+    filler_words = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
+    known = filler_words | _COMMANDED | frozenset().union(*_QUANTITIES.values())
     left = [word for word in words if word not in known]
     return " ".join(str(int(w)) if is_number(w) else w for w in left), [w for w in words if w not in left]
 

@@ -17,14 +17,8 @@ from casadical.measurements.logs.log import JointLog
 DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
 # Length from which on a time step is a gap [median steps].
 MIN_GAP_STEPS = 1.5
-# A joint that covers fewer encoder quanta shows little but its hysteresis.
-MIN_QUANTA_COVERED = 50.0
 # A joint that moves by less does not move [rad or m].
 MIN_MOVEMENT = 1e-4
-# A joint that never moves faster shows no effect that depends on speed [rad/s or m/s].
-MIN_SPEED = 0.02
-# Tolerance beyond a joint's range for readings in a correct unit [rad].
-RANGE_MARGIN_RAD = 0.3
 
 
 def quantum(column: Array) -> float:
@@ -59,13 +53,14 @@ def _understood(log: JointLog) -> Iterator[str]:
     yield f"{len(log)} rows of {len(log.joints)} joints{kinds}, {', '.join(log.joints)}: {', '.join(known)}; SI units"
     if log.torque is None and (log.current is None or log.current_unsigned):
         yield (
-            "no torque and no signed current: causes are told from the response to commands alone; torque scale, "
-            "masses and rotor inertias are not. Log the motors' currents with their signs"
+            "no torque and no signed current: causes are told from the response to commands alone; "
+            "torque scale, masses and rotor inertias are not. Log the motors' currents with their "
+            "signs"
         )
     elif log.command is None:
         yield (
-            "no commands: friction, load and inertia are told from the torque; delay, lag, servo gains and limits are "
-            "not. Log the commanded positions beside the readings"
+            "no commands: friction, load and inertia are told from the torque; delay, lag, servo "
+            "gains and limits are not. Log the commanded positions beside the readings"
         )
 
 
@@ -76,24 +71,24 @@ def _clock(log: JointLog) -> Iterator[str]:
     usual = steps[steps < MIN_GAP_STEPS * log.step]
     spread = f"{min(seconds):.1f} to {max(seconds):.1f} s" if len(runs) > 1 else f"{seconds[0]:.1f} s"
     yield (
-        f"{len(runs)} run{'s' if len(runs) > 1 else ''} of {spread} at {1 / log.step:.2f} Hz; steps differ by "
-        f"{1e3 * float(np.std(usual)):.2g} ms (one sigma)"
+        f"{len(runs)} run{'s' if len(runs) > 1 else ''} of {spread} at {1 / log.step:.2f} Hz; "
+        f"steps differ by {1e3 * float(np.std(usual)):.2g} ms (one sigma)"
     )
     gaps = steps[steps >= MIN_GAP_STEPS * log.step]
     if len(gaps):
         lost = int(np.sum(np.round(gaps / log.step) - 1))
         share = 100 * lost / (lost + len(log))
         yield (
-            f"{lost} samples are lost ({share:.2g} %) in {len(gaps)} gaps, the longest {1e3 * gaps.max():.0f} ms: "
-            "speeds over a gap are left out"
+            f"{lost} samples are lost ({share:.2g} %) in {len(gaps)} gaps, the longest "
+            f"{1e3 * gaps.max():.0f} ms: speeds over a gap are left out"
         )
     repeated = repeated_rows(log)
     if repeated.any():
         rows = ", ".join(str(row) for row in log.row[repeated][:5])
         yield (
-            f"{repeated.sum()} rows repeat the reading before while the arm moves ({100 * repeated.mean():.2g} %; rows "
-            f"{rows}{' ...' if repeated.sum() > 5 else ''}): the log took the same sample twice. Log at the rate of "
-            "the controller, or slower"
+            f"{repeated.sum()} rows repeat the reading before while the arm moves "
+            f"({100 * repeated.mean():.2g} %; rows {rows}{' ...' if repeated.sum() > 5 else ''}): "
+            "the log took the same sample twice. Log at the rate of the controller, or slower"
         )
 
 
@@ -123,6 +118,10 @@ def _readings(log: JointLog) -> Iterator[str]:
             yield "no step is seen in positions: the encoders' quanta are below the noise, or were filtered away"
         elif own:
             yield f"positions come in steps of {own[0] if len({*own}) == 1 else ', '.join(own)} {unit}"
+    # A joint that covers fewer encoder quanta shows little but its hysteresis.
+    min_quanta_covered = 50.0
+    # A joint that never moves faster shows no effect that depends on speed [rad/s or m/s].
+    min_speed = 0.02
     for k, name in enumerate(log.joints):
         column = log.position[:, k]
         covered = float(np.nanmax(column) - np.nanmin(column))
@@ -130,19 +129,21 @@ def _readings(log: JointLog) -> Iterator[str]:
         # A joint moves if it covers three quanta, or MIN_MOVEMENT where no quantum is seen.
         if covered <= max(3.0 * steps[k], MIN_MOVEMENT):
             yield (
-                f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it holds is told, no "
-                "friction, inertia, play or delay. Move it to and fro, fast and slowly"
+                f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it "
+                "holds is told, no friction, inertia, play or delay. Move it to and fro, fast and "
+                "slowly"
             )
-        elif covered < MIN_QUANTA_COVERED * steps[k]:
+        elif covered < min_quanta_covered * steps[k]:
             yield (
-                f"{name} moves by {covered / steps[k]:.0f} steps of its encoder ({1e3 * covered:.3g} {unit}): too "
-                f"little to tell more than its hysteresis. "
-                f"Move it by {1e3 * MIN_QUANTA_COVERED * steps[k]:.0f} {unit} or more"
+                f"{name} moves by {covered / steps[k]:.0f} steps of its encoder "
+                f"({1e3 * covered:.3g} {unit}): too little to tell more than its hysteresis. Move "
+                f"it by {1e3 * min_quanta_covered * steps[k]:.0f} {unit} or more"
             )
-        elif (fastest := _fastest(log, k)) < MIN_SPEED:
+        elif (fastest := _fastest(log, k)) < min_speed:
             yield (
-                f"{name} moves at {1e3 * fastest:.2g} {unit}/s at most: too slow to tell viscous friction, lag or "
-                f"inertia; dry friction and load are told. Move it at {1e3 * 10 * MIN_SPEED:.0f} {unit}/s or more"
+                f"{name} moves at {1e3 * fastest:.2g} {unit}/s at most: too slow to tell viscous "
+                "friction, lag or inertia; dry friction and load are told. Move it at "
+                f"{1e3 * 10 * min_speed:.0f} {unit}/s or more"
             )
         for channel in ("torque", "current"):
             values = getattr(log, channel)
@@ -151,8 +152,8 @@ def _readings(log: JointLog) -> Iterator[str]:
     first = {re.split(r"[_\W]", name)[0].casefold() for name in log.joints}
     if {"left", "right"} <= first or {"l", "r"} <= first:
         yield (
-            "joints of two arms stand in one log: each is told as if the other were not there. Name the robot's own "
-            "joints by its model, and give one log to each arm"
+            "joints of two arms stand in one log: each is told as if the other were not there. "
+            "Name the robot's own joints by its model, and give one log to each arm"
         )
 
 
@@ -175,15 +176,16 @@ def _between(log: JointLog) -> Iterator[str]:
             yield f"speeds are {1e3 * abs(delay):.1f} ms {way} positions: the delay of the log's own filter"
         if not 0.8 < scale < 1.25:
             yield (
-                f"speeds are {scale:.3g} times the slope of positions: their unit is another than their name says. "
-                "Correct the name of the column; here slopes of positions are taken"
+                f"speeds are {scale:.3g} times the slope of positions: their unit is another than "
+                "their name says. Correct the name of the column; here slopes of positions are "
+                "taken"
             )
     if log.command is None:
         return
     if np.array_equal(log.command, log.position, equal_nan=True):
         yield (
-            "commands are the readings to the last digit: the log holds one of them twice, so the response is not "
-            "told. Log what was sent to the drives"
+            "commands are the readings to the last digit: the log holds one of them twice, so the "
+            "response is not told. Log what was sent to the drives"
         )
         return
     alike = _alike(log)
@@ -192,16 +194,17 @@ def _between(log: JointLog) -> Iterator[str]:
             continue
         if alike[k, k] < -0.8:
             yield (
-                f"{name}: command and reading count in opposite directions (correlation {alike[k, k]:.2f}): turn the "
-                "sign of one of the columns; until then its response is not told"
+                f"{name}: command and reading count in opposite directions (correlation "
+                f"{alike[k, k]:.2f}): turn the sign of one of the columns; until then its response "
+                "is not told"
             )
             continue
         best = int(np.nanargmax(np.abs(alike[k])))
         if best != k and abs(alike[k, k]) < 0.5 and abs(alike[k, best]) > 0.98:
             yield (
-                f"the command of {name} moves as the reading of {log.joints[best]} does (correlation "
-                f"{alike[k, best]:.3f}, with its own {alike[k, k]:.2f}): joints stand in another order in the "
-                "commands. Name the columns by their joints"
+                f"the command of {name} moves as the reading of {log.joints[best]} does "
+                f"(correlation {alike[k, best]:.3f}, with its own {alike[k, k]:.2f}): joints stand "
+                "in another order in the commands. Name the columns by their joints"
             )
 
 
@@ -262,8 +265,9 @@ def with_signs(log: JointLog) -> JointLog:
         if both < 2:
             continue
         said = (
-            f"{channel} is never negative, though {both} joints move to and fro: read as the absolute value of a "
-            "current, which tells friction and load by size alone. Log it with its sign"
+            f"{channel} is never negative, though {both} joints move to and fro: read as the "
+            "absolute value of a current, which tells friction and load by size alone. Log it with "
+            "its sign"
         )
         changed: dict[str, Array | None] = {"torque": None if channel == "torque" else log.torque, "current": values}
         known = {"current_unsigned": True, "signs_lost": channel, "findings": (*log.findings, said)}
@@ -273,6 +277,8 @@ def with_signs(log: JointLog) -> JointLog:
 
 def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
     """Check that angles are in the unit of their columns' names, in all rows. Raises InputError."""
+    # Tolerance beyond a joint's range for readings in a correct unit [rad].
+    range_margin_rad = 0.3
     for k, name in enumerate(log.joints):
         if log.kinds[k] != "revolute":
             continue
@@ -282,10 +288,10 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
         beyond = largest > MAX_TURNS * 2 * np.pi
         if robot and not beyond:
             lower, upper = (float(ends[k]) for ends in robot.limits)
-            inside = (lower - RANGE_MARGIN_RAD <= np.deg2rad(column)) & (np.deg2rad(column) <= upper + RANGE_MARGIN_RAD)
+            inside = (lower - range_margin_rad <= np.deg2rad(column)) & (np.deg2rad(column) <= upper + range_margin_rad)
             reach = max(abs(lower), abs(upper))
             beyond = (
-                largest > 2 * reach + RANGE_MARGIN_RAD and largest > np.pi and bool(inside[np.isfinite(column)].all())
+                largest > 2 * reach + range_margin_rad and largest > np.pi and bool(inside[np.isfinite(column)].all())
             )
         if beyond:
             raise InputError(f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
@@ -298,8 +304,9 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
             ):
                 if abs(ratio / factor - 1) < 0.15:
                     raise InputError(
-                        f"{log.source}: {words[0]} of {name} are {DEGREES_PER_RADIAN:.1f} times its {words[1]}: "
-                        f"degrees called radians; name the columns of the {words[0]} with _deg"
+                        f"{log.source}: {words[0]} of {name} are {DEGREES_PER_RADIAN:.1f} times "
+                        f"its {words[1]}: degrees called radians; name the columns of the "
+                        f"{words[0]} with _deg"
                     )
 
 
@@ -319,9 +326,9 @@ def refuse_frozen(log: JointLog) -> None:
         if len(commands) and np.ptp(commands) > 0.1:
             unit, value = log.unit("position", int(k)), float(np.nanmax(log.position[:, k]))
             raise InputError(
-                f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} rows, though its "
-                f"commands move by {np.ptp(commands):.3g} {unit}: it was not measured, or the joint is blocked. Log "
-                "its encoder"
+                f"{log.source}: position of {log.joints[k]}: {value:.6g} {unit} in all {len(log)} "
+                f"rows, though its commands move by {np.ptp(commands):.3g} {unit}: it was not "
+                "measured, or the joint is blocked. Log its encoder"
             )
 
 
@@ -339,7 +346,8 @@ def _refuse_change(log: JointLog, k: int) -> None:
     if len(at):
         row = int(at[0])
         raise InputError(
-            f"{log.source}: row {log.row[row + 1]}, position of {log.joints[k]}: {column[row + 1]:.5g} follows "
-            f"{column[row]:.5g}, {ratio[row]:.1f} times: the unit changes there (degrees and radians); convert the "
-            "rows of one of them, or give one file to each"
+            f"{log.source}: row {log.row[row + 1]}, position of {log.joints[k]}: "
+            f"{column[row + 1]:.5g} follows {column[row]:.5g}, {ratio[row]:.1f} times: the unit "
+            "changes there (degrees and radians); convert the rows of one of them, or give one "
+            "file to each"
         )

@@ -179,9 +179,9 @@ def _refuse_malformed(log: JointLog) -> None:
             raise InputError(f"{log.source}: {name} has the shape {np.shape(getattr(log, name))}; allowed: {wanted}")
     if log.command is None and log.torque is None and log.current is None:
         raise InputError(
-            f"{log.source}: neither commands nor a torque or current, so nothing says what the joints should have "
-            "done; only their motion is known. Log the commanded positions (command1_rad ...) or the currents "
-            "(current1_A ...) beside q1_rad ..."
+            f"{log.source}: neither commands nor a torque or current, so nothing says what the "
+            "joints should have done; only their motion is known. Log the commanded positions "
+            "(command1_rad ...) or the currents (current1_A ...) beside q1_rad ..."
         )
     faults = [
         fault for name, values in (("time", log.time), *log.arrays.items()) for fault in _cells(log, name, values)
@@ -196,8 +196,9 @@ def _refuse_malformed(log: JointLog) -> None:
     if len(stands):
         k = stands[0] + 1
         raise InputError(
-            f"{log.source}: row {log.row[k]}, column 'time_s': {log.time[k]:.9g} s follows {log.time[k - 1]:.9g} s; "
-            "allowed: times that grow within a run; correct the clock, or number the runs in column run"
+            f"{log.source}: row {log.row[k]}, column 'time_s': {log.time[k]:.9g} s follows "
+            f"{log.time[k - 1]:.9g} s; allowed: times that grow within a run; correct the clock, "
+            "or number the runs in column run"
         )
 
 

@@ -29,9 +29,6 @@ from casadical.measurements.logs.systems import BAG_SUFFIXES, LEROBOT_CHANNELS, 
 from casadical.measurements.raw_table import plain_headings, read_table
 from casadical.measurements.vocabulary import WORDS
 
-# Channels whose unit contains an angle or a length.
-_MOTION_CHANNELS = ("position", "command", "speed", "command_speed")
-
 
 def read_log(
     path: str | Path,
@@ -170,8 +167,9 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
     keys = there[: robot.n] if numbered else _by_name(there, own)
     if len(keys) < robot.n:
         raise InputError(
-            f"{log.source}: positions of {len(there)} joints ({', '.join(there)}), the robot {robot.name!r} has "
-            f"{robot.n} ({', '.join(own)}); take the model of this arm, or name the columns as its joints"
+            f"{log.source}: positions of {len(there)} joints ({', '.join(there)}), the robot "
+            f"{robot.name!r} has {robot.n} ({', '.join(own)}); take the model of this arm, or name "
+            "the columns as its joints"
         )
     left = [key for key in there if key not in keys]
     said = f"{'columns of joints' if numbered else 'joints'} {', '.join(left)} are not of the robot {robot.name!r}"
@@ -208,21 +206,21 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         if not usable.all():
             bad = int(np.argmin(usable))
             raise InputError(
-                f"{log.source}: row {log.row[bad]}, column {name!r}: {values[bad]:g} is no {wanted}; correct or "
-                "delete the row"
+                f"{log.source}: row {log.row[bad]}, column {name!r}: {values[bad]:g} is no "
+                f"{wanted}; correct or delete the row"
             )
     changes, steps = np.diff(numbers) != 0, np.diff(log.time)
     back = ~changes & (steps < 0)
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     if usual > 0.5:  # [s]
         raise InputError(
-            f"{log.source}: rows lie {usual:.3g} s apart; a motion is logged some times a second. If the time is in "
-            "another unit, name its column so: time_ms, time_us, time_ns"
+            f"{log.source}: rows lie {usual:.3g} s apart; a motion is logged some times a second. "
+            "If the time is in another unit, name its column so: time_ms, time_us, time_ns"
         )
     if len(steps) and not (~changes & (steps > 0)).any():
         raise InputError(
-            f"{log.source}: time grows in none of its {len(log.time)} rows from the row before in its run; log a clock "
-            "that grows, and let the column run number runs, not rows"
+            f"{log.source}: time grows in none of its {len(log.time)} rows from the row before in "
+            "its run; log a clock that grows, and let the column run number runs, not rows"
         )
     ahead = ~changes & (steps > 600.0)  # after so long a pause [s] another run begins
     stands = np.concatenate([[False], ~changes & (steps == 0)])
@@ -238,8 +236,9 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         k = int(np.flatnonzero(back)[0]) + 1
         said.append(
             f"row {log.row[k]}: time jumps back from {log.time[k - 1]:.6g} to {log.time[k]:.6g} s"
-            f"{f' ({back.sum()} such)' if back.sum() > 1 else ''}: read as a new run from there; nothing that goes "
-            "over the jump (delay, warm-up) is told from it. Log one monotonic clock, or number runs in column run"
+            f"{f' ({back.sum()} such)' if back.sum() > 1 else ''}: read as a new run from there; "
+            "nothing that goes over the jump (delay, warm-up) is told from it. Log one monotonic "
+            "clock, or number runs in column run"
         )
     if stands.any():
         k = int(np.flatnonzero(stands)[0])
@@ -260,14 +259,16 @@ def _into_si(
 ) -> tuple[str, ...]:
     """Convert the arrays to SI in place; return sentences on units that no heading states."""
     guessed: dict[str, list[str]] = {}
+    # Channels whose unit contains an angle or a length.
+    motion_channels = ("position", "command", "speed", "command_speed")
     for channel, values in arrays.items():
         for k, key in enumerate(keys):
             unit = log.units.get((channel, key), "")
-            if not unit and channel in _MOTION_CHANNELS and kinds[k] == "revolute":
+            if not unit and channel in motion_channels and kinds[k] == "revolute":
                 unit = given or _angle_unit(log, channel, keys)
                 if not given:
                     guessed.setdefault(unit, []).append(f"{channel} {key}")
-            if unit == "percent" and channel in _MOTION_CHANNELS:
+            if unit == "percent" and channel in motion_channels:
                 values[:, k] = _of_range(values[:, k], robot, k, channel, log.source)
             else:
                 values[:, k] *= SI_FACTORS.get(unit, 1.0)

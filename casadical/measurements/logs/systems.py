@@ -18,14 +18,10 @@ from casadical.measurements.table_form import clean
 
 # File of the measured states in a folder of SAGE.
 SAGE_STATE_FILE = "state_motor.csv"
-# File of the commands in a folder of SAGE.
-SAGE_CONTROL_FILE = "control.csv"
 # Columns of LeRobot's datasets with their channels.
 LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
 # Endings of ROS bags.
 BAG_SUFFIXES = (".db3", ".mcap", ".bag")
-# Words in the name of a topic whose joint states are commands.
-_COMMANDED_TOPIC_WORDS = ("command", "desired", "target", "reference", "goal", "leader", "action")
 
 
 def sage(folder: Path) -> Logged:
@@ -34,9 +30,11 @@ def sage(folder: Path) -> Logged:
     Raises InputError."""
     names = [clean(line) for line in read_text(folder / "joint_list.txt").splitlines() if line.strip()]
     states = logged(read_table(folder / SAGE_STATE_FILE), listed=names)
-    if not (folder / SAGE_CONTROL_FILE).exists():
+    # File of the commands in a folder of SAGE.
+    sage_control_file = "control.csv"
+    if not (folder / sage_control_file).exists():
         return states
-    control = logged(read_table(folder / SAGE_CONTROL_FILE), listed=names)
+    control = logged(read_table(folder / sage_control_file), listed=names)
     commands = replace(control, channels={"command": control.channels.get("position", {})})
     return replace(joined([states, commands]), source=folder.name)
 
@@ -59,8 +57,9 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
     sizes = [np.nanmax(np.abs(column)) for column in log.channels.get("position", {}).values()]
     if not unit and max(sizes, default=0.0) <= 100.0:
         raise InputError(
-            f"{path.name}: positions within -100 to 100 are degrees or, as LeRobot writes by default, per cent of each "
-            "joint's calibrated range; nothing here says which. Say it in the table [drive] of the robot file, or of "
+            f"{path.name}: positions within -100 to 100 are degrees or, as LeRobot writes by "
+            "default, per cent of each joint's calibrated range; nothing here says which. Say it "
+            "in the table [drive] of the robot file, or of "
             '--drive FILE.toml: log_angles = "deg", or "percent"'
         )
     return replace(log, units=dict.fromkeys(log.units, unit or "deg"))
@@ -102,15 +101,18 @@ def bag(path: Path) -> Logged:
     logs = [_of_stream(stream, path) for stream in streams.values()]
     if not any("position" in log.channels for log in logs):
         raise InputError(
-            f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record /joint_states "
-            "(sensor_msgs/msg/JointState) and the controller's state, which has the commands"
+            f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record "
+            "/joint_states (sensor_msgs/msg/JointState) and the controller's state, which has the "
+            "commands"
         )
     return joined(sorted(logs, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
     """Yield joint names, channel and values of a JointState message."""
-    commanded = any(word in topic.casefold() for word in _COMMANDED_TOPIC_WORDS)
+    # Words in the name of a topic whose joint states are commands.
+    commanded_topic_words = ("command", "desired", "target", "reference", "goal", "leader", "action")
+    commanded = any(word in topic.casefold() for word in commanded_topic_words)
     for field, channel in {"position": "position", "velocity": "speed", "effort": "torque"}.items():
         if not commanded or channel != "torque":
             name = {"position": "command", "speed": "command_speed"}[channel] if commanded else channel
@@ -162,8 +164,9 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
         notes.append(f"{stream.topic}: without stamps; times are those of recording, with its delay and jitter")
     channels = {
         name: dict(zip(stream.names, np.array(rows, dtype=float).T, strict=True))
-        for name, rows in stream.rows.items() if len(rows) == len(stamps) and np.any(np.asarray(rows))
-    }  # fmt: skip
+        for name, rows in stream.rows.items()
+        if len(rows) == len(stamps) and np.any(np.asarray(rows))
+    }
     if "torque" in channels:
         notes.append(
             f"{stream.topic}: effort is read as torque [N m]; some drivers write currents there (Universal Robots' "
@@ -203,7 +206,11 @@ def joined(logs: Sequence[Logged]) -> Logged:
         raise InputError(f"{first.source}: its streams do not overlap in time; record them together")
     which = np.flatnonzero(kept)
     return replace(
-        first, time=(first.time - start)[which], units=units, row=first.row[which], notes=tuple(notes),
+        first,
+        time=(first.time - start)[which],
+        units=units,
+        row=first.row[which],
+        notes=tuple(notes),
         channels={n: {j: c[which] for j, c in columns.items()} for n, columns in channels.items()},
         scalars={name: values[which] for name, values in first.scalars.items()},
-    )  # fmt: skip
+    )

@@ -35,8 +35,6 @@ from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# Degrees of freedom of a stated noise, which is taken as known to 25 % (JCGM 100:2008, G.4.2).
-STATED_NOISE_FREEDOM = 8.0
 # With fewer held-out poses the scatter of the mean square is not known.
 MIN_HELD_OUT_POSES = 8
 # Stands for infinitely many degrees of freedom.
@@ -232,31 +230,40 @@ def budget_of(
     whole, mean = fit_correction * float(np.std(e**2, ddof=1)) / np.sqrt(n), fit_correction * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
     (s, freedom), noise = repeats, known.noise
+    # Degrees of freedom of a stated noise, which is taken as known to 25 % (JCGM 100:2008, G.4.2).
+    stated_noise_freedom = 8.0
     if freedom:  # the scatter of repeats includes the instrument's noise
         noise = 0.0
     else:
-        s, freedom = known.repeatability, STATED_NOISE_FREEDOM
+        s, freedom = known.repeatability, stated_noise_freedom
     by_noise = [3 * v**2 for v in (noise, s)]
     random = sum(by_noise) / 3
     # The part of the variance of mean(e^2) that is due to noise; the rest is due to the space.
     own_part = (6 * random**2 + 4 * random * max(mean - 3 * random, 0.0)) / n
     lines = (
         Contribution(
-            "instrument", "B", -by_noise[0] + known.scale**2 * spread,
-            float(np.hypot(by_noise[0] * np.sqrt(2 / STATED_NOISE_FREEDOM), np.sqrt(2) * known.scale**2 * spread)),
-            STATED_NOISE_FREEDOM if by_noise[0] else INFINITE_FREEDOM, known.noise > 0 or known.scale > 0,
+            "instrument",
+            "B",
+            -by_noise[0] + known.scale**2 * spread,
+            float(np.hypot(by_noise[0] * np.sqrt(2 / stated_noise_freedom), np.sqrt(2) * known.scale**2 * spread)),
+            stated_noise_freedom if by_noise[0] else INFINITE_FREEDOM,
+            known.noise > 0 or known.scale > 0,
         ),
         Contribution(
-            "repeatability", "A" if repeats[1] else "B", -by_noise[1],
+            "repeatability",
+            "A" if repeats[1] else "B",
+            -by_noise[1],
             float(np.hypot(by_noise[1] * np.sqrt(2 / freedom), np.sqrt(min(own_part, whole**2)))),
-            freedom if by_noise[1] else n - 1.0, s > 0,
+            freedom if by_noise[1] else n - 1.0,
+            s > 0,
         ),
         Contribution("model", "B", 0.0, _interpolation_uncertainty(robot, sets)),
         Contribution("frames", "A", mean - mean / fit_correction, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
-        Contribution("temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread,
-                     stated=known.growth > 0),
+        Contribution(
+            "temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread, stated=known.growth > 0
+        ),
         Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),
-    )  # fmt: skip
+    )
     return Budget(e, lines)
 
 

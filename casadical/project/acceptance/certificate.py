@@ -36,8 +36,6 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Uncertainties in um/m, as a share.
-PER_MILLION = 1e-6
 # Texts and numbers of certificate.toml, within the bounds that a page can show.
 Text = Annotated[str, Field(max_length=300)]
 Positive = Annotated[float, Field(ge=0.0, le=1e6)]
@@ -95,12 +93,14 @@ class Details(TomlTable):
         a value of zero or less.
         """
         c, i = self.conditions, self.instrument
-        for name, value in (("instrument.noise", i.noise), ("conditions.repeatability", c.repeatability),
-                            ("decision.tolerance", self.decision.tolerance)):  # fmt: skip
+        stated = {"instrument.noise": i.noise, "conditions.repeatability": c.repeatability}
+        for name, value in {**stated, "decision.tolerance": self.decision.tolerance}.items():
             if value is not None and value <= 0:
                 raise InputError(f"{name}_mm = {1e3 * value:g}: it must be above zero, or left out")
-        growth = PER_MILLION * c.expansion_um_per_m_K * c.range_K / np.sqrt(3)
-        return Conditions(i.noise or 0.0, PER_MILLION * i.scale_um_per_m, c.repeatability or 0.0, float(growth))
+        # Uncertainties in um/m, as a share.
+        per_million = 1e-6
+        growth = per_million * c.expansion_um_per_m_K * c.range_K / np.sqrt(3)
+        return Conditions(i.noise or 0.0, per_million * i.scale_um_per_m, c.repeatability or 0.0, float(growth))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,28 +163,36 @@ class Certificate(Acceptance):
         d = self.details
         stated = {line.source: line.stated for line in self.after.lines}
         given = {
-            "traceability": d.instrument.traceability, "calibrated": d.instrument.calibrated,
-            "noise": stated["instrument"] or stated["repeatability"], "repeatability": stated["repeatability"],
-            "temperature": d.conditions.temperature_degC is not None, "tolerance": d.decision.tolerance is not None,
-        }  # fmt: skip
+            "traceability": d.instrument.traceability,
+            "calibrated": d.instrument.calibrated,
+            "noise": stated["instrument"] or stated["repeatability"],
+            "repeatability": stated["repeatability"],
+            "temperature": d.conditions.temperature_degC is not None,
+            "tolerance": d.decision.tolerance is not None,
+        }
         return [key for key, value in given.items() if not value]
 
     def pages(self) -> list[Page]:
         """Return the two pages of the certificate."""
         w, d = words_of(self.details.language), self.details
         badge = (w["data"], f"casadical, {w['number']} {d.number or '-'}")
+        both = (("before", self.before), ("after", self.after))
+        errors = [(w[name], b.stated, mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
+        head = ("", w["error"], w["rms"], w["worst"], "n")
+        results = Table("", head, errors, frozenset({2, 3, 4}), frozenset({1}))
         first = (
             Section(w["object"], [self._fields(w)]),
-            Section(w["results"], [self._results(w), Words(w["measurand"]), *self._refit(w)]),
+            Section(w["results"], [results, Words(w["measurand"]), *self._refit(w)]),
             Section(w["decided"], self._decided(w)),
             Section(w["unstated"], [Words(w[f"no_{key}"], "warning") for key in self.missing] or [Words(w["all"])]),
         )
         figures = [self._picture(w, k) for k in (0, 1)]
+        factor, freedom = f"{self.after.factor:.2f}", _many(self.after.freedom)
+        expanded = w["expanded"].format(k=factor, freedom=freedom)
         second = [
-            Section(w["budget"], [self.budget_table(w), Words(w["formula"]), Words(w["expanded"].format(
-                k=f"{self.after.factor:.2f}", freedom=_many(self.after.freedom)))]),
+            Section(w["budget"], [self.budget_table(w), Words(w["formula"]), Words(expanded)]),
             Section(w["pictures"], figures),
-        ]  # fmt: skip
+        ]
         if iso := self.iso9283:
             drift = f"dAP = {mm(iso.drift[0])} mm, dRP = {mm(iso.drift[1])} mm. " if iso.drift else ""
             model_note = "" if iso.model is None else w["iso_model"].format(model=mm(iso.model))
@@ -194,8 +202,10 @@ class Certificate(Acceptance):
         rows = [(Path(path).name, code[:32]) for path, code in made.files]
         second.append(Section(w["files"], [Table("", (w["file"], "SHA-256 (32)"), rows)]))
         title = f"{w['title']}: {self.problem.robot.name}"
-        return [Page("Certificate", title, w["about"], first, badges=badge),
-                Page("Certificate", w["second"], w["about"], second, badges=badge)]  # fmt: skip
+        return [
+            Page("Certificate", heading, w["about"], sections, badges=badge)
+            for heading, sections in ((title, first), (w["second"], second))
+        ]
 
     def pdf(self) -> bytes:
         """Return the PDF file of the two pages. Raises InputError for an invalid date of issue."""
@@ -223,22 +233,23 @@ class Certificate(Acceptance):
         low, high = 1e3 * self.places.min(axis=0), 1e3 * self.places.max(axis=0)
         span = ", ".join(f"{c} {a + 0.0:.0f} .. {b:.0f}" for c, a, b in zip("xyz", low, high, strict=True))
         rows = [
-            (w["number"], d.number), (w["issued"], d.issued), (w["issuer"], d.issuer), (w["customer"], d.customer),
+            (w["number"], d.number),
+            (w["issued"], d.issued),
+            (w["issuer"], d.issuer),
+            (w["customer"], d.customer),
             (w["robot"], f"{self.problem.robot.name}, {w['serial']} {d.robot_serial or '-'}"),
             (w["measured"], f"{d.measured_on}, {d.operator}".strip(", ")),
             (w["origin"], w[self.problem.data or "unstated_origin"]),
             (w["instrument"], f"{i.name or w['not_stated']}, {w['serial']} {i.serial or '-'}"),
-            (w["calibrated"], i.calibrated), (w["traceability"], i.traceability),
-            (w["place"], c.place), (w["temperature"], degrees), (w["method"], method),
-            (w["space"], w["space_of"].format(n=self.after.n, span=span)), *((w["remark"], text) for text in d.remarks),
-        ]  # fmt: skip
+            (w["calibrated"], i.calibrated),
+            (w["traceability"], i.traceability),
+            (w["place"], c.place),
+            (w["temperature"], degrees),
+            (w["method"], method),
+            (w["space"], w["space_of"].format(n=self.after.n, span=span)),
+            *((w["remark"], text) for text in d.remarks),
+        ]
         return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
-
-    def _results(self, w: Mapping[str, str]) -> Table:
-        """Return the table of errors before and after."""
-        both = (("before", self.before), ("after", self.after))
-        rows = [(w[name], b.stated, mm(b.rms), mm(b.worst), str(b.n)) for name, b in both]
-        return Table("", ("", w["error"], w["rms"], w["worst"], "n"), rows, frozenset({2, 3, 4}), frozenset({1}))
 
     def _refit(self, w: Mapping[str, str]) -> list[Words]:
         """Return a note on the later fit to all poses, if there was one."""
@@ -261,17 +272,22 @@ class Certificate(Acceptance):
         rows = [(w["mean_square"], "", f"{1e6 * after.rms**2:.4g}", "", "", "")]
         rows += [
             (
-                w[f"of_{line.source}"] + (f" ({w['not_stated']})" if not line.stated else ""), line.kind,
-                f"{1e6 * line.square:+.3g}" if line.square else "0", f"{1e6 * line.u:.2g}", _many(line.freedom),
+                w[f"of_{line.source}"] + (f" ({w['not_stated']})" if not line.stated else ""),
+                line.kind,
+                f"{1e6 * line.square:+.3g}" if line.square else "0",
+                f"{1e6 * line.u:.2g}",
+                _many(line.freedom),
                 mm(after.u(line)) if after.resolved else "-",
             )
             for line in after.lines
-        ]  # fmt: skip
+        ]
+        square, u_square = f"{1e6 * after.square:.4g}", f"{1e6 * after.u_square:.2g}"
+        u = mm(after.u()) if after.resolved else "-"
+        factor, error = f"k = {after.factor:.2f}", f"E = {mm(after.error)} mm"
         rows += [
-            ("E, u(E)", "", f"{1e6 * after.square:.4g}", f"{1e6 * after.u_square:.2g}", _many(after.freedom),
-             mm(after.u()) if after.resolved else "-"),
-            ("E, U = k u(E)", f"k = {after.factor:.2f}", f"E = {mm(after.error)} mm", "", "", mm(after.expanded)),
-        ]  # fmt: skip
+            ("E, u(E)", "", square, u_square, _many(after.freedom), u),
+            ("E, U = k u(E)", factor, error, "", "", mm(after.expanded)),
+        ]
         head = (w["source"], w["type"], w["adds"], w["u_square"], w["freedom"], w["share"])
         return Table("", head, rows, frozenset({2, 3, 4, 5}), frozenset({len(rows) - 1}))
 
@@ -369,8 +385,9 @@ def _refuse_others(
     if not isinstance(mean, int | float) or (n == len(own) and abs(1e3 * own.mean() - mean) > 1e-3 * mean + 1e-5):
         given = f"{mean:.4f}" if isinstance(mean, int | float) else "none"
         raise InputError(
-            f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, the measurements "
-            f"give {1e3 * own.mean():.4f} mm: they were measured or split otherwise (--seed); calibrate again"
+            f"{place.parent / 'result.json'}: its held-out poses have a mean error of {given} mm, "
+            f"the measurements give {1e3 * own.mean():.4f} mm: they were measured or split "
+            "otherwise (--seed); calibrate again"
         )
     if n != len(own):
         raise InputError(f"{place.parent / 'result.json'}: {n} held-out poses, the problem has {len(own)}")

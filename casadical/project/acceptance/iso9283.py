@@ -35,10 +35,6 @@ from casadical.robot.robot import Robot
 
 # Visits of each pose in the accuracy test of the standard.
 STANDARD_CYCLES = 30
-# Words of the column `test`.
-TEST_NAMES = ("accuracy", "directions", "drift")
-# RP needs a standard deviation, so at least two visits.
-MIN_VISITS = 2
 
 
 def poses_in(centre: Array, side: float) -> Array:
@@ -118,16 +114,17 @@ def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float)
     x, y, z = (f"{1e3 * v:.0f}" for v in centre)
     return [
         Words(
-            f"A test of {robot.name} by ISO 9283:1998: {len(table)} visits of five poses in a cube of "
-            f"{1e3 * side:.0f} mm about ({x}, {y}, {z}) mm in the base frame.",
+            f"A test of {robot.name} by ISO 9283:1998: {len(table)} visits of five poses in a "
+            f"cube of {1e3 * side:.0f} mm about ({x}, {y}, {z}) mm in the base frame.",
             "verdict",
         ),
         Words(
-            "Command cx_mm, cy_mm, cz_mm in one orientation, at rated load and 100 % of the rated speed, after the "
-            "warm-up that the maker states; the readings are those of the model in one orientation: put in those of "
-            "the controller where it reaches the poses otherwise. Visits of `directions` come from three paths that "
-            "are perpendicular to each other; a group of `drift` follows every "
-            "ten minutes for 8 hours. Fill in x_mm, y_mm, z_mm in the frame in which the robot was calibrated."
+            "Command cx_mm, cy_mm, cz_mm in one orientation, at rated load and 100 % of the rated "
+            "speed, after the warm-up that the maker states; the readings are those of the model "
+            "in one orientation: put in those of the controller where it reaches the poses "
+            "otherwise. Visits of `directions` come from three paths that are perpendicular to "
+            "each other; a group of `drift` follows every ten minutes for 8 hours. Fill in x_mm, "
+            "y_mm, z_mm in the frame in which the robot was calibrated."
         ),
     ]
 
@@ -180,8 +177,10 @@ def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
     p : measured positions, shape (n, 3) [m]
     command : shape (3,) [m], in the same frame
     """
-    if len(p) < MIN_VISITS:
-        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {MIN_VISITS} or more, the standard {STANDARD_CYCLES}")
+    # RP needs a standard deviation, so at least two visits.
+    min_visits = 2
+    if len(p) < min_visits:
+        raise InputError(f"pose {pose}: {len(p)} visit; RP needs {min_visits} or more, the standard {STANDARD_CYCLES}")
     mean = p.mean(axis=0)
     length = np.linalg.norm(p - mean, axis=1)
     off = mean - command
@@ -236,11 +235,11 @@ class Iso9283(Acceptance):
 
     def table(self) -> Table:
         """Return a table of the figures, one row for each pose."""
-        rows = [
-            (f"P{f.pose}", str(f.n), mm(f.AP), *(f"{1e3 * v:+.4f}" for v in f.parts), mm(f.RP),
-             mm(self.directions[f.pose]) if f.pose in self.directions else "-")
-            for f in self.accuracy
-        ]  # fmt: skip
+        rows = []
+        for f in self.accuracy:
+            parts = (f"{1e3 * v:+.4f}" for v in f.parts)
+            direction = mm(self.directions[f.pose]) if f.pose in self.directions else "-"
+            rows.append((f"P{f.pose}", str(f.n), mm(f.AP), *parts, mm(f.RP), direction))
         head = ("pose", "n", "AP [mm]", "APx", "APy", "APz", "RP [mm]", "vAP [mm]")
         return Table("ISO 9283:1998", head, rows, frozenset(range(1, 8)))
 
@@ -257,8 +256,10 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     local = (measured - robot.base.T[:3, 3]) @ robot.base.T[:3, :3]
     pose = columns.column("pose").astype(int)
     names = [str(word).strip().lower() for word in columns.table.get("test", pd.Series(["accuracy"] * len(pose)))]
-    if wrong := sorted(set(names) - set(TEST_NAMES)):
-        raise InputError(f"{columns.source}: column 'test': {wrong[0]!r}; allowed: {', '.join(TEST_NAMES)}")
+    # Words of the column `test`.
+    test_names = ("accuracy", "directions", "drift")
+    if wrong := sorted(set(names) - set(test_names)):
+        raise InputError(f"{columns.source}: column 'test': {wrong[0]!r}; allowed: {', '.join(test_names)}")
     test = np.array(names)
     if not (test == "accuracy").any():
         raise InputError(f"{columns.source}: no visit of the test 'accuracy', which AP and RP are of")
@@ -281,8 +282,9 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
     notes = [f"fewer visits than the {STANDARD_CYCLES} of the standard at {', '.join(few)}"] if few else []
     if np.median([f.AP for f in accuracy]) > 0.05 * robot.reach:
         notes.append(
-            "AP is as great as if the instrument stood elsewhere: positions are taken to the base frame by the base of "
-            "the robot file; measure with the instrument where it stood, or calibrate from there"
+            "AP is as great as if the instrument stood elsewhere: positions are taken to the base "
+            "frame by the base of the robot file; measure with the instrument where it stood, or "
+            "calibrate from there"
         )
     model = _model_error(robot, columns, test == "accuracy", measured, accuracy)
     return Iso9283(robot.name, accuracy, directions, drift, model, promised, tuple(notes))

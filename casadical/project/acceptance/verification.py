@@ -30,8 +30,6 @@ from casadical.robot.robot_file import read_robot
 
 # The kind of measurement as which full poses are judged, too.
 POSITION_KIND = "position"
-# The judgement needs at least this many degrees of freedom.
-MIN_FREEDOM = 6
 
 
 @dataclass(frozen=True)
@@ -108,8 +106,9 @@ class Verification(Acceptance):
         if self.valid and problem_of(robot):
             return (next_step("to state how accurate it is", "certificate", robot.parent),)
         if self.valid:
-            return (next_step("when some ten poses are measured again", "verify", robot, "LATER.csv",
-                              "--promised-mm", f"{1e3 * self.promised:.4g}"),)  # fmt: skip
+            promised = ("--promised-mm", f"{1e3 * self.promised:.4g}")
+            when = "when some ten poses are measured again"
+            return (next_step(when, "verify", robot, "LATER.csv", *promised),)
         # Poses far off are taken as bad rows only up to this share of all poses.
         few = len(self.far) <= max(1, 0.1 * self.n)
         if few and self.without is not None and self.without <= self.limit:
@@ -242,10 +241,12 @@ class _Refit:
 
     def refuse_too_few(self, tables: str) -> None:
         """Refuse poses that leave fewer than six degrees of freedom. Raises InputError."""
-        if self.freedom(self.n, self.numbers) >= MIN_FREEDOM:
+        # The judgement needs at least this many degrees of freedom.
+        min_freedom = 6
+        if self.freedom(self.n, self.numbers) >= min_freedom:
             return
         have = f"base and tool have {self.numbers} numbers" if self.base else f"the tool has {self.numbers} numbers"
-        needed = -(-(self.numbers + self.points + MIN_FREEDOM) // self.lengths)
+        needed = -(-(self.numbers + self.points + min_freedom) // self.lengths)
         points = f", the points {self.points}" if self.points else ""
         raise InputError(f"{tables}: {self.n} poses; {have}{points}: measure {needed} or more")
 

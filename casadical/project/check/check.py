@@ -97,11 +97,23 @@ def precheck(
         findings += outlook_findings(view, problem.robot, known_noise)
     first = sets[0]
     return Precheck(
-        folder, tuple(findings), problem.title, problem.robot.name,
+        folder,
+        tuple(findings),
+        problem.title,
+        problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        known_noise, source, facts.coverage(problem.robot, first), facts.margin(problem.robot, first), tuple(outlooks),
-        problem.robot, slips, targets, wrong, tuple(map(Path, tables)), more_poses(folder, first),
-    )  # fmt: skip
+        known_noise,
+        source,
+        facts.coverage(problem.robot, first),
+        facts.margin(problem.robot, first),
+        tuple(outlooks),
+        problem.robot,
+        slips,
+        targets,
+        wrong,
+        tuple(map(Path, tables)),
+        more_poses(folder, first),
+    )
 
 
 def _outlooks(

@@ -26,10 +26,6 @@ from casadical.project.targets import Targets, WrongNames
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
-# Columns that the model or an effect may need, besides readings and observations.
-KNOWN_COLUMNS = ("payload_kg", "temperature_degC", "time_s", "warmth_K", "weight", "set", "point", "pose", "other_pose")
-# A scatter of more than this many times the noise shows that the model is incomplete.
-MAX_SCATTER_TO_NOISE = 4
 Level = Literal["error", "warning", "note"]
 
 
@@ -121,9 +117,9 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
     order = [k for k in np.argsort(-e) if far[k]]
     rows = some_rows([f"{m.row[k]} ({1e3 * e[k]:.3g} mm)" for k in order])
     text = (
-        f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} mm; calibrate "
-        "leaves out those that its fit does not explain, and names them and those that are held out; the accuracy to "
-        "expect is without them"
+        f"{m.source}: rows {rows} are far off, where the median is {1e3 * float(np.median(e)):.3g} "
+        "mm; calibrate leaves out those that its fit does not explain, and names them and those "
+        "that are held out; the accuracy to expect is without them"
     )
     if len(gross):
         text += f". Rows {', '.join(map(str, gross))} lie further off than half the reach: correct them, or leave them "
@@ -168,11 +164,23 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
     if beyond:
         text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
         findings.append(Finding("warning", "columns", text))
+    # Columns that the model or an effect may need, besides readings and observations.
+    known_columns = (
+        "payload_kg",
+        "temperature_degC",
+        "time_s",
+        "warmth_K",
+        "weight",
+        "set",
+        "point",
+        "pose",
+        "other_pose",
+    )
     for name in conditions:
-        near = [known for known in KNOWN_COLUMNS if known.startswith(f"{name}_")]
+        near = [known for known in known_columns if known.startswith(f"{name}_")]
         # At 0.84 a height is not taken for a weight (0.83), but temperature_C for temperature_degC.
-        near = near or difflib.get_close_matches(name.casefold(), KNOWN_COLUMNS, 1, 0.84)
-        if name not in KNOWN_COLUMNS and near and not name.startswith(("warmth_", "approach")):
+        near = near or difflib.get_close_matches(name.casefold(), known_columns, 1, 0.84)
+        if name not in known_columns and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             findings.append(Finding("warning", "columns", text))
     return findings
@@ -238,7 +246,8 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
     if view.condition > CONFOUNDED_CONDITION_NUMBER:
         text = f"{view.method}: condition number {view.condition:.0f}: some parameters are nearly confounded"
         findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
-    if noise and view.scatter > MAX_SCATTER_TO_NOISE * noise:
+    # A scatter of more than this many times the noise shows that the model is incomplete.
+    if noise and view.scatter > 4 * noise:
         text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         findings.append(Finding("warning", "misfit", text))

@@ -128,10 +128,18 @@ def outlook(
         J = scaled_jacobian(robot, identified, task)
         accuracy = MM * float(np.sqrt(np.einsum("kip,pq,kiq->", J, C, J) / len(J)))
     return Outlook(
-        method, identified, (*independent.held, *poor), problem.residual_count, problem.size, independent.condition,
-        scatter * sigmas[0][0], unit * sigmas[0][0], all(find_kind(m.kind).lengths == 3 for m in sets),
-        np.sqrt(np.diag(C)) * scale, accuracy,
-    )  # fmt: skip
+        method,
+        identified,
+        (*independent.held, *poor),
+        problem.residual_count,
+        problem.size,
+        independent.condition,
+        scatter * sigmas[0][0],
+        unit * sigmas[0][0],
+        all(find_kind(m.kind).lengths == 3 for m in sets),
+        np.sqrt(np.diag(C)) * scale,
+        accuracy,
+    )
 
 
 def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:

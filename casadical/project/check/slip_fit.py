@@ -55,10 +55,10 @@ class Hypothesis(NamedTuple):
         factors = [f for f in self.factor if f != 1.0]
         units = 1 if len(factors) > 2 and len(set(factors)) == 1 else len(factors)
         moved = sum(s != k for k, s in enumerate(self.source))
-        return (
-            (moved + 1) // 2 + sum(s < 0 for s in self.sign) + units + sum(z != 0 for z in self.zero)
-            + sum(a != 0 for a in self.add) + (self.shift != 0) + (self.rows != 0) + len(self.lengths)
-        )  # fmt: skip
+        signs = sum(s < 0 for s in self.sign)
+        offsets = sum(z != 0 for z in self.zero) + sum(a != 0 for a in self.add)
+        shifts = (self.shift != 0) + (self.rows != 0)
+        return (moved + 1) // 2 + signs + units + offsets + shifts + len(self.lengths)
 
     @property
     def cost(self) -> float:
@@ -425,17 +425,15 @@ def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(A.reshape(3 * n, -1), p.ravel(), rcond=None)[0][:9].reshape(3, 3))
 
 
-# Factors between the units that a length may be in and the one that its name states.
-UNIT_FACTORS = (1.0, 1e3, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 1e2, 1e-2, 1e3 / 25.4, 25.4e-3)
-
-
 def _units_and_hand(M: Array) -> tuple[tuple[float, float, float], bool]:
     """Return the unit factors of x, y and z that make M a rotation, and whether M mirrors.
 
     A factor that is near no unit is 1.
     """
     norms = np.linalg.norm(M, axis=0)
-    nearest = [min(UNIT_FACTORS, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
+    # Factors between the units that a length may be in and the one that its name states.
+    unit_factors = (1.0, 1e3, 1e-3, 25.4, 1 / 25.4, 10.0, 0.1, 1e2, 1e-2, 1e3 / 25.4, 25.4e-3)
+    nearest = [min(unit_factors, key=lambda s: abs(np.log(norm / s))) if norm > 0 else 1.0 for norm in norms]
     sure = [abs(np.log(max(norm, 1e-12) / s)) < 0.2 for norm, s in zip(norms, nearest, strict=True)]
     x, y, z = (s if ok else 1.0 for s, ok in zip(nearest, sure, strict=True))
     return (x, y, z), bool(np.linalg.det(M) < 0)

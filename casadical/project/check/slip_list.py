@@ -87,8 +87,9 @@ def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
 
 # Why a mirrored frame is doubtful although it explains the positions.
 MIRROR_WARNING = (
-    "no instrument has a left-handed frame: y was written with another sign, or joints count the other way, which "
-    "positions do not distinguish; look which way joint 1 turns before a program is corrected by it"
+    "no instrument has a left-handed frame: y was written with another sign, or joints count the "
+    "other way, which positions do not distinguish; look which way joint 1 turns before a program "
+    "is corrected by it"
 )
 
 # The same where lengths were measured, which a mirrored robot fits as well.

@@ -17,8 +17,6 @@ from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
 from casadical.project.check.slip_list import QUARTER_TURNS, further_slips, inner
 from casadical.robot.robot import Robot
 
-# More slips of one table at once are not searched for.
-MAX_SLIPS = 4
 # Errors below this share of the reach are those of a nominal robot without slips.
 NOMINAL_ERROR_OF_REACH = 0.001
 # One more slip is accepted only if it reduces the error by this factor.
@@ -114,19 +112,21 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
     level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
     seen, fits = set(level), {none: fit.placed(none)}
     share = fit.shares(level)
-    for depth in range(MAX_SLIPS + 1):
-        show(f"slips, search {depth + 1} of {MAX_SLIPS + 1}")
+    # More slips of one table at once are not searched for.
+    max_slips = 4
+    for depth in range(max_slips + 1):
+        show(f"slips, search {depth + 1} of {max_slips + 1}")
         selected = _best_of_level(level, share, fit.beam)
         for k in selected[:20]:
             h = _refined(fit, level[k])
             fits.setdefault(h, fit.placed(h))
         least = min(f.error for f in fits.values())
-        if depth == MAX_SLIPS or least < 2 * NOMINAL_ERROR_OF_REACH * robot.reach:
+        if depth == max_slips or least < 2 * NOMINAL_ERROR_OF_REACH * robot.reach:
             break
         parents = [level[k] for k in selected]
         first = [] if depth else _reversed_joints(parents, len(fit.rows))
         moves = dict.fromkeys((*first, *_all_moves(fit, parents, robot, turning, shifts)))
-        level = [h for h in moves if h not in seen and h.cost <= MAX_SLIPS]
+        level = [h for h in moves if h not in seen and h.cost <= max_slips]
         seen.update(level)
         if not level:
             break

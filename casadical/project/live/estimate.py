@@ -16,7 +16,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import gain
 from casadical.core.linear_gaussian.normal_equations import root_of_inverse
-from casadical.core.parameters import Parameter
 from casadical.core.statistics import best_of, first_of_best
 from casadical.identification.accuracy import predicted
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
@@ -35,13 +34,6 @@ MAX_REFITTED_READINGS = 12
 # Limits of the squared Mahalanobis distance of a reading from its prediction, by the number of
 # its coordinates: quantiles of chi-squared that noise exceeds in 1 of 700 000.
 MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
-# Grid of one sigma of a coordinate [mm] over which the evidence is computed.
-NOISE_GRID_MM = np.geomspace(0.008, 60.0, 22)
-# Grid of the factor on the robot's prior standard deviations, the other hyperparameter.
-PRIOR_FACTOR_GRID = np.array([0.1, 0.25, 0.6, 1.5])
-# Prior standard deviation of base, tool and points about where they were placed [mm, mrad]; it is
-# wide enough to leave them free.
-FREE_SIGMA = 1e3
 # A reading is not judged where the others predict it with a larger standard deviation [mm].
 MAX_PREDICTION_SIGMA_MM = 100.0
 
@@ -153,20 +145,18 @@ def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
     return tuple(name for name in names if robot.parameters[name].group not in excluded)
 
 
-def _is_frame(p: Parameter) -> bool:
-    """Return whether a parameter is of the base or tool frame, also of a session."""
-    return p.group in FRAME_GROUPS or (p.name.startswith(SESSION_PREFIX) and ".zero" not in p.name)
-
-
 def labels_of(m: Measurements) -> list[str]:
     """Return the label of each reading's unknown point; [] where its kind has none."""
     return list(find_kind(m.kind).point_names(m.arrays))
 
 
 def linearised(
-    robot: Robot, names: tuple[str, ...], m: Measurements, ratio: float = 1.0,
+    robot: Robot,
+    names: tuple[str, ...],
+    m: Measurements,
+    ratio: float = 1.0,
     points: Mapping[str, Array] | None = None,
-) -> LinearisedReadings:  # fmt: skip
+) -> LinearisedReadings:
     """Return the residuals and the Jacobian of readings about a robot.
 
     points : unknown points [m]; None: where the readings put them
@@ -203,9 +193,11 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     now, ratios = placed, np.geomspace(0.3, 30.0, 7) if kind.angles else np.ones(1)
     seen = linearised(now, names, m)
     points = start = seen.points
-    free = np.concatenate(
-        [[FREE_SIGMA * MM / p.scale if _is_frame(p) else 0.0 for p in own], np.full(3 * len(start), FREE_SIGMA)]
-    )
+    # Prior standard deviation of base, tool and points about where they were placed [mm, mrad]; it
+    # is wide enough to leave them free.
+    free_sigma = 1e3
+    frames = [p.group in FRAME_GROUPS or (p.name.startswith(SESSION_PREFIX) and ".zero" not in p.name) for p in own]
+    free = np.concatenate([np.where(frames, free_sigma * MM / scale, 0.0), np.full(3 * len(start), free_sigma)])
     width = np.append(np.array([p.prior for p in own]) / scale, np.ones(3 * len(start)))
     x, p, angles = np.zeros(len(free)), len(names), np.arange(kind.numbers) >= kind.lengths
     for step in range(15):  # three, and more while points move by 0.1 mm
@@ -229,9 +221,17 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
     # A noise that few readings determine widens the limit, about as the F distribution does.
     freedom = max(float(np.trace(redundant, axis1=1, axis2=2).sum()), 1.0)
     return Estimate(
-        now, names, points, C, MM * sigma, ratio, m, MM * off[:, : kind.lengths],
-        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2, 1 + 20.0 / freedom,
-    )  # fmt: skip
+        now,
+        names,
+        points,
+        C,
+        MM * sigma,
+        ratio,
+        m,
+        MM * off[:, : kind.lengths],
+        np.nan_to_num(np.einsum("ni,ni->n", off, r)) / sigma**2,
+        1 + 20.0 / freedom,
+    )
 
 
 def _by_evidence(
@@ -251,8 +251,12 @@ def _by_evidence(
     J, y = (J * weight[:, None]).reshape(-1, J.shape[2]), (y * weight).ravel()
     G, b, square = J.T @ J, J.T @ y, float(y @ y)
     prior_information, prior_rhs = apart[1].T @ apart[1], apart[1].T @ apart[0]
-    logs, precisions = np.empty((len(PRIOR_FACTOR_GRID), len(NOISE_GRID_MM))), []
-    for i, factor in enumerate(PRIOR_FACTOR_GRID):
+    # Grid of one sigma of a coordinate [mm] over which the evidence is computed.
+    noise_grid_mm = np.geomspace(0.008, 60.0, 22)
+    # Grid of the factor on the robot's prior standard deviations, the other hyperparameter.
+    prior_factor_grid = np.array([0.1, 0.25, 0.6, 1.5])
+    logs, precisions = np.empty((len(prior_factor_grid), len(noise_grid_mm))), []
+    for i, factor in enumerate(prior_factor_grid):
         P = np.where(free > 0, free, factor * width) ** -2
         precisions.append(P)
         at = np.linalg.solve(np.diag(P) + prior_information, prior_rhs)  # mean before the readings
@@ -260,12 +264,12 @@ def _by_evidence(
         values, V = np.linalg.eigh(root @ G @ root.T)
         along = (V.T @ (root @ (b - G @ at))) ** 2
         left = square - 2 * float(at @ b) + float(at @ G @ at)
-        logs[i] = -0.5 * left / NOISE_GRID_MM**2 - len(y) * np.log(NOISE_GRID_MM)
-        logs[i] += gain(NOISE_GRID_MM**2, NOISE_GRID_MM, np.maximum(values, 0.0)[None], along[None])[0]
+        logs[i] = -0.5 * left / noise_grid_mm**2 - len(y) * np.log(noise_grid_mm)
+        logs[i] += gain(noise_grid_mm**2, noise_grid_mm, np.maximum(values, 0.0)[None], along[None])[0]
     weights = np.exp(logs - logs.max())
     evidence = normal + float(logs.max() + np.log(weights.sum()))
     weights /= weights.sum()
-    sigma = float(np.sqrt((weights.sum(axis=0) * NOISE_GRID_MM**2).sum()))
+    sigma = float(np.sqrt((weights.sum(axis=0) * noise_grid_mm**2).sum()))
     variance = (weights.sum(axis=1)[:, None] / np.array(precisions)).sum(axis=0)
     C = np.linalg.inv(G / sigma**2 + np.diag(1 / variance) + prior_information)
     return evidence, sigma, C, b / sigma**2 + prior_rhs

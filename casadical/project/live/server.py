@@ -1,8 +1,8 @@
 """The web page of a live session: one HTML file, the state as server-sent events, commands as JSON.
 
 Every request carries a token in its address, which only the printed link holds: other users of this
-machine, other machines and other pages are refused. A request is answered with what it asked for, or
-with 400, 403, 404 or 413 and a sentence.
+machine, other machines and other pages are refused. A request is answered with what it asked for,
+or with 400, 403, 404 or 413 and a sentence.
 """
 
 from __future__ import annotations
@@ -32,11 +32,6 @@ REQUEST_TIMEOUT_S = 10.0
 MAX_COMMAND_BYTES = 100_000
 # Time between two looks at a source for new readings [s].
 POLL_INTERVAL_S = 0.2
-SECURITY_HEADERS = {
-    "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    "Cache-Control": "no-store", "Referrer-Policy": "no-referrer", "X-Content-Type-Options": "nosniff",
-}  # fmt: skip
 INSTALL_HINT = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
 
 
@@ -67,6 +62,14 @@ class LivePage:
         unknown = dict.fromkeys((404, 405), self._unknown)
         pages = applications.Starlette(routes=routes, exception_handlers=unknown, lifespan=self._life)
 
+        security_headers = {
+            "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+            "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+        }
+
         async def guarded(scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
             if scope["type"] != "http":
                 await pages(scope, receive, send)
@@ -74,7 +77,7 @@ class LivePage:
 
             async def send_with_headers(message: MutableMapping[str, Any]) -> None:
                 if message["type"] == "http.response.start":
-                    own = [(name.encode(), text.encode()) for name, text in SECURITY_HEADERS.items()]
+                    own = [(name.encode(), text.encode()) for name, text in security_headers.items()]
                     message["headers"] = [*message.get("headers", ()), *own]
                 await send(message)
 

@@ -42,8 +42,6 @@ from casadical.project.robot_columns import refuse_nameless, understood, with_kn
 
 # The table of all readings in the problem folder; it is rewritten from the journal.
 TABLE_FILE = "measured.csv"
-# Numbers of readings at which the whole table is checked for slips.
-PLAUSIBILITY_CHECK_COUNTS = (10, 15, 25, 40, 60, 100, 200)
 # Columns that hold names, not numbers.
 NAME_COLUMNS = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 # Columns that a table may have in addition to what its kind observes.
@@ -74,9 +72,16 @@ class LiveSession:
     """
 
     def __init__(
-        self, folder: Path, course: Course, add: Add, *, target: float | None = None, room: Path | None = None,
-        data: str = "real", move: Callable[[Sequence[float]], str] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        folder: Path,
+        course: Course,
+        add: Add,
+        *,
+        target: float | None = None,
+        room: Path | None = None,
+        data: str = "real",
+        move: Callable[[Sequence[float]], str] | None = None,
+    ) -> None:
         self.folder, self.course, self._add = folder, course, add
         self.target, self._data, self._move = target, data, move
         _refuse_measured(folder)
@@ -116,8 +121,9 @@ class LiveSession:
             elif row.header != self.course.header:
                 if sorted(row.header) != sorted(self.course.header):
                     raise InputError(
-                        f"{row.source}: has the columns {', '.join(row.header)}; the readings before have "
-                        f"{', '.join(self.course.header)}: give a folder of its own to each"
+                        f"{row.source}: has the columns {', '.join(row.header)}; the readings "
+                        f"before have {', '.join(self.course.header)}: give a folder of its own to "
+                        "each"
                     )
                 at = dict(zip(row.header, row.cells, strict=True))
                 cells = tuple(at[name] for name in self.course.header)
@@ -398,7 +404,12 @@ class LiveSession:
         n = len(self.course.readings)
         gross = self.estimate is not None and self.estimate.sigma > 0.003 * self.robot.reach
         many = sum(self._doubtful.values()) > max(2, n / 3)
-        return n >= 10 and n > self.checked[0] and (n in PLAUSIBILITY_CHECK_COUNTS or ((gross or many) and n % 3 == 0))
+        # Numbers of readings at which the whole table is checked for slips.
+        return (
+            n >= 10
+            and n > self.checked[0]
+            and (n in (10, 15, 25, 40, 60, 100, 200) or ((gross or many) and n % 3 == 0))
+        )
 
     def check(self) -> None:
         """Check the whole table as `casadical check` does; a search for slips takes seconds."""
@@ -460,14 +471,19 @@ class LiveSession:
                 }
             # Poses that touch something are not planned.
             touches = self.m is not None and find_kind(self.m.kind).touches
-            return with_words({
-                "robot": self.robot.name, "folder": self.folder.resolve().name,
-                "data": self.course.data if readings else self._data, "fields": self.fields, "readings": readings,
-                "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
-                "table": self._of_table,
-                "known": known,
-                "next": None if self.plan is None or touches else self._next_json(),
-            })  # fmt: skip
+            return with_words(
+                {
+                    "robot": self.robot.name,
+                    "folder": self.folder.resolve().name,
+                    "data": self.course.data if readings else self._data,
+                    "fields": self.fields,
+                    "readings": readings,
+                    "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
+                    "table": self._of_table,
+                    "known": known,
+                    "next": None if self.plan is None or touches else self._next_json(),
+                }
+            )
 
     @property
     def _of_table(self) -> list[str]:
@@ -484,11 +500,14 @@ class LiveSession:
             state = "unread"
         lost = (self.unread or "a cell is empty or no number") if state == "unread" else ""
         return {
-            "number": r.number, "at": r.at, "from": r.source, "state": state,
+            "number": r.number,
+            "at": r.at,
+            "from": r.source,
+            "state": state,
             "why": r.struck or self._unreadable.get(r.number) or self._words.get(r.number, lost),
             "off_mm": round(1e3 * self._off[r.number], 4) if r.number in self._off else None,
             "joints": None if at is None else self._joints(at),
-        }  # fmt: skip
+        }
 
     def _joints(self, q: Array) -> list[float]:
         """Return joints [rad or m] as rounded numbers in the units of their names."""
@@ -530,7 +549,8 @@ def _refuse_measured(folder: Path) -> None:
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":
         raise InputError(
-            f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), and measure would begin "
-            "again in their place: give a folder of its own, as casadical new DIR makes it, or, if they are made up, "
+            f"{shown(folder / 'problem.toml')}: names measured poses ({', '.join(others)}), and "
+            "measure would begin again in their place: give a folder of its own, as casadical new "
+            "DIR makes it, or, if they are made up, "
             'write data = "synthetic"'
         )

@@ -41,10 +41,6 @@ _ROW_COLUMNS = [
 ]
 _LIMIT_COLUMNS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
 _BODY_COLUMNS = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
-# Words of the column `compliant`.
-_YES_WORDS = ("yes", "true", "1")
-_NO_WORDS = ("no", "false", "0")
-_ALL_COLUMNS = ["joint", *_ROW_COLUMNS, *_LIMIT_COLUMNS, "type", *_BODY_COLUMNS, "compliant", "stiffness_Nm_per_rad"]
 
 
 def robot_text(path: Path, name: str, convention: str) -> str:
@@ -59,9 +55,11 @@ def robot_text(path: Path, name: str, convention: str) -> str:
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
     table = read_table(path)
 
+    all_columns = ["joint", *_ROW_COLUMNS, *_LIMIT_COLUMNS, "type", *_BODY_COLUMNS, "compliant", "stiffness_Nm_per_rad"]
+
     def read() -> str:
         """Return the comments and all [[joint]] tables as text. Raises InputError."""
-        frame, said = with_our_names(table, _ALL_COLUMNS)
+        frame, said = with_our_names(table, all_columns)
         if not set(frame) & set(_ROW_COLUMNS):
             raise InputError(f"{path.name}: no DH number found; columns are a_mm, alpha_deg, d_mm, theta_deg")
         records = [{str(key): value for key, value in row.items()} for row in frame.to_dict("records")]
@@ -104,11 +102,14 @@ def _joint_text(row: Mapping[str, Any], where: str) -> str:
                 raise InputError(f"{where}: lower{unit} and upper{unit} belong together; one is missing")
             lines.append(f"limits{unit} = {ends!r}")
     compliant = _word(row, "compliant")
-    if compliant not in ("", *_YES_WORDS, *_NO_WORDS):
+    # Words of the column `compliant`.
+    yes_words = ("yes", "true", "1")
+    no_words = ("no", "false", "0")
+    if compliant not in ("", *yes_words, *no_words):
         raise InputError(
-            f"{where}: compliant = {compliant!r}; allowed: {', '.join(_YES_WORDS + _NO_WORDS)}, or an empty cell"
+            f"{where}: compliant = {compliant!r}; allowed: {', '.join(yes_words + no_words)}, or an empty cell"
         )
-    if compliant in _YES_WORDS:
+    if compliant in yes_words:
         lines.append("compliant = true")
     if "stiffness_Nm_per_rad" in given:
         lines.append(f"stiffness_Nm_per_rad = {given['stiffness_Nm_per_rad']!r}")
@@ -133,16 +134,9 @@ def _word(row: Mapping[str, Any], key: str) -> str:
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
 
-# Stems in the order in which headings are compared with them: a "mass centre" is no mass, and a
-# "twist angle" is no joint angle.
-_HEADING_STEMS = ("com", "stiffness", "compliant", "lower", "upper", "mass", "type", "alpha", "d", "theta", "a")
 # Stems of one physical quantity, whose columns have the same unit.
 _LENGTH_STEMS = ("a", "d")
 _ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
-# Lengths without a unit whose median is above this are in millimetres, else in metres.
-MAX_LENGTH_IN_METRES = 10.0
-# Angles without a unit of which one is above this are in degrees, else in radians.
-MAX_ANGLE_IN_RADIANS = 2 * np.pi + 0.01
 
 
 def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
@@ -181,7 +175,10 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
 def _stem(heading: str) -> str:
     """Return casadical's name of a heading without its unit; empty for an unknown heading."""
     words = set(words_of(heading)[0])
-    for stem in _HEADING_STEMS:
+    # Stems in the order in which headings are compared with them: a "mass centre" is no mass, and a
+    # "twist angle" is no joint angle.
+    heading_stems = ("com", "stiffness", "compliant", "lower", "upper", "mass", "type", "alpha", "d", "theta", "a")
+    for stem in heading_stems:
         if words & WORDS[f"dh_{stem}"]:
             if stem != "com":
                 return stem
@@ -196,9 +193,11 @@ def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, s
     It is that of another column of the same quantity, else it follows from the size of all their
     numbers.
     """
+    # Lengths without a unit are in millimetres if their median is above 10, else in metres;
+    # angles are in degrees if one is above a full turn, else in radians.
     for like, ours, least in (
-        (_LENGTH_STEMS, ("mm", "m"), MAX_LENGTH_IN_METRES),
-        (_ANGLE_STEMS, ("deg", "rad"), MAX_ANGLE_IN_RADIANS),
+        (_LENGTH_STEMS, ("mm", "m"), 10.0),
+        (_ANGLE_STEMS, ("deg", "rad"), 2 * np.pi + 0.01),
     ):
         if stem in like:
             names = [name for name, other in stems.items() if other in like]

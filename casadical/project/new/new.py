@@ -5,7 +5,7 @@ Poses for a first run are simulated with the robot's own model, and marked as sy
 
 import tempfile
 import tomllib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,10 +38,6 @@ from casadical.robot.robot_file import robot_from
 SYNTHETIC_POSE_COUNT = 60
 # One sigma of a simulated coordinate, as of a laser tracker [m].
 SYNTHETIC_NOISE_M = 2e-5
-# One sigma by which the simulated robot departs from the nominal one, by unit of the parameter.
-SYNTHETIC_DEPARTURE_SIGMA = {"m": 3e-4, "rad": 5e-4}
-# Pose of the simulated base relative to the nominal one, where the base is unknown.
-SYNTHETIC_BASE = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
 
 
 def synthetic_poses(robot: Robot, seed: int = 0) -> str:
@@ -67,24 +63,19 @@ def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
     """Return a simulated real robot, with random departures from nominal and another base pose."""
     values, times = {}, {"geometry": 1, "loop": 1, "tool": 5}
+    # One sigma by which the simulated robot departs from the nominal one, by unit of the parameter.
+    synthetic_departure_sigma = {"m": 3e-4, "rad": 5e-4}
     for p in robot.parameters:
         if p.group in times:
-            values[p.name] = p.value + times[p.group] * rng.normal(0.0, SYNTHETIC_DEPARTURE_SIGMA[p.unit])
+            values[p.name] = p.value + times[p.group] * rng.normal(0.0, synthetic_departure_sigma[p.unit])
         elif p.group == "compliance":
             values[p.name] = p.value + rng.uniform(0.2, 0.5) * p.prior
     built = robot.with_values(values)
     if robot.base.unknown == "none":
         return built
-    return replace(built, base=replace(built.base, T=built.base.T @ SYNTHETIC_BASE))
-
-
-# The rows of a target with fewer poses are left out: they do not determine its point.
-MIN_POSES_PER_TARGET = 3
-# A base that is upright, on a wall or on a ceiling within this angle [deg] was measured by a
-# levelled instrument; with orientations (a camera looks sideways or down) upright alone counts.
-LEVEL_TOLERANCE_DEG = 3.0
-# The tilt is unknown where the median error of the placed robot is above this share of its reach.
-MAX_PLACEMENT_ERROR_OF_REACH = 0.02
+    # Pose of the simulated base relative to the nominal one, where the base is unknown.
+    synthetic_base = frame(from_rpy(np.deg2rad([0.5, -0.3, 30.0])), np.array([0.8, -0.4, 0.2]))
+    return replace(built, base=replace(built.base, T=built.base.T @ synthetic_base))
 
 
 def new_problem(
@@ -154,7 +145,10 @@ def new_problem(
         ),
         "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
     }
-    _refuse_taken(folder, texts)
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder}: is a file; name a folder")
+    if taken := [file for file in texts if (folder / file).exists()]:
+        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
@@ -189,7 +183,9 @@ def _understood(
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
     turned = kind is not None and kind.angles > 0
     tilt, said, poses = _tilt(columns.without(left_out, "the table"), robot, camera)
-    level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < LEVEL_TOLERANCE_DEG
+    # A base that is upright, on a wall or on a ceiling within this angle [deg] was measured by a
+    # levelled instrument; with orientations (a camera looks sideways or down) upright alone counts.
+    level = min(abs(tilt - upright) for upright in ((0,) if turned else (0, 90, 180))) < 3.0
     given = Given(
         columns=meaning.sources,
         left_out=left_out,
@@ -225,11 +221,9 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
-    tilt = (
-        float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1))))
-        if median < MAX_PLACEMENT_ERROR_OF_REACH * robot.reach
-        else np.nan
-    )
+    # The tilt is unknown where the median error of the placed robot is above this share of its
+    # reach.
+    tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if median < 0.02 * robot.reach else np.nan
     said = [Words(doubt, "warning")] if computed(robot, m) else []
     if words := poses_in_words(m):
         said.append(Words(f"{words[:-1]} (the nominal robot is {1e3 * median:.3g} mm off, median)."))
@@ -244,7 +238,8 @@ def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
     flags = columns.tools()
     order = sorted(flags, key=lambda name: -flags[name].sum())
     names = {name: name.removeprefix("tool_") for name in order}
-    few = [name for name in order if flags[name].sum() < MIN_POSES_PER_TARGET and len(order) > 1]
+    # The rows of a target with fewer poses are left out: they do not determine its point.
+    few = [name for name in order if flags[name].sum() < 3 and len(order) > 1]
     rare = {int(row): f"one of few of target {names[n]}" for n in few for row in columns.row[flags[n] > 0]}
     return tuple(names[name] for name in order if name not in few), rare
 
@@ -300,11 +295,3 @@ def _read_trial(folder: Path, data: Path | None, file: str) -> Problem:
     except InputError as error:
         text = str(error).replace(f"{folder}/", "")
         raise InputError(text.replace(file, str(data)) if data else text) from None
-
-
-def _refuse_taken(folder: Path, texts: Iterable[str]) -> None:
-    """Refuse to write files that are there already. Raises InputError."""
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder}: is a file; name a folder")
-    if taken := [file for file in texts if (folder / file).exists()]:
-        raise InputError(f"{folder}: {', '.join(taken)} is there already; nothing was written: name another folder")

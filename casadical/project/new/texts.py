@@ -100,16 +100,6 @@ vector_m_per_s2 = [0, 0, -9.81]
 # Every [[joint]] may have limits_deg = [lower, upper]; without, -360 .. 360 deg (-10 .. 10 m) are taken.
 """
 
-# The two statements on gravity between which `with_measured` chooses.
-_GRAVITY_IN_MEASURING_FRAME = (
-    'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
-)
-_GRAVITY_IN_BASE_FRAME = (
-    'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
-)
-
-# The line of problem.toml on the origin of measured data.
-_DATA_LINE = '# data = "real"                    # or "synthetic"; printed above every result'
 
 # What `with_masses` adds to robot.toml.
 ESTIMATED_MASSES_LINE = """\
@@ -190,9 +180,11 @@ def problem_text(
     share = "identify = 0.7                     # used in the fit\nreport = 0.3                       # held out\n"
     share += "refit = true                       # the robots that are written: once judged, fitted to all poses\n"
     compliant = any(j.compliance is not None for j in robot.joints)
+    # The line of problem.toml on the origin of measured data.
+    data_line = '# data = "real"                    # or "synthetic"; printed above every result'
     return _PROBLEM_TEMPLATE.format(
         title=title if given else f"{title}: SYNTHETIC poses, for a first run",
-        data=_DATA_LINE if given else 'data = "synthetic"',
+        data=data_line if given else 'data = "synthetic"',
         mark="" if given else mark,
         robot="robot.urdf" if links else "robot.toml",
         methods='"KM", "SKCM"',
@@ -200,9 +192,10 @@ def problem_text(
         urdf=_urdf_lines(links, given or Given()) if links else "",
         file=file,
         columns=_column_lines(given or Given()),
-        sets='column = "set"                     # of poses.csv: names every pose\'s set' if named_sets
+        sets='column = "set"                     # of poses.csv: names every pose\'s set'
+        if named_sets
         else f"seed = {seed}\n{share}".rstrip(),
-    )  # fmt: skip
+    )
 
 
 def _column_lines(given: Given) -> str:
@@ -277,8 +270,15 @@ def with_measured(robot: str, given: Given) -> str:
     if len(given.tools) > 1:
         keys = own.split("\n", 1)[1]
         tables = [f"[[tool]]  # measured point {n}\nname = {_quoted(n)}\n{keys}" for n in given.tools]
+    # The two statements on gravity between which `with_measured` chooses.
+    gravity_in_measuring_frame = (
+        'frame = "measuring"                # the instrument is levelled; "base": the robot stands upright'
+    )
+    gravity_in_base_frame = (
+        'frame = "base"                     # the robot stands upright; "measuring": the instrument is levelled'
+    )
     return start + "\n\n".join(
-        [*tables, after.replace(_GRAVITY_IN_MEASURING_FRAME, _GRAVITY_IN_BASE_FRAME) if given.tilted else after]
+        [*tables, after.replace(gravity_in_measuring_frame, gravity_in_base_frame) if given.tilted else after]
     )
 
 

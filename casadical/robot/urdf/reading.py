@@ -14,9 +14,6 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_schema import MAX_JOINTS, refuse_far
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
-# Limit of a continuous joint to either side [rad].
-_FULL_TURN = 2 * np.pi
-
 
 @dataclass(frozen=True, eq=False)
 class UrdfChain:
@@ -104,8 +101,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         raise InputError(f"{path}: no joint moves between {base!r} and {tip!r}; name other links")
     if len(moving) > MAX_JOINTS:
         raise InputError(
-            f"{path}: {len(moving)} joints move between {base!r} and {tip!r}; allowed: up to {MAX_JOINTS}; "
-            "name other links"
+            f"{path}: {len(moving)} joints move between {base!r} and {tip!r}; allowed: up to "
+            f"{MAX_JOINTS}; name other links"
         )
     own = {j.name for j in moving}
     led = {j.name: j.mimic.joint for j in moving if j.mimic is not None and j.mimic.joint in own}
@@ -113,8 +110,8 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         _refuse_unusable(j, str(path))
         if (leader := led.get(j.name)) in led:
             raise InputError(
-                f"{path}: joint {j.name!r} mimics {leader!r}, which mimics {led[leader]!r}; let both mimic a joint "
-                "that mimics none"
+                f"{path}: joint {j.name!r} mimics {leader!r}, which mimics {led[leader]!r}; let "
+                "both mimic a joint that mimics none"
             )
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
@@ -173,13 +170,15 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
 
 def _range(joint: Any, source: str) -> tuple[float, float]:
     """Return the limits of a joint [rad or m]. Raises InputError where it has none."""
+    # Limit of a continuous joint to either side [rad].
+    full_turn = 2 * np.pi
     if joint.type == "continuous":
-        return -_FULL_TURN, _FULL_TURN
+        return -full_turn, full_turn
     lower, upper = (float(getattr(joint.limit, side, None) or 0.0) for side in ("lower", "upper"))
     if not -np.inf < lower < upper < np.inf:
         raise InputError(
-            f"{source}: joint {joint.name!r} has the range [{lower:g}, {upper:g}]; give it a <limit> with lower < "
-            "upper (rad or m), or make it continuous"
+            f"{source}: joint {joint.name!r} has the range [{lower:g}, {upper:g}]; give it a "
+            "<limit> with lower < upper (rad or m), or make it continuous"
         )
     return lower, upper
 

@@ -12,19 +12,6 @@ from casadical.core.basics import Array, InputError, optional, shown
 from casadical.core.reading import MAX_ITEMS, foreign, read_xml
 from casadical.core.schema import LENGTH
 
-# Maximum depth of nested elements, as of links in links of a MuJoCo model.
-MAX_XML_DEPTH = 200
-# Elements of a link or a joint with their attributes that are numbers.
-_NUMERIC_ATTRIBUTES = (
-    ("origin", "xyz"),
-    ("origin", "rpy"),
-    ("mass", "value"),
-    ("limit", "lower"),
-    ("limit", "upper"),
-    ("mimic", "multiplier"),
-    ("mimic", "offset"),
-)
-
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
     """Return the file's XML.
@@ -32,15 +19,17 @@ def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
     Raises InputError where it is not well-formed, or its root element is another one.
     """
     data = read_xml(path)
+    # Maximum depth of nested elements, as of links in links of a MuJoCo model.
+    max_xml_depth = 200
     with foreign(f"{path}: malformed XML"):
         document = minidom.parseString(data)
         element = document.documentElement
         assert element is not None
         row: list[minidom.Node] = [element]
-        for _ in range(MAX_XML_DEPTH):
+        for _ in range(max_xml_depth):
             row = [child for node in row for child in node.childNodes]
         if row:
-            raise ValueError(f"nested more than {MAX_XML_DEPTH} levels deep")
+            raise ValueError(f"nested more than {max_xml_depth} levels deep")
     if element.tagName != root:
         raise InputError(f"{path}: the root element is <{element.tagName}>, not <{root}>")
     return document
@@ -68,8 +57,18 @@ def _refuse_odd(document: minidom.Document, path: str) -> None:
 
     Raises InputError.
     """
+    # Elements of a link or a joint with their attributes that are numbers.
+    numeric_attributes = (
+        ("origin", "xyz"),
+        ("origin", "rpy"),
+        ("mass", "value"),
+        ("limit", "lower"),
+        ("limit", "upper"),
+        ("mimic", "multiplier"),
+        ("mimic", "offset"),
+    )
     for owner in [*document.getElementsByTagName("link"), *document.getElementsByTagName("joint")]:
-        for tag, key in _NUMERIC_ATTRIBUTES:
+        for tag, key in numeric_attributes:
             for text in (e.getAttribute(key) for e in owner.getElementsByTagName(tag) if e.hasAttribute(key)):
                 place = f"{owner.tagName} {owner.getAttribute('name')!r}"
                 where = f"{path}: {place}: {key} = {shown(repr(text))} of its <{tag}>"
@@ -128,8 +127,9 @@ class Tree:
                 raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
         if j.child in self.above:
             raise InputError(
-                f"{self.source}: link {j.child!r} is below two joints, {self.above[j.child].name!r} and {j.name!r}; "
-                "a URDF is a tree, closed loops belong in a robot file"
+                f"{self.source}: link {j.child!r} is below two joints, "
+                f"{self.above[j.child].name!r} and {j.name!r}; a URDF is a tree, closed loops "
+                "belong in a robot file"
             )
         self.above[j.child] = j
         self.below[j.parent].append(j)
@@ -176,8 +176,9 @@ class Tree:
         arm, *fingers = (sum(j.type != "fixed" for j in way) for way in (common, *(w[len(common) :] for w in ways)))
         if arm <= max(fingers):
             raise InputError(
-                f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one that is measured, "
-                "or on which the gripper is, as tip_link (casadical new: --tip-link)"
+                f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one "
+                "that is measured, or on which the gripper is, as tip_link (casadical new: "
+                "--tip-link)"
             )
         return str(common[-1].child)
 

@@ -19,10 +19,6 @@ from casadical.robot.urdf.tree import parse_xml
 UNCHANGED_TOLERANCE = 1e-13
 # Name of the measured link in a new file.
 MEASURED_LINK = "measured"
-# Placeholder for the effort limit [N m or N] that a URDF requires.
-EFFORT_LIMIT = "1e4"
-# Placeholder for the velocity limit [rad/s or m/s] that a URDF requires.
-VELOCITY_LIMIT = "10"
 
 
 def calibrated_urdf_text(
@@ -82,8 +78,9 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
         # The tolerance is in m or rad.
         if not np.allclose(row_matrix(row), row_matrix(joint), rtol=0, atol=1e-9):
             raise InputError(
-                f"{source}: row {i} of robot_before is not that of the file between {chain.base_link!r} and "
-                f"{chain.tip_link!r}; hand in what read_urdf gave for the same file, base_link and tip_link"
+                f"{source}: row {i} of robot_before is not that of the file between "
+                f"{chain.base_link!r} and {chain.tip_link!r}; hand in what read_urdf gave for the "
+                "same file, base_link and tip_link"
             )
 
 
@@ -112,7 +109,8 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
     if chain.fixed_tip is None:
         raise InputError(
             f"{source}: the calibrated tool is not at {chain.tip_link!r}, which turns on joint "
-            f"{chain.moving[-1].name!r} itself; name a new link for the measured point as measured_link"
+            f"{chain.moving[-1].name!r} itself; name a new link for the measured point as "
+            "measured_link"
         )
     before = np.linalg.inv(chain.dh.frames[-1]) @ chain.frames[chain.fixed_tip.parent]
     _write_frame(_part(document, chain.fixed_tip.name, "origin"), np.linalg.inv(before) @ tool)
@@ -188,14 +186,14 @@ def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: s
     """Add a comment on what the calibrated URDF contains and what it lacks."""
     foot = "the robot's foot" if base == "robot" else "the measuring frame"
     text = (
-        f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point carry the "
-        f"identified geometry; {chain.base_link} is {foot}. "
+        f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point "
+        f"carry the identified geometry; {chain.base_link} is {foot}. "
     )
     soft = [f"c{i} = {j.compliance:.6g}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     if soft:
         text += (
-            "Joint compliance has no place in a URDF and is NOT in this file: add c_i tau_i of the gravity torque tau "
-            f"to each reading ({', '.join(soft)} rad/(N m) or m/N). "
+            "Joint compliance has no place in a URDF and is NOT in this file: add c_i tau_i of the "
+            f"gravity torque tau to each reading ({', '.join(soft)} rad/(N m) or m/N). "
         )
     if robot.effects:
         text += f"Effects that are NOT in this file either: {', '.join(e.name for e in robot.effects)}. "
@@ -234,7 +232,9 @@ def new_urdf(robot: Robot) -> str:
         joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ends = {"lower": repr(float(row.lower)), "upper": repr(float(row.upper))}
-        ET.SubElement(joint, "limit", {**ends, "effort": EFFORT_LIMIT, "velocity": VELOCITY_LIMIT})
+        # Placeholder for the effort limit [N m or N] that a URDF requires.
+        # Placeholder for the velocity limit [rad/s or m/s] that a URDF requires.
+        ET.SubElement(joint, "limit", {**ends, "effort": "1e4", "velocity": "10"})
         if dynamics := _dynamics(robot, i):
             ET.SubElement(joint, "dynamics", dynamics)
         parent = f"link{i}"

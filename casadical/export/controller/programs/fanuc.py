@@ -32,12 +32,6 @@ STRING: /"[^"\n]*"/
 CONFIG: /'[^'\n]*'/
 UNSET: /\*+/
 """
-# Pattern of a configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
-_CONFIG_PATTERN = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
-# Pattern of an assignment of a tool or user frame.
-_FRAME_CHANGE_PATTERN = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
-# Pattern of an incremental motion, by a position and not to it.
-_INCREMENT_PATTERN = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
 
 
 class Fanuc(AngleLanguage):
@@ -68,8 +62,12 @@ class Fanuc(AngleLanguage):
                 targets.append((Target(line, f"P[{number}]", False, (), skip_reason="cannot be read"), ("?", "?")))
             else:
                 targets.append(_target(source, line, position, given.joint_units(joints)))
-        steps = {step[1]: _line(text, step) for step in _INCREMENT_PATTERN.finditer(text)}
-        changes = {(change[1], change[2]): _line(text, change) for change in _FRAME_CHANGE_PATTERN.finditer(text)}
+        # Pattern of an incremental motion, by a position and not to it.
+        increment_pattern = re.compile(r"\bP\[\s*(\d+)[^\]\n]*\][^;\n]*\bINC\b", re.IGNORECASE)
+        steps = {step[1]: _line(text, step) for step in increment_pattern.finditer(text)}
+        # Pattern of an assignment of a tool or user frame.
+        frame_change_pattern = re.compile(r"(UTOOL|UFRAME)\[\s*(\d+)[^\]\n]*\]\s*=")
+        changes = {(change[1], change[2]): _line(text, change) for change in frame_change_pattern.finditer(text)}
         count = Counter(target.name for target, _ in targets)
         for target, frames in targets:
             for what, pick in zip(("UTOOL", "UFRAME"), frames, strict=True):
@@ -137,7 +135,9 @@ def _configured(target: Target, config: object) -> Target:
 
     config : token of the CONFIG text
     """
-    match = _CONFIG_PATTERN.fullmatch(str(config))
+    # Pattern of a configuration such as 'N U T, 0, 0, 0', with the turns of joints 1, 4 and 6.
+    config_pattern = re.compile(r"'\s*([NF])\s*([UD])\s*([TB])\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*,\s*(-?\d+)\s*'")
+    match = config_pattern.fullmatch(str(config))
     if match is None or not isinstance(config, Token):
         return target.leave(f"CONFIG {config} is not of the form 'N U T, 0, 0, 0'")
     begin = config.start_pos or 0

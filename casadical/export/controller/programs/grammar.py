@@ -57,24 +57,19 @@ def _islands(parser: Lark, tokens: Sequence[Token]) -> Iterator[Tree[Token]]:
 
     parser : parser of the grammar
     """
-    k, closed = 0, _closed(tokens)
+    opened, closed = [], set()  # indices of opening brackets, and of those that are closed
+    for k, token in enumerate(tokens):
+        if token.endswith(("(", "[", "{")):
+            opened.append(k)
+        elif token.endswith((")", "]", "}")) and opened:
+            closed.add(opened.pop())
+    k = 0
     first = set(_expected(parser.parse_interactive(""))) - {"OTHER", "$END"}
     while k < len(tokens):
         island, length = _longest(parser, tokens, k, closed) if tokens[k].type in first else (None, 1)
         if island is not None:
             yield island
         k += length
-
-
-def _closed(tokens: Sequence[Token]) -> set[int]:
-    """Return the indices of those opening brackets among tokens that have a closing one."""
-    opened, closed = [], set()
-    for k, token in enumerate(tokens):
-        if token.endswith(("(", "[", "{")):
-            opened.append(k)
-        elif token.endswith((")", "]", "}")) and opened:
-            closed.add(opened.pop())
-    return closed
 
 
 def _longest(parser: Lark, tokens: Sequence[Token], start: int, closed: set[int]) -> tuple[Tree[Token] | None, int]:

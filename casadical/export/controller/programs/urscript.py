@@ -36,8 +36,6 @@ STRING: /"[^"\n]*"/
 COMMENT.4: /#[^\n]*/
 %ignore COMMENT
 """
-# Number of targets of each motion command.
-_TARGETS_OF_MOTION = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
 
 
 class UrScript(ProgramLanguage):
@@ -141,6 +139,8 @@ class _Program:
         Raises InputError: a tool whose length suggests millimetres.
         """
         name, arguments = str(call.children[0]), parts(call, "argument")
+        # Number of targets of each motion command.
+        targets_of_motion = {"movej": 1, "movel": 1, "movep": 1, "movec": 2, "servoj": 1, "servoc": 1}
         if name == "set_tcp" and arguments:
             tool = self.tools[call.meta.line] = _si(self._resolved(arguments[0]))
             if tool is not None and (away := np.abs(tool[:3]).max()) > 3.0:
@@ -154,8 +154,8 @@ class _Program:
                 if str(word) in self.variables:
                     self.variables[str(word)].read += 1
             self._take(arguments[0], near, call)
-        elif name in _TARGETS_OF_MOTION:
-            for argument in arguments[: _TARGETS_OF_MOTION[name]]:
+        elif name in targets_of_motion:
+            for argument in arguments[: targets_of_motion[name]]:
                 self._take(argument, None, call)
 
     def _take(self, argument: Tree[Token], near: Tree[Token] | None, call: Tree[Token]) -> None:
