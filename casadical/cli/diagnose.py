@@ -12,13 +12,10 @@ from typer import Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
-from casadical.core.telling.blocks import next_step
-from casadical.diagnosis.settings import SETTINGS
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from casadical.core.telling.blocks import Words
     from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign
 
 
@@ -189,7 +186,7 @@ def _suggest_next(
         robot = next((path for path in written if path.name == "diagnosed.robot.toml"), None)
         suggest(console, "when it was measured again", "compare", robot or problem, "LATER.csv")
     else:
-        tell(console, _next_command(answers[0], problem, campaigns))
+        tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns))
     if not details:
         console.print(
             "where it lies, how sure, what is left: --details, --out DIR or --report FILE.html",
@@ -253,19 +250,3 @@ def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None,
         return {file: found.details.poses.to_csv(index=False)}
     console.print(f"{shown(file)}: not written, for nothing is in question", markup=False)
     return {}
-
-
-def _next_command(found: CampaignDiagnosis, problem: Path, tables: Sequence[Path]) -> Words:
-    """Return the next command: to keep what was found, or to measure poses that decide more."""
-    from casadical.diagnosis.statements import gain_of
-
-    d, poses, typed = found.diagnosis, found.details.poses, sys.argv[1:]
-    if any(cause.effects for cause in d.causes):
-        return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
-    if d.verdict == "none":
-        return next_step("to keep the calibrated robot", "calibrate", problem, *tables, "--out", "results")
-    if poses is not None and len(poses) and "--next" not in typed and gain_of(d, poses) >= SETTINGS.min_decision_gain:
-        return next_step("for poses that tell more", *typed, "--next", "next.csv")
-    u = found.details.unlisted
-    unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()
-    return next_step("to keep what was found", *typed, "--out", "diagnosed", *unlisted)

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
-from casadical.core.telling.blocks import Block, Page, Section, Table, Words
+from casadical.core.telling.blocks import Block, Page, Section, Table, Words, next_step
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import Result
 from casadical.diagnosis.details import Details, analyse
@@ -23,6 +23,8 @@ from casadical.diagnosis.motion.result import LogDiagnosis as LogDiagnosis
 from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.page import diagnosis_page
 from casadical.diagnosis.result import Diagnosis
+from casadical.diagnosis.settings import SETTINGS
+from casadical.diagnosis.statements import gain_of
 from casadical.diagnosis.text import brief, detailed
 from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
@@ -193,6 +195,24 @@ class CampaignDiagnosis(Result):
     def detailed(self) -> Sequence[Words | Table]:
         """Return all results as text and tables (see `casadical.diagnosis.page_of`)."""
         return [Words(self.campaign.title, "title"), *detailed(self.diagnosis, self._details_without_laws)]
+
+    def next_command(self, typed: Sequence[str], problem: Path, tables: Sequence[Path] = ()) -> Words:
+        """Return the command to run next: to keep what was found, or for poses that decide more.
+
+        typed : arguments of the command that made this diagnosis
+        problem, tables : what was diagnosed, as it was given
+        """
+        d, poses, u = self.diagnosis, self.details.poses, self.details.unlisted
+        if any(cause.effects for cause in d.causes):
+            return next_step("to keep the robot with its causes", *typed, "--out", "diagnosed")
+        if d.verdict == "none":
+            words = "to keep the calibrated robot"
+            return next_step(words, "calibrate", problem, *tables, "--out", "results")
+        more = poses is not None and len(poses) and gain_of(d, poses) >= SETTINGS.min_decision_gain
+        if more and "--next" not in typed:
+            return next_step("for poses that tell more", *typed, "--next", "next.csv")
+        unlisted = ("--unlisted",) if d.verdict == "unknown" and u and u.shrink_interval[0] > 0 else ()
+        return next_step("to keep what was found", *typed, "--out", "diagnosed", *unlisted)
 
     def figures(self) -> dict[str, Figure]:
         """Return every figure by name (see `diagnosis_figures`)."""

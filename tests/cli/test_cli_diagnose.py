@@ -13,7 +13,7 @@ from planted import campaign, misread
 
 from casadical import read_robot
 from casadical.blind_check.mujoco_physics import Plant, perturb
-from casadical.cli.diagnose import _next_command
+from casadical.project.diagnosis import CampaignDiagnosis
 
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "ur10e"
@@ -115,11 +115,10 @@ def test_out_is_whole_or_not_there(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("verdict", "least", "unlisted"), [("unknown", 0.1, True), ("unknown", -0.1, False), ("unsure", 0.1, False)]
 )
-def test_curves_are_kept_where_they_shrink_an_unknown_gap(verdict, least, unlisted, monkeypatch) -> None:
+def test_curves_are_kept_where_they_shrink_an_unknown_gap(verdict, least, unlisted) -> None:
     details = SimpleNamespace(poses=None, unlisted=SimpleNamespace(shrink_interval=(least, 0.5)))
     found = SimpleNamespace(diagnosis=SimpleNamespace(causes=(), verdict=verdict), details=details)
-    monkeypatch.setattr("sys.argv", ["casadical", "diagnose", "arm"])
-    command = _next_command(found, Path("arm"), []).code
+    command = CampaignDiagnosis.next_command(found, ["diagnose", "arm"], Path("arm")).code
     assert command == "casadical diagnose arm --out diagnosed" + " --unlisted" * unlisted
 
 
