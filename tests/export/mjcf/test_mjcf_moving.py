@@ -128,6 +128,13 @@ def test_the_model_has_what_the_drive_says(so101, tmp_path):
         model.body("link2").inertia, np.sort(np.linalg.eigvalsh(so101.joints[1].body.inertia))[::-1]
     )
     assert made.lines == ()
+    assert "mj_initCtrlHistory" in made.text
+    undelayed = DRIVE.model_copy(update={"delay": None})
+    assert "mj_initCtrlHistory" not in of_file(replace(so101, drive=undelayed), tmp_path / "b.toml", "mjcf").text
+    names = [row.name for row in so101.joints]
+    assert [model.joint(i).name for i in range(6)] == names
+    assert [model.actuator(i).name for i in range(6)] == names
+    assert [model.actuator(i).trnid[0] for i in range(6)] == list(range(6))
 
 
 def test_what_mujoco_cannot_hold_is_said_in_units(so101, tmp_path):
