@@ -67,16 +67,16 @@ class Context:
     torque: Symbolic = None
 
     def load(self, joint: int | None) -> Symbolic:
-        """Return the gravity torque on a joint (1-based) as a share of its peak gravity torque."""
+        """Return the gravity torque on a joint (1-based), divided by its peak gravity torque."""
         assert joint is not None
         return self.torque[joint - 1] / self.torque_scale[joint - 1]
 
     def moment(self, link: int, about: Symbolic = None) -> Symbolic:
-        """Return the moment of all weight from a link (1-based) on, in the base frame, (3,) [N m].
+        """Return the moment of the weight of a link (1-based) and all after it, shape (3,) [N m].
 
-        It is about the origin of the link's frame unless `about` is given.
+        The payload is included. Axes are those of the base frame.
 
-        about : another point in the base frame, shape (3,) [m]
+        about : reference point in the base frame, shape (3,) [m]; None: origin of the link's frame
         """
         origin = self.frames[link - 1][:3, 3] if about is None else about
         joints = self.arm.joints
@@ -91,9 +91,10 @@ class Context:
         return total
 
     def turned(self, joint: int) -> Symbolic:
-        """Return the angle of a link against the one before it [rad].
+        """Return the angle of link `joint` (1-based) relative to the one before it [rad].
 
-        It is the reading of the joint, unless a four-bar drives it.
+        It is the joint's reading unless a four-bar drives the joint; then it is taken from the
+        frames.
         """
         if all(loop.driven != joint for loop in self.arm.loops):
             return self.q[joint - 1]
@@ -102,31 +103,34 @@ class Context:
 
     @property
     def great_moment(self) -> Symbolic:
-        """Return the greatest peak gravity torque of the revolute joints [N m].
+        """Return the maximum over the revolute joints of their peak gravity torques [N m].
 
-        It is a force [N] where no joint is revolute.
+        If no joint is revolute, it is the maximum over all joints [N].
         """
         return self.greatest(1, self.arm.n)
 
     def greatest(self, first: int, last: int) -> Symbolic:
-        """Return the greatest peak gravity torque of the revolute joints from first to last [N m].
+        """Return the maximum peak gravity torque of the revolute joints `first` to `last` [N m].
 
-        Joints are 1-based. Where none of them is revolute, all are compared [N]: moments and forces
-        are never compared with each other.
+        Joints are 1-based, `last` included. If none of them is revolute, it is the maximum of all
+        of them [N]: moments and forces are never compared with each other.
         """
         return reduce(ca.fmax, [self.torque_scale[j - 1] for j in compared(self.arm.revolute, first, last)])
 
 
 def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
-    """Return the joints (1-based) whose peak torques are compared.
+    """Return the revolute joints (1-based) from `first` to `last`, or all of these if none is.
 
-    They are the revolute ones from first to last, or all of these if none is revolute.
+    The peak gravity torques of the returned joints have one unit and can be compared.
+
+    turning : numbers of the arm's revolute joints
     """
     there = range(first, last + 1)
     return [j for j in there if j in turning] or there
 
 
-# Stiffness of a rigid joint [N m/rad or N/m]: 10 kN m deflect it by 1e-8 rad.
+# Stiffness by which a simulator represents a rigid joint [N m/rad or N/m]; at it, 10 kN m deflect
+# a joint by 1e-8 rad.
 RIGID_STIFFNESS = 1e12
 
 
@@ -134,12 +138,13 @@ RIGID_STIFFNESS = 1e12
 class Drive:
     """The drive train of a joint in a simulator, between its command and its link.
 
-    compliance : of its spring [rad/(N m)], 0 for none
-    k1, k3 : coefficients of a spring k1 d + k3 d^3 in its place [N m/rad, N m/rad^3]
-    give, give_stiffness : half range [rad] and stiffness [N m/rad] of a second spring in series
-        between stops
+    compliance : compliance of its linear spring [rad/(N m)], 0 for a rigid joint
+    k1, k3 : coefficients of a spring of torque k1 d + k3 d^3 at the deflection d, in place of the
+        linear one [N m/rad, N m/rad^3]; 0 for none
+    give, give_stiffness : largest deflection to each side [rad] and stiffness [N m/rad] of a second
+        spring in series, between stops
     ratio : rotation of the joint per commanded rotation
-    play : half of the backlash [rad]; play_friction : dry friction within it [N m]
+    play : half of the backlash [rad]; play_friction : dry friction within the backlash [N m]
     friction : dry friction of the joint [N m]
     """
 
@@ -155,9 +160,9 @@ class Drive:
 
     @property
     def stiffness(self) -> float:
-        """Return the stiffness of the actuator [N m/rad].
+        """Return the stiffness of the simulated actuator [N m/rad], 1 / compliance.
 
-        It is that of a rigid joint where a hardening spring is separate from the actuator.
+        It is `RIGID_STIFFNESS` without compliance, and where the spring k1, k3 is a separate part.
         """
         return RIGID_STIFFNESS if self.k1 or not self.compliance else 1 / self.compliance
 
@@ -167,11 +172,13 @@ class Balancer:
     """A balancing spring between a link and the one before it.
 
     joint : number of the joint, 1-based
-    anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the
-        arm
-    phase : reading at which spring, joint and lever lie in line [rad]
-    swing : amplitude of the torque of the spring [N m]; ahead : its phase lead [rad]
-    pull : torque of the constant pull [N m], as the effect's preload
+    anchor : distance of the spring's fixed end from the joint, divided by the distance of its end
+        on the arm from the joint
+    phase : reading at which the spring's ends and the joint lie in line [rad]
+    swing : amplitude of the sinusoidal part of its torque over the joint angle [N m]
+    ahead : phase lead of that part [rad]
+    pull : coefficient of the part of its torque by constant tension (`preload` of
+        `GravityCompensator`) [N m]
     """
 
     joint: int
@@ -184,9 +191,9 @@ class Balancer:
 
 @dataclass(frozen=True)
 class Omission:
-    """An effect that has no counterpart in a simulator.
+    """An effect, or some of its parameters, without counterpart in a simulator.
 
-    label : of the effect; why : the reason
+    label : label of the effect; why : the reason, in words
     parts : short names of the parameters without counterpart; empty for all
     """
 
@@ -203,18 +210,18 @@ class Counterparts:
     """A robot's compliances and effects in the form in which a simulator has them.
 
     drives : drive train of each joint
-    torque_scale : peak gravity torque of each joint [N m or N]; mean_load : mean one as a share of
-        it
+    torque_scale : peak gravity torque of each joint, shape (n,) [N m or N]
+    mean_load : mean gravity torque of each joint, divided by its peak one, shape (n,)
     revolute : numbers of the revolute joints, 1-based
     base : stiffness of the pedestal about the base frame's x and y [N m/rad], infinite where it is
         rigid
     base_below : distance of these axes below the base's origin [m]
-    flexures : by link (1-based), stiffness about its axes of the whole link as a beam [N m/rad],
-        and whether its weight is distributed along it
+    flexures : by link (1-based), stiffness of the whole link as a beam about the x, y and z axes of
+        its frame [N m/rad], and whether its weight is distributed along it
     balancers : springs between a link and the one before it
-    bodies : true masses of the links; payload : the true one
-    payload_factor : mass of the payload as a multiple of the declared one
-    written : the counterpart of each effect, in words; left_out : effects without counterpart
+    bodies : identified mass and mass centre of each link, None for a link without mass
+    payload : identified payload; payload_factor : its mass divided by the declared one
+    written : a sentence on each counterpart; left_out : effects without counterpart
     """
 
     drives: tuple[Drive, ...]
@@ -237,26 +244,38 @@ class Counterparts:
         return self.drives[joint - 1]
 
     def peak_torque(self, joint: int | None) -> float:
-        """Return the peak gravity torque of a joint (1-based) [N m or N]; for None the greatest."""
+        """Return the peak gravity torque of a joint (1-based) [N m or N].
+
+        For None it is the maximum over the revolute joints, or over all if none is revolute.
+        """
         return self.greatest(joint or 1, joint or len(self.torque_scale))
 
     def greatest(self, first: int, last: int) -> float:
-        """Return the greatest peak gravity torque of the joints from first to last [N m or N]."""
+        """Return the maximum peak gravity torque of the revolute joints `first` to `last` [N m].
+
+        Joints are 1-based, `last` included. If none of them is revolute, all count [N].
+        """
         return float(max(self.torque_scale[j - 1] for j in compared(self.revolute, first, last)))
 
     def with_drive(self, effect: Effect, text: str, **change: object) -> Counterparts:
-        """Return the counterparts with a changed drive of an effect's joint, and a line on it."""
+        """Return the counterparts with changed fields of the drive of an effect's joint.
+
+        text : description of the change, which is appended to `written` behind the effect's label
+        change : new values of fields of `Drive`
+        """
         drives = list(self.drives)
         drives[(effect.joint or 0) - 1] = replace(self.drive(effect.joint), **change)  # type: ignore[arg-type]
         return self.noted(f"{effect.label}: {text}", drives=tuple(drives))
 
     def with_springs(self, label: str, sizes: Mapping[str, float], link: int, *, spread: bool = False) -> Counterparts:
-        """Return the counterparts with hinges of the pedestal (link 0) or of a link.
+        """Return the counterparts with elastic hinges of the pedestal (link 0) or of a link.
 
-        An axis of negative compliance stays rigid.
+        An axis of negative compliance stays rigid and is added to `left_out`, as is the whole
+        effect if the robot has no masses.
 
-        sizes : rotation about each axis under the peak gravity torque [rad], of a link under that
-            of the joints at its ends
+        label : label of the effect; link : number of the link, 1-based, 0 for the pedestal
+        sizes : rotation [rad] by name of the parameter, about each axis, of the pedestal under the
+            maximum peak gravity torque, of a link under that of the joints at its two ends
         spread : whether a link's own weight is distributed along it
         """
         made, peak = self, self.greatest(link, link + 1) if link else self.peak_torque(None)
@@ -276,21 +295,21 @@ class Counterparts:
         return made.noted(pieces, flexures={**made.flexures, link: (k, spread)})
 
     def noted(self, text: str, **change: object) -> Counterparts:
-        """Return the counterparts with changes by an effect, and a line on it."""
+        """Return the counterparts with changed fields, and with `text` appended to `written`."""
         return replace(self, written=(*self.written, text), **change)  # type: ignore[arg-type]
 
     def without(self, label: str, why: str, parts: tuple[str, ...] = ()) -> Counterparts:
-        """Return the counterparts with an effect that has none (see `Omission`)."""
+        """Return the counterparts with an `Omission` of these fields appended to `left_out`."""
         return replace(self, left_out=(*self.left_out, Omission(label, why, parts)))
 
     def without_sign(self, label: str) -> Counterparts:
-        """Return the counterparts with an effect omitted that would need a negative stiffness."""
+        """Return the counterparts with an effect appended to `left_out` for its wrong sign."""
         return self.without(label, "no counterpart, for its value or its spring has the wrong sign")
 
 
-# Prior standard deviation of an effect's parameters once it is in a model, in units of their
-# typical size. It is wide, because a user had a reason to add the effect, and a robot's own value
-# may be many times the typical one.
+# Prior standard deviation of the parameters of an effect that a robot model includes, divided by
+# their typical size. It is wide, because a user had a reason to add the effect, and a robot's own
+# value may be many times the typical one.
 CAUSE_PRIOR_SIGMA = 8.0
 
 
@@ -344,13 +363,20 @@ class Effect:
     joint: int | None = None
 
     name: ClassVar[str] = "none"
-    held: ClassVar[float] = CAUSE_PRIOR_SIGMA  # prior sigma of each parameter once in a model, in typical sizes
-    on_list: ClassVar[str] = ""  # list of candidates: standard, extended, unknown (no named cause); empty: on request
-    answers_as: ClassVar[str] = ""  # the effect as a variant of which, and under whose name, it is a candidate
-    acts_at: ClassVar[str] = ""  # arm, payload, [turning or rigid] joints; default: joints if `angle` is overridden
-    together: ClassVar[bool] = False  # whether all joints at once are a candidate too (the make of the drives)
-    covers: ClassVar[frozenset[str]] = frozenset()  # effects that it includes: given it, they are no separate causes
-    size: ClassVar[Mapping[str, tuple[float, str]]] = {}  # typical size (one sigma) and unit by parameter
+    # Prior standard deviation of each parameter in a robot model, divided by its typical size.
+    held: ClassVar[float] = CAUSE_PRIOR_SIGMA
+    # List of candidates: standard, extended, unknown (no named cause); empty: only on request.
+    on_list: ClassVar[str] = ""
+    # Name of the effect of which it is a variant and under whose name it is reported; empty: none.
+    answers_as: ClassVar[str] = ""
+    # Places of candidates: arm, payload, joints, turning joints (revolute) or rigid joints (without
+    # compliance); empty: joints if `angle` is overridden, else arm.
+    acts_at: ClassVar[str] = ""
+    together: ClassVar[bool] = False  # whether the effect in all joints at once is a candidate, too
+    # Names of effects that it includes: given it, they are no separate causes.
+    covers: ClassVar[frozenset[str]] = frozenset()
+    # Typical size (prior standard deviation of a candidate) and its unit, by parameter.
+    size: ClassVar[Mapping[str, tuple[float, str]]] = {}
     needs: ClassVar[tuple[str, ...]] = ()  # columns that must have been logged for it to be a candidate
     signature: ClassVar[str] = ""  # how it appears in the data (in brackets: mechanical causes that share it)
     physics: ClassVar[str] = ""  # physical explanation with its source
@@ -361,7 +387,10 @@ class Effect:
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at every place where it may act (`acts_at`), for every grid setting."""
+        """Return one effect for every place in `arm` (see `acts_at`) and combination of settings.
+
+        The settings are those of the grids that `setting` declares.
+        """
         place = cls.acts_at or ("arm" if cls.angle is Effect.angle else "joints")
         rigid = [j for j in arm.numbers if not arm.joints[j - 1].compliance]
         every: Mapping[str, Sequence[int | None]] = {
@@ -379,9 +408,9 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Yield sets of effects that are judged as one: each candidate, and those of all joints.
+        """Yield sets of effects, each judged as one cause: first every candidate alone.
 
-        The latter, for each combination of settings, only if `together`.
+        If `together`, the candidates of equal settings at all joints follow as one set.
         """
         by_settings: dict[str, list[Effect]] = {}
         for effect in cls.candidates(arm):
@@ -391,14 +420,17 @@ class Effect:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Effect:
-        """Return the effect that `to_dict` wrote, with defaults for what is not given.
+        """Return the effect of a table as `to_dict` returns it; settings not given are defaults.
 
-        Raises InputError for a faulty setting.
+        Raises InputError for an unknown setting or one of the wrong type.
         """
         return cls(data.get("joint"), **checked_settings(cls, data.get("settings", {})))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return name, joint and settings, if any, as plain data."""
+        """Return a dict of plain data with the keys name, joint and settings.
+
+        joint is missing where it is None, and settings where there are none.
+        """
         entries = {"name": self.name, "joint": self.joint, "settings": settings_of(self)}
         return {key: value for key, value in entries.items() if value not in (None, {})}
 
@@ -424,68 +456,78 @@ class Effect:
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Return the names of columns that make it no candidate if they were logged.
+        """Return the names of the columns whose presence makes the effect no candidate.
 
-        A better effect then uses them.
+        Another effect then uses these columns.
         """
         return ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size (one sigma) and unit of each parameter, by name; default: `size`.
+        """Return typical size (prior sigma of a candidate) and unit of each parameter, by name.
 
-        The effect must vanish where all parameters are zero.
+        The default is `size`. The effect must vanish where all parameters are zero.
         """
         return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return its parameters, named label.name, with wide bounds and wide priors about zero."""
+        """Return its parameters, named label.name, with nominal value zero.
+
+        Bounds are 1000 typical sizes to each side, prior standard deviations `held` typical sizes.
+        """
         return tuple(
             Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
             for name, (size, unit) in self.sizes().items()
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return its parameters [SI] by short name, from those of a model; 0 for missing ones."""
+        """Return the values of its parameters [SI] by short name; 0 for missing ones.
+
+        values : values of a model's parameters by full name, label.name [SI]
+        """
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
     def for_poses(self, count: int) -> Self:
-        """Return the effect as it is judged in a campaign of `count` poses."""
+        """Return the effect in the resolution that `count` poses allow; by default unchanged."""
         return self
 
     @property
     def parts(self) -> Mapping[int, Array]:
-        """Return the indices, shape (k,), of each part's parameters, by part; {} by default.
+        """Return groups of parameters whose common prior size is estimated from the data.
 
-        The prior size of each part is estimated from the data.
+        Keys are numbers of joints, values the indices of their parameters in `sizes`, shape (k,).
+        The default is no group.
         """
         return {}
 
     def with_sizes(self, factors: Mapping[int, float]) -> Self:
-        """Return the effect with the prior size of each part times a factor; factors : by part."""
+        """Return the effect with the prior size of each part multiplied by a factor.
+
+        factors : dimensionless, by key of `parts`
+        """
         if factors:
             raise NotImplementedError(f"{self.label} has no parts whose size is learnt")
         return self
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
-        """Return (name, value, unit) shown in place of parameters that are too many.
+        """Return lines (name, value, unit) that reports show in place of too many parameters.
 
-        By default there are none.
+        By default there are none, and the parameters are shown.
         """
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """Return the symbol of one of its parameters [unit of the parameter]."""
+        """Return the symbol of one of its parameters, by short name [unit of the parameter]."""
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:
-        """Return the potential energy that it adds [J]."""
+        """Return the potential energy that the effect adds [J]; by default 0."""
         return 0.0
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return what it adds to the joint variables, shape (n,) [rad or m].
+        """Return what the effect adds to the joint variables, shape (n,) [rad or m].
 
-        The default is `angle` at its own joint.
+        The default is `angle` at the effect's own joint and zero at all others.
         """
         moved = ca.SX.zeros(context.arm.n)
         if self.joint is not None:
@@ -493,7 +535,10 @@ class Effect:
         return moved
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return what it adds to its own joint, whose reading is q [rad or m]."""
+        """Return what the effect adds to the variable of its own joint, by default 0 [rad or m].
+
+        q : reading of that joint [rad or m]
+        """
         return 0.0
 
     def link(self, number: int, context: Context) -> Symbolic:
@@ -504,27 +549,31 @@ class Effect:
         return ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] of the pedestal, in the base frame; default: identity."""
+        """Return the transform (4, 4) [m] inserted before the first joint, in the base frame.
+
+        The default is the identity.
+        """
         return ca.SX.eye(4)
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] before the tool, in the flange frame.
+        """Return the transform (4, 4) [m] inserted between flange and tool, in the flange frame.
 
         The default is the identity.
         """
         return ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the measured point, (3,) [m], as the instrument reports it.
+        """Return the point that the instrument reports, shape (3,) [m]; by default `point` itself.
 
-        Both points are in the measuring frame.
+        point : true measured point, shape (3,) [m]; both are in the measuring frame
         """
         return point
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """Return a simulator's counterparts with that of this effect added.
 
-        v : values of its parameters, as of `own_values` [SI]
+        v : values of its parameters by short name [SI]
+        The default adds an `Omission`.
         """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

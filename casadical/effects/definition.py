@@ -41,23 +41,24 @@ from casadical.effects.settings import MAX_SETTING_COUNT, NEAR_JOINTS, setting
 def gear_ratio(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with a changed gear ratio of the effect's joint.
 
-    The effect has `k`, the share by which the joint turns too much.
+    v : `k`, by which the rotation of the joint per commanded rotation exceeds 1
     """
     return simulator.with_drive(effect, "gear of the drive", ratio=1 + v["k"])
 
 
 def foot_hinges(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with hinges of the pedestal.
+    """Return a simulator's counterparts with elastic hinges of the pedestal.
 
-    The effect has `rx` and `ry`, the tilt of the pedestal under the peak moment [rad].
+    v : `rx` and `ry`, tilts about the base frame's x and y under the maximum over the joints of
+        the peak gravity torque [rad]
     """
     return simulator.with_springs(effect.label, v, 0)
 
 
 def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with a softer spring of the effect's joint.
+    """Return a simulator's counterparts with additional compliance of the effect's joint.
 
-    The effect has `deflection`, under the peak gravity torque of the joint [rad].
+    v : `deflection` that it causes under the joint's peak gravity torque [rad]
     """
     if v["deflection"] <= 0:
         return simulator.without_sign(effect.label)
@@ -66,9 +67,11 @@ def joint_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with dry friction in the effect's joint.
+    """Return a simulator's counterparts with constant dry friction in the effect's joint [N m].
 
-    The effect has `constant`, a windup [rad], and `load`, its increase at the peak torque [rad].
+    It is the windup at the joint's mean load, divided by the joint's compliance.
+
+    v : `constant`, windup without load [rad], and `load`, its increase at the peak torque [rad]
     """
     soft = simulator.drive(effect.joint).compliance
     if soft <= 0:
@@ -82,11 +85,13 @@ def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
 
 
 def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with a second spring between stops.
+    """Return a simulator's counterparts with a spring between stops in series in the joint's drive.
 
-    The effect has `bend`, at which the deflection saturates [rad].
+    It approximates the deflection bend tanh(torque / (knee peak torque)).
 
-    The setting `knee` is the torque of saturation as a share of the peak gravity torque.
+    v : `bend`, at which the deflection saturates [rad]
+    The effect's setting `knee` is the torque scale of saturation, divided by the joint's peak
+    gravity torque.
     """
     if v["bend"] <= 0:
         return simulator.without_sign(effect.label)
@@ -100,7 +105,10 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
 def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
     """Return a simulator's counterparts with a spring k1 d + k3 d^3 in the effect's joint.
 
-    It is the closest one to the deflection c tau - bend (tau / peak)^3 [rad].
+    Its torque is fitted by least squares to the deflection d = c tau - bend (tau / peak)^3 [rad]
+    for torques tau up to 1.2 times the joint's peak gravity torque; c is the joint's compliance.
+
+    v : `bend` [rad]
     """
     peak, load = simulator.peak_torque(effect.joint), np.linspace(-1.2, 1.2, 97)
     d = simulator.drive(effect.joint).compliance * peak * load - v["bend"] * load**3
@@ -114,9 +122,10 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
 
 def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-    """Return a simulator's counterparts with the true payload.
+    """Return a simulator's counterparts with the identified payload.
 
-    The effect has `mass`, a share, and `x`, `y`, `z`, the first moment by declared mass [m].
+    v : `mass`, error of the mass divided by the declared mass; `x`, `y`, `z`, error of the first
+        moment in the last link's frame, divided by the declared mass [m]
     """
     declared = simulator.payload
     if declared is None:
@@ -127,7 +136,8 @@ def payload(effect: Effect, simulator: Counterparts, v: Mapping[str, float]) -> 
     return simulator.noted(text, payload=Body(declared.mass * factor, centre), payload_factor=factor)
 
 
-# Functions that add an effect's counterpart to a simulator, by the name that a definition gives.
+# Functions that add an effect's counterpart in a simulator, by the value of a definition's key
+# `counterpart`.
 COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]], Counterparts]] = {
     "gear ratio": gear_ratio,
     "foot hinges": foot_hinges,
@@ -141,9 +151,9 @@ COUNTERPARTS: Mapping[str, Callable[[Effect, Counterparts, Mapping[str, float]],
 
 # File with the definitions of the package's effects.
 LISTED_EFFECTS_FILE = Path(__file__).with_name("listed.effect.toml")
-# Pattern of the name of an effect, a setting or a parameter.
+# Pattern of the name of an effect, a setting or a parameter, by full match.
 _NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
-# Pattern of a joint or setting in braces in the texts of a definition.
+# Pattern of a placeholder in a definition's texts: `joint` or the name of a setting in braces.
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
 _Value = bool | int | float | str
 
@@ -157,9 +167,9 @@ class Grid(TomlTable):
 
 
 class Setting(TomlTable):
-    """A number, switch, word or point in which an effect is not linear (see `effects.setting`).
+    """The table of a setting (number, switch, word or point) in which an effect is not linear.
 
-    about : its description
+    about : its description; all other keys are the arguments of `effects.settings.setting`
     """
 
     default: _Value | Triple
@@ -174,7 +184,10 @@ class Setting(TomlTable):
 
     @model_validator(mode="after")
     def _values(self) -> Setting:
-        """Check grid and steps against the default. Raises FaultError."""
+        """Return the setting unchanged if its grid and `steps` fit its default.
+
+        Raises FaultError.
+        """
         if self.grid == "near" and not self.joint:
             raise FaultError("grid", "only for the number of a joint: joint = true")
         if isinstance(self.grid, list) and not {type(v) for v in self.grid} <= {self.type}:
@@ -185,7 +198,7 @@ class Setting(TomlTable):
 
     @property
     def value(self) -> Any:
-        """Return the default value in the form in which an effect has it."""
+        """Return the default value; a point is a tuple of three numbers."""
         return tuple(self.default) if isinstance(self.default, list) else self.default
 
     @property
@@ -195,7 +208,7 @@ class Setting(TomlTable):
 
     @property
     def points(self) -> int:
-        """Return the number of values of its grid."""
+        """Return an estimate of its number of grid values: 2 for the grid "near", at least 1."""
         return (
             self.grid.count
             if isinstance(self.grid, Grid)
@@ -205,7 +218,7 @@ class Setting(TomlTable):
         )
 
     def field(self) -> Any:
-        """Return the setting as a field of a dataclass."""
+        """Return the setting as a field of an effect's dataclass, made by `setting`."""
         grid: Any = self.grid
         if isinstance(grid, Grid):
             grid = [float(v) for v in np.linspace(grid.first, grid.last, grid.count)]
@@ -214,9 +227,14 @@ class Setting(TomlTable):
 
 
 class Definition(TomlTable):
-    """The table that defines an effect, with the attributes of `Effect`.
+    """The table that defines an effect; keys named as class attributes of `Effect` set these.
 
-    {joint} and {setting} in formulas, names of parameters and columns stand for their values.
+    {joint} and {NAME OF A SETTING} in formulas and in names of parameters and of columns are
+    replaced by their values.
+
+    summary : first line of the class's documentation; settings : by name
+    sizes : typical size and unit of each parameter; formulas : texts by insertion point (`SEAMS`)
+    counterpart : name of the counterpart in a simulator, a key of `COUNTERPARTS`; empty for none
     """
 
     name: str = Field(pattern=rf"^{_NAME_PATTERN.pattern}$", max_length=60)
@@ -239,7 +257,7 @@ class Definition(TomlTable):
 
 
 class DefinitionFile(TomlTable):
-    """The schema of a file with definitions of effects."""
+    """The schema of a TOML file with definitions of effects; `casadical` is its format number."""
 
     casadical: Literal[2]
     definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
@@ -270,13 +288,13 @@ class DefinedEffect(FormulaEffect):
     def needs(self) -> tuple[str, ...]:  # type: ignore[override]
         """Return the names of the columns that must have been logged.
 
-        A warmth is derived from the logged temperature.
+        temperature_degC is among them if a formula uses a warmth, which is derived from it.
         """
         return self._texts.needs
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the names of the columns that the formulas use."""
+        """Return the names of the columns that the effect needs, logged or derived."""
         return (*self._texts.conditions, *self.of_head)
 
     @property
@@ -303,18 +321,26 @@ class DefinedEffect(FormulaEffect):
         super().refuse_joints(arm)
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return the values of settings and the symbols of parameters, by name."""
+        """Return the values of its settings and the symbols of its parameters, by short name."""
         settings = {name: getattr(self, name) for name in self.definition.settings}
         return settings | {name: self.value(context, name) for name in self.sizes()}
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts with the one that the definition names."""
+        """Return a simulator's counterparts with that which the definition names, or an omission.
+
+        v : values of its parameters by short name [SI]
+        """
         counterpart = COUNTERPARTS.get(self.definition.counterpart)
         return counterpart(self, simulator, v) if counterpart else super().counterpart(simulator, v)
 
 
 class _Texts(NamedTuple):
-    """Formulas, sizes and columns of an effect with joint and settings in place of braces."""
+    """Texts of an effect, with the values of joint and settings in place of the placeholders.
+
+    formulas : by insertion point; sizes : typical size and unit of each parameter
+    needs : columns that must have been logged; conditions : columns that the effect needs
+    drivers : names in the formulas that are neither parameters nor settings
+    """
 
     formulas: Mapping[str, Formula]
     sizes: Mapping[str, tuple[float, str]]
@@ -324,12 +350,15 @@ class _Texts(NamedTuple):
 
 
 def _as_word(value: Any) -> str:
-    """Return a value as it appears in a name; fractions are rounded to integers."""
+    """Return the text of a setting's value in names and formulas; a float is rounded to integer."""
     return str(value) if isinstance(value, int | str | tuple | None) else f"{value:.0f}"
 
 
 def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) -> _Texts:
-    """Return the texts of a definition; words : values of the places, as text."""
+    """Return the texts of a definition with its placeholders replaced.
+
+    places : names in the placeholders; words : text for each, in the same order
+    """
     of_place = dict(zip(places, words, strict=True))
 
     def filled(text: str) -> str:
@@ -347,7 +376,10 @@ def _texts_of(d: Definition, places: tuple[str, ...], words: tuple[str, ...]) ->
 
 @cache
 def _class_of(definition: str, module: str, name: str) -> type[DefinedEffect]:
-    """Return the effect class of a definition given as JSON, the same for equal arguments."""
+    """Return the class of an effect, the same object for equal arguments.
+
+    definition : `Definition` as JSON; module, name : module and name of the class
+    """
     d = Definition.model_validate_json(definition)
     own = [(key, s.type, s.field()) for key, s in d.settings.items()]
     numbered = any(SEAMS[seam].numbered for seam in d.formulas)
@@ -371,14 +403,15 @@ def _templates(d: Definition) -> tuple[str, ...]:
 
 
 def _unpickled(definition: str, module: str, name: str, settings: Mapping[str, Any]) -> Effect:
-    """Return an effect that was pickled."""
+    """Return the effect of a pickle; the arguments are those that `__reduce__` stored."""
     return _class_of(definition, module, name)(**settings)
 
 
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
-    """Return the class of a definition, the same one for equal definitions.
+    """Return the class of a validated definition, the same object for equal definitions.
 
-    module : name of the module of the class. Raises InputError that names the key.
+    module : name of the module of the class
+    Raises InputError that names the faulty key.
     """
     _refuse_names(d)
     kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
@@ -396,9 +429,10 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
 
 
 def _refuse_names(d: Definition) -> None:
-    """Check insertion points, counterparts, names in braces, and that names differ.
+    """Check that no name in a definition is unknown, reserved or used twice. Raises InputError.
 
-    Raises InputError.
+    Names are those of insertion points, the counterpart, placeholders, settings and parameters.
+    Also checked are the sizes and the number of combinations of settings.
     """
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
@@ -429,7 +463,11 @@ def _refuse_names(d: Definition) -> None:
 
 
 def effect_classes(definitions: Iterable[Definition], module: str = "effect file") -> tuple[type[DefinedEffect], ...]:
-    """Return the classes of definitions. Raises InputError that names the table and the key."""
+    """Return the effect class of each definition, in order.
+
+    module : name of the module of the classes
+    Raises InputError that names the table, 1-based, and the key.
+    """
     kinds = []
     for k, d in enumerate(definitions, 1):
         with errors_of(f"definition[{k}]."):
@@ -438,7 +476,11 @@ def effect_classes(definitions: Iterable[Definition], module: str = "effect file
 
 
 def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
-    """Return the classes of effects that a file defines, by name. Raises InputError."""
+    """Return the effect classes that a TOML file defines, by name of the effect.
+
+    module : name of the module of the classes
+    Raises InputError that names the file.
+    """
     file = check(DefinitionFile, load_toml(path), path.name)
     with errors_of(f"{path.name}: "):
         return {kind.name: kind for kind in effect_classes(file.definition, module)}

@@ -21,7 +21,7 @@ import numpy as np
 from casadical.core.basics import InputError
 from casadical.core.reading import LARGEST_NUMBER
 
-# Number of arguments, CasADi function and numpy function, by name.
+# Functions allowed in formulas: number of arguments, CasADi and numpy implementation, by name.
 _FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]] = {
     "sin": (1, ca.sin, np.sin),
     "cos": (1, ca.cos, np.cos),
@@ -34,15 +34,15 @@ _FUNCTION_TABLE: Mapping[str, tuple[int, Callable[..., Any], Callable[..., Any]]
     "min": (2, ca.fmin, np.minimum),
     "max": (2, ca.fmax, np.maximum),
 }
-# Number of arguments by function name.
+# Number of arguments of each function allowed in formulas, by name.
 ARGUMENT_COUNTS = {name: count for name, (count, _, _) in _FUNCTION_TABLE.items()}
-# CasADi functions by name.
+# CasADi implementations of the functions allowed in formulas, by name.
 SYMBOLIC_FUNCTIONS = {name: symbolic for name, (_, symbolic, _) in _FUNCTION_TABLE.items()}
-# numpy functions by name.
+# numpy implementations of the functions allowed in formulas, by name.
 NUMERIC_FUNCTIONS = {name: numeric for name, (_, _, numeric) in _FUNCTION_TABLE.items()}
-# Sign of each allowed operator.
+# Sign of each binary operator that is allowed in formulas.
 _OPERATOR_SIGNS = {ast.Add: "+", ast.Sub: "-", ast.Mult: "*", ast.Div: "/", ast.Pow: "**"}
-# Function of each operator that acts component by component.
+# Function of each binary operator that acts component by component on three components.
 _OPERATOR_FUNCTIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 
 
@@ -50,7 +50,7 @@ _OPERATOR_FUNCTIONS = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: o
 class Formula:
     """A validated formula.
 
-    text : as given; names : variables and parameters in it, in order
+    text : as given; names : variables, parameters and settings in it, each once, in order
     components : 1, or 3 for a vector in brackets
     """
 
@@ -61,9 +61,9 @@ class Formula:
     def values(
         self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = SYMBOLIC_FUNCTIONS
     ) -> list[Any]:
-        """Return its components, one or three, from the values of its names.
+        """Return a list of the values of its components, one or three.
 
-        names : expressions, numbers or arrays by name
+        names : value of each of its names: an expression, a number or an array
         functions : implementations by name, SYMBOLIC_FUNCTIONS or NUMERIC_FUNCTIONS
         """
         value = _value(_tree(self.text), names, functions)
@@ -72,7 +72,7 @@ class Formula:
 
 @lru_cache(maxsize=8192)
 def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
-    """Return the formula of a text.
+    """Return the validated formula of a text; its names are not checked (see `refuse_unknown`).
 
     own : names of parameters and settings, which may equal those of functions
     Raises InputError that states what is wrong, in which column, and what is allowed.
@@ -95,28 +95,34 @@ def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
 
 
 def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str) -> None:
-    """Check that all names are known; allowed : those that are, in words. Raises InputError."""
+    """Check that all names in a formula are known. Raises InputError for the first that is not.
+
+    known : function that returns whether a name is; allowed : names that are, for the message
+    """
     for node in _names_of(_tree(formula.text)):
         if not known(node.id):
             raise _error_at(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
 
 
 Interval = tuple[float, float]
-# Bound on the reciprocal of an interval that contains zero.
+# Bound on the absolute value of the reciprocal of an interval that contains zero.
 _MAX_RECIPROCAL = 1e15
 
 
 def bounds(formula: Formula, ranges: Callable[[str], Interval]) -> Interval:
-    """Return bounds of all components of a formula by interval arithmetic.
+    """Return common (lower, upper) bounds of all components of a formula by interval arithmetic.
 
-    ranges : bounds of the value of a name
+    ranges : function that returns the (lower, upper) bounds of the value of a name
     Raises InputError for an intermediate value beyond `LARGEST_NUMBER`, or that cannot be computed.
     """
     return _bounds(formula.text, _tree(formula.text), ranges)
 
 
 def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Interval:
-    """Return the bounds of a node of a formula. Raises InputError."""
+    """Return (lower, upper) bounds of a node of a formula's tree; the arguments are of `bounds`.
+
+    text : text of the whole formula, for messages. Raises InputError.
+    """
     parts = [_bounds(text, each, ranges) for each in ast.iter_child_nodes(node) if isinstance(each, ast.expr)]
     if isinstance(node, ast.Constant):
         low = high = float(node.value)  # type: ignore[arg-type]
@@ -136,7 +142,11 @@ def _bounds(text: str, node: ast.expr, ranges: Callable[[str], Interval]) -> Int
 
 
 def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interval:
-    """Return the bounds of a function of arguments with bounds. Raises InputError."""
+    """Return (lower, upper) bounds of the value of a called function.
+
+    text : text of the whole formula; parts : bounds of each argument
+    Raises InputError for the root of negative numbers.
+    """
     assert isinstance(node.func, ast.Name)
     name, (low, high) = node.func.id, parts[0]
     if name in ("sin", "cos", "tanh", "sign", "step"):
@@ -154,7 +164,10 @@ def _bounds_of_call(text: str, node: ast.Call, parts: list[Interval]) -> Interva
 
 
 def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Interval) -> Interval:
-    """Return the bounds of an operation on two intervals. Raises InputError."""
+    """Return (lower, upper) bounds of the value of a binary operation on two intervals.
+
+    text : text of the whole formula. Raises InputError for a division by zero.
+    """
     if isinstance(node.op, ast.Add):
         return left[0] + right[0], left[1] + right[1]
     if isinstance(node.op, ast.Sub):
@@ -174,14 +187,20 @@ def _bounds_of_operation(text: str, node: ast.BinOp, left: Interval, right: Inte
 
 
 def _error_at(text: str, node: ast.expr | int, why: str) -> InputError:
-    """Return an error that names the formula and the column."""
+    """Return an error with the formula, the column in it and the reason.
+
+    node : node of the syntax tree, or the column itself, 1-based; why : the reason, in words
+    """
     column = node if isinstance(node, int) else node.col_offset + 1
     return InputError(f"formula {text!r}, column {column}: {why}")
 
 
 @lru_cache(maxsize=8192)
 def _tree(text: str) -> ast.expr:
-    """Return the syntax tree of a formula. Raises InputError."""
+    """Return the syntax tree of a formula's text; its nodes are not checked yet.
+
+    Raises InputError for an empty text, one of more than 400 characters, and a syntax error.
+    """
     if not text.strip():
         raise InputError("formula: it is empty; a formula such as 'a * max(0, abs(tau3) - 0.3)' is needed")
     if len(text) > 400:
@@ -200,7 +219,7 @@ def _tree(text: str) -> ast.expr:
 
 
 def _names_of(tree: ast.expr) -> list[ast.Name]:
-    """Return every name that is not that of a called function."""
+    """Return every node of a syntax tree that is a name, but not that of a called function."""
     called = {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
     return [node for node in ast.walk(tree) if isinstance(node, ast.Name) and id(node) not in called]
 
@@ -208,7 +227,7 @@ def _names_of(tree: ast.expr) -> list[ast.Name]:
 def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
     """Return the number of components of a node, 1 or 3, and add its names to `names`.
 
-    Raises InputError.
+    text : text of the whole formula. Raises InputError for a node that is not allowed.
     """
     if isinstance(node, ast.Constant):
         value = node.value
@@ -244,7 +263,10 @@ def _check(text: str, node: ast.expr, names: dict[str, None]) -> int:
 
 
 def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> int:
-    """Return the number of components of an operation. Raises InputError."""
+    """Return the number of components of a binary operation, and add its names to `names`.
+
+    text : text of the whole formula. Raises InputError for an operation that is not allowed.
+    """
     left, right = (_check(text, side, names) for side in (node.left, node.right))
     sign = _OPERATOR_SIGNS[type(node.op)]
     if sign == "**":
@@ -260,7 +282,7 @@ def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> in
 
 
 def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
-    """Return the value of a node, a number or a list of three."""
+    """Return the value of a node, a scalar or a list of three; the arguments are of `values`."""
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):
@@ -283,7 +305,10 @@ def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Cal
 
 
 def _each(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
-    """Return an operation on two numbers, or on each of three components."""
+    """Return an operation's result on two scalars, or a list of it on each of three components.
+
+    A scalar is combined with each component of the other side.
+    """
     if not isinstance(left, list) and not isinstance(right, list):
         return operation(left, right)
     sides = [side if isinstance(side, list) else [side] * 3 for side in (left, right)]
@@ -291,5 +316,5 @@ def _each(operation: Callable[[Any, Any], Any], left: Any, right: Any) -> Any:
 
 
 def names_in(formulas: Collection[Formula]) -> tuple[str, ...]:
-    """Return the names that formulas use, each once."""
+    """Return the names of variables, parameters and settings in formulas, each once, in order."""
     return tuple(dict.fromkeys(name for f in formulas for name in f.names))

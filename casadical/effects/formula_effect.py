@@ -26,7 +26,7 @@ class Seam(NamedTuple):
     """An insertion point of formulas in the model.
 
     components : number of components of a formula there, 1 or 3
-    unit : of its value; numbered : whether it needs the number of a joint or link
+    unit : unit of the formula's value; numbered : whether it needs the number of a joint or link
     """
 
     components: int
@@ -57,45 +57,49 @@ SEAMS = {
     "response": Seam(1, "rad", True),
     "responses": Seam(1, "rad"),
 }
-# Insertion points of formulas in joint logs.
+# Names of the insertion points of formulas in joint logs: torques and servo position errors.
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
-# Names of signals of its own joint that a formula in joint logs may use (see `motion`).
+# Names of signals of the effect's own joint that a formula in joint logs may use (see `motion`).
 MOTION_NAMES = frozenset({
     "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
     "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
     "delayed", "filtered", "heat", "rest", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
 })  # fmt: skip
-# Names of signals of any joint, with its number.
+# Pattern of names of signals of any joint, with its number, in formulas in joint logs.
 MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
-# Column of each name in a formula that differs from its column's.
+# Name of the column by name in a formula, where the two differ.
 COLUMN_BY_NAME = {"t": "progress", "payload": "payload_kg", "warmth": "warmth_0s"}
-# Pattern of names in formulas that are columns.
+# Pattern of names in formulas whose values are columns, logged or derived.
 COLUMN_NAME = re.compile(r"t|payload|warmth|warmth_\d+s|heat\d+_\d+s|approach\d+|move\d+|(memory|play)\d+_\d+mrad")
-# Pattern of names in formulas that are computed from a pose.
+# Pattern of names in formulas whose values are computed from a pose: readings, loads, moments,
+# gravity and flange position (see `ALLOWED_NAMES`).
 _POSE_NAME = re.compile(r"(q|tau)(\d+)|m(\d+)[xyz]|[gp][xyz]")
-# Pattern of names in a formula for every joint, which stand for each joint's own.
+# Pattern of names without number in a formula at "joints"; they stand for each joint's own signal.
 JOINT_NAME = re.compile(r"q|tau|approach|move")
-# Pattern of names with the number of a joint or link.
+# Pattern of names in formulas with the number of a joint or link, which is the first group.
 NUMBERED_NAME = re.compile(
     r"(?:q|tau|m|approach|move|memory|play|v|speed|slip|load|heat|rest)(\d+)(?:[xyz]|_\d+(?:mrad|s))?"
 )
-# Name of the sense of an instrument head's last rotation about the vertical, -1 to 1.
+# Name in formulas of the sense of the last rotation of an instrument's head about the vertical,
+# -1, 0 (none yet) or 1.
 HEAD_NAME = "head"
-# Default direction of a target in the flange frame, the third axis.
+# Direction, in the flange frame, in which a target faces by default: the third axis.
 DEFAULT_TARGET_DIRECTION = (0.0, 0.0, 1.0)
-# Insertion points that need the position (station) of an instrument.
+# Insertion points whose effects need the position (`station`) of an instrument.
 STATION_SEAMS = ("beam", "across")
-# Names of the coordinates of the measured point [m], at insertion points behind it.
+# Names in formulas of the measured point's coordinates in the measuring frame [m], at the insertion
+# points of the measurement.
 _POINT_NAMES = ("point_x", "point_y", "point_z")
-# Largest number of instruments that measure distances.
+# Largest number of instruments that measure distances, in all tables of a campaign together.
 MAX_DISTANCE_INSTRUMENTS = 4
-# Columns of the anchor of a measured distance, in the measuring frame [m].
+# Columns of the position of a measured distance's anchor in the measuring frame [m].
 ANCHOR_COLUMNS = ("far_x_m", "far_y_m", "far_z_m")
-# Columns that are 1 where the instrument of a number measured the distance, in the order of tables.
+# Columns, one for each distance instrument in the order of tables, that are 1 where it measured the
+# distance, else 0.
 INSTRUMENT_FLAG_COLUMNS = tuple(f"wire{k}" for k in range(1, MAX_DISTANCE_INSTRUMENTS + 1))
-# Where a camera that measures poses is mounted: fixed, or on the flange.
+# Mountings of a camera that measures poses: fixed in the measuring frame, or on the flange.
 CAMERA_SIDES = ("fixed", "carried")
-# Description of the names in formulas, for error messages.
+# Description of the names that formulas may use, for error messages.
 ALLOWED_NAMES = (
     "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
@@ -111,7 +115,7 @@ class FormulaEffect(Effect):
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
-        """Return the formula of what is added, by insertion point."""
+        """Return the formulas by insertion point (`SEAMS`); their values are added there."""
         raise NotImplementedError
 
     @property
@@ -120,7 +124,10 @@ class FormulaEffect(Effect):
         raise NotImplementedError
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that joints and payload in the formulas exist in the arm. Raises InputError."""
+        """Check that the arm has the joints and the payload that the formulas use.
+
+        Raises InputError.
+        """
         super().refuse_joints(arm)
         for name in (*self.drivers, *self.conditions):
             numbered = NUMBERED_NAME.fullmatch(name)
@@ -131,15 +138,15 @@ class FormulaEffect(Effect):
             raise InputError(f"{self.name}: seam = {seam!r}; robot {arm.name!r} declares no payload")
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return parameters and settings by their names in the formulas."""
+        """Return symbols of parameters and values of settings by their names in the formulas."""
         raise NotImplementedError
 
     def values_at(self, seam: str, context: Context, more: Mapping[str, Symbolic] | None = None) -> list[Symbolic]:
-        """Return the components of the formula at an insertion point, one or three.
+        """Return a list of the formula's components at an insertion point, one or three.
 
-        The list is empty where there is no formula.
+        It is empty where there is no formula. Their unit is that of `SEAMS`.
 
-        more : values of additional names at this point
+        more : values of names that exist at this insertion point only
         """
         formula = self.formulas.get(seam)
         if formula is None:
@@ -148,7 +155,11 @@ class FormulaEffect(Effect):
         return formula.values({n: values[n] if n in values else variable(context, n, moments) for n in formula.names})
 
     def energy(self, context: Context) -> Symbolic:
-        """Return the energy [J] that it adds: its formula, and errors of the payload."""
+        """Return the potential energy [J] that the effect adds.
+
+        It is the formula "energy" plus the energy of the payload's errors: `payload`, relative
+        error of the mass, and `payload shift`, that of the first moment by mass [m].
+        """
         payload, T = context.arm.payload, context.frames[-1]
         total: Symbolic = sum(self.values_at("energy", context))
         share, shift = (self.values_at(seam, context) for seam in ("payload", "payload shift"))
@@ -162,7 +173,10 @@ class FormulaEffect(Effect):
         return total + -kg * ca.dot(context.gravity, first_moment)
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the formula of its joint as the change of the joint variables, (n,) [rad or m]."""
+        """Return the change of the joint variables, shape (n,) [rad or m].
+
+        It is the formula "joint" at the effect's own joint, and zero at all others.
+        """
         moved = ca.SX.zeros(context.arm.n)
         for value in self.values_at("joint", context):
             assert self.joint is not None
@@ -170,30 +184,46 @@ class FormulaEffect(Effect):
         return moved
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] behind a link: its growth, or its tilt and shift."""
+        """Return the transform (4, 4) [m] inserted behind link `number` (1-based), in its frame.
+
+        It is the growth of every link by the formula "growth", else tilt and shift of the link of
+        the effect's joint by their formulas; the identity for all other links.
+        """
         if "growth" in self.formulas:
             return grown_link(number, context, self.values_at("growth", context)[0])
         return self._frame("", context) if number == self.joint else ca.SX.eye(4)
 
     def base(self, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] of the pedestal by formulas of its tilt and shift."""
+        """Return the transform (4, 4) [m] of the formulas "base tilt" and "base shift".
+
+        It is inserted before the first joint, in the base frame.
+        """
         return self._frame("base ", context)
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] before the tool by formulas of its tilt and shift."""
+        """Return the transform (4, 4) [m] of the formulas "tool tilt" and "tool shift".
+
+        It is inserted between flange and tool, in the flange frame.
+        """
         return self._frame("tool ", context)
 
     def _frame(self, where: str, context: Context) -> Symbolic:
-        """Return the transform (4, 4) [m] of a shift, a tilt or both."""
+        """Return the transform (4, 4) [m] of the formulas of a shift, a tilt or both.
+
+        where : prefix of the insertion points: "", "base " or "tool "
+        """
         shift, tilt = (self.values_at(f"{where}{what}", context) for what in ("shift", "tilt"))
         if tilt:
             return small_frame(*(shift or (0, 0, 0)), *tilt)
         return translate(*shift) if shift else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] with errors of the point, a distance, or a beam.
+        """Return the point displaced by the formulas of the measurement, shape (3,) [m].
 
-        All are in the measuring frame.
+        "point" displaces it as a vector, "distance" away from the anchor, "beam" away from the
+        instrument's station, "across" horizontally across the beam.
+
+        point : true measured point, shape (3,) [m]; both are in the measuring frame
         """
         moved, names = point, dict(zip(_POINT_NAMES, ca.vertsplit(point), strict=True))
         if "point" in self.formulas:
@@ -214,15 +244,15 @@ class FormulaEffect(Effect):
 
     @property
     def of_head(self) -> tuple[str, ...]:
-        """Return the name of the column of the head's last rotation, if a formula uses it."""
+        """Return the column of the head's last rotation, in a tuple; () if no formula uses it."""
         named = any(HEAD_NAME in f.names for seam, f in self.formulas.items() if seam in STATION_SEAMS)
         return (head_column(self.station),) if named and HEAD_NAME not in self.needs else ()  # type: ignore[attr-defined]
 
 
 def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
-    """Return the formula of a text, validated for its insertion point.
+    """Return the formula of a text if its components and names fit its insertion point.
 
-    own : names of its parameters and settings
+    seam : insertion point (`SEAMS`); own : names of its parameters and settings
     Raises InputError that names the column, what is wrong and what is allowed.
     """
     formula = parse(text, frozenset(own))
@@ -249,7 +279,10 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
 def check_values(formula: Formula, parameters: Collection[str], settings: Mapping[str, Any]) -> None:
     """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
-    settings : values of its settings, by name. Raises InputError.
+    Bounds are checked by interval arithmetic, values at 200 random points (see `_range_of`).
+
+    parameters : names of the parameters; settings : values of the settings, by name
+    Raises InputError.
     """
     ranges = {name: _range_of(name) for name in formula.names} | {n: (float(v), float(v)) for n, v in settings.items()}
     bounds(formula, lambda name: ranges[name])
@@ -266,17 +299,17 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
         raise InputError(f"formula {formula.text!r}: it is no number where {there}")
 
 
-# Ranges of values [SI] for which formulas are checked, by name.
+# Lower and upper values [SI] of variables with which formulas are checked, by name without number.
 _RANGE_BY_NAME = {
     "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
     "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD_NAME: (-1.0, 1.0),
 }  # fmt: skip
-# Range of values for which formulas are checked, of angles, lengths and parameters [SI].
+# Lower and upper value with which formulas are checked, of angles, lengths and parameters [SI].
 _DEFAULT_RANGE = (-4.0, 4.0)
 
 
 def _range_of(name: str) -> Interval:
-    """Return the range of values for which a name is checked."""
+    """Return the lower and upper value [SI] of a variable with which formulas are checked."""
     if name in MOTION_NAMES and name not in _RANGE_BY_NAME:
         return _DEFAULT_RANGE
     if re.fullmatch(r"heat\d+_\d+s", name):
@@ -287,7 +320,7 @@ def _range_of(name: str) -> Interval:
 
 
 def _known(name: str, seam: str) -> bool:
-    """Return whether a formula at an insertion point may use this quantity or column."""
+    """Return whether a formula at an insertion point may use a name of a pose or of a column."""
     if seam == "joints" and JOINT_NAME.fullmatch(name):
         return True
     if seam.startswith("payload") and not name.startswith("q") and not COLUMN_NAME.fullmatch(name):
@@ -301,36 +334,38 @@ def _known(name: str, seam: str) -> bool:
 def head_column(station: Iterable[float]) -> str:
     """Return the name of the column of the sense of an instrument head's last rotation.
 
-    station : position of the instrument in the measuring frame [m]
+    station : position of the instrument in the measuring frame [m], rounded to whole millimetres
+        in the name
     """
     return f"head_{'_'.join(f'{1e3 * v:.0f}' for v in station)}mm".replace("-", "m")
 
 
 def image_columns(side: str, what: str) -> tuple[str, str, str]:
-    """Return the names of the columns of a camera's vector in the measuring frame [m].
+    """Return the names of the columns of x, y and z [m] of a vector from a camera to its target.
 
-    They are computed from measured poses.
+    The vector is in the measuring frame and computed from measured poses. A fixed camera's frame is
+    the measuring frame, with its third axis along the optical axis; that of one on the flange is
+    the tool frame (see `diagnosis.instrument_columns`).
 
     side : one of CAMERA_SIDES
-    what : depth, the component of the vector to the target along the optical axis, or radial, the
-        component across it times its slope squared
-    A fixed camera's frame is the measuring frame, with its third axis along the optical axis; that
-    of one on the flange is the tool frame (see `diagnosis.instrument_columns`).
+    what : "depth", the component along the optical axis, or "radial", the component across it
+        multiplied by the square of its slope
     """
     x, y, z = (f"{side}_{what}_{c}_m" for c in "xyz")
     return x, y, z
 
 
 def columns_of(names: Collection[str]) -> list[str]:
-    """Return the names of the columns among the names in a formula."""
+    """Return the columns that names in formulas stand for, without names that are no columns."""
     return [COLUMN_BY_NAME.get(n, n) for n in names if COLUMN_NAME.fullmatch(n)]
 
 
 def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = None) -> Symbolic:
-    """Return the value of a name in a formula (see ALLOWED_NAMES).
+    """Return the value of a pose's or a column's name in a formula (see ALLOWED_NAMES).
 
-    moments : cache of scaled moments by link, to which new ones are added
-    Raises KeyError for a column that is not there.
+    moments : cache by link of the moments of weight, divided by the arm's maximum peak gravity
+        torque; new ones are added
+    Raises KeyError for a missing column.
     """
     if not _POSE_NAME.fullmatch(name):
         return context.conditions[COLUMN_BY_NAME.get(name, name)]
@@ -350,9 +385,10 @@ def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = 
 
 
 def _moment(context: Context, link: int) -> Symbolic:
-    """Return the moment of weight about a link's origin, in its frame, shape (3,) [N m].
+    """Return the moment of the weight of a link and all after it, shape (3,) [N m].
 
-    For link 0, the pedestal, it is about the first joint's origin, in the base frame.
+    It is about the origin of the link's frame (1-based) and in that frame; for link 0, the
+    pedestal, about the origin of the first link's frame and in the base frame.
     """
     if link == 0:
         return context.moment(1)
@@ -360,7 +396,10 @@ def _moment(context: Context, link: int) -> Symbolic:
 
 
 def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
-    """Return the transform (4, 4) [m] behind a link (1-based) longer by a share of its length."""
+    """Return the translation (4, 4) [m], in its frame, of the end of a link that has grown.
+
+    number : of the link, 1-based; growth : change of its length divided by its length
+    """
     before = context.frames[number - 2] if number > 1 else ca.SX.eye(4)
     here = context.frames[number - 1]
     # The vector from the previous link's origin to this one's, in this link's frame.
@@ -372,7 +411,10 @@ def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:
 
 @lru_cache(maxsize=1024)
 def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
-    """Check the formula of a law, once for all stations where it is tried. Raises InputError."""
+    """Check that a law's formula is allowed at its insertion point. Raises InputError.
+
+    factors : names of its parameters. The result is cached for all stations of a law.
+    """
     formula = check_formula(text, seam, factors)
     if unused := [name for name in factors if name not in formula.names]:
         raise InputError(f"formula {text!r}: factor {unused[0]!r} is not in it")
@@ -383,15 +425,15 @@ def _refuse_formula(text: str, seam: str, factors: tuple[str, ...]) -> None:
 class Law(FormulaEffect):
     """An effect found in data: one expression at one insertion point.
 
-    seam : insertion point, one of SEAMS; joint : number of the joint or link there
-    formula : what is added there [rad, m or kg/kg]; for `joints`, q, tau, approach and move are
-        those of each joint
-    factors : names of its parameters, single letters, and their typical sizes; the formula must be
-        zero where they are
+    seam : insertion point, one of SEAMS; joint : number of the joint or link there, 1-based
+    formula : text of the formula whose value is added there [unit by SEAMS]; at `joints`, q, tau,
+        approach and move are those of each joint
+    factors : name of each parameter, a single letter, and its typical size; the formula must be
+        zero where all of them are
     station : position of the instrument in the measuring frame [m], for `beam` and `across`, where
         r is the range [m]
     count : number of joints, for `joints`
-    towards : direction of the target in the flange's frame, for `incidence`
+    towards : direction in which the target faces, in the flange frame, for `incidence`
     """
 
     seam: str = "joint"
@@ -427,7 +469,7 @@ class Law(FormulaEffect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return no candidates: laws are searched for (see `casadical.discover`), or given."""
+        """Return no candidates: laws are found by `casadical.discover`, or given."""
         return ()
 
     @property
@@ -437,12 +479,12 @@ class Law(FormulaEffect):
 
     @property
     def formulas(self) -> Mapping[str, Formula]:
-        """Return its formula, by its insertion point."""
+        """Return the law's formula in a dict, by its insertion point."""
         return {self.seam: parse(self.formula)}
 
     @property
     def place(self) -> str:
-        """Return where it acts, in words."""
+        """Return the part of the robot or instrument where the law acts, in words."""
         words = {"joint": "joint {}", "joints": "every joint", "tilt": "tilt of link {}", "shift": "shift of link {}"}
         words["across"] = "the beam's side"
         return words.get(self.seam, self.seam).format(self.joint)
@@ -455,7 +497,7 @@ class Law(FormulaEffect):
 
     @property
     def label(self) -> str:
-        """Return its identifier: place and drivers."""
+        """Return the identifier of the law: its place and the names in its formula."""
         return f"law at {self.place} by {', '.join(self.drivers)}"
 
     @property
@@ -474,27 +516,30 @@ class Law(FormulaEffect):
         return tuple(dict.fromkeys([*names, *needed, *self.of_head]))
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that joints in the law exist in the arm. Raises InputError."""
+        """Check that the arm has the joints of the law and, at `joints`, `count` of them.
+
+        Raises InputError.
+        """
         super().refuse_joints(arm)
         if self.seam == "joints" and self.count != arm.n:
             raise InputError(f"law: count = {self.count}; robot {arm.name!r} has {arm.n} joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each factor, for `joints` of each joint."""
+        """Return typical size and unit of each factor, by name; at `joints` a1, a2, ... of each."""
         unit = SEAMS[self.seam].unit
         if self.seam != "joints":
             return {name: (size, unit) for name, size in self.factors}
         return {f"{name}{j}": (size, unit) for j in range(1, self.count + 1) for name, size in self.factors}
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return the symbols of its factors by name.
-
-        There are none for `joints`, where each joint has its own.
-        """
+        """Return the symbols of its factors by name; {} at `joints`, where they are by joint."""
         return {name: self.value(context, name) for name, _ in self.factors} if self.seam != "joints" else {}
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the change of the joint variables, shape (n,) [rad or m]."""
+        """Return the change of the joint variables, shape (n,) [rad or m].
+
+        At `joint` it is at the law's own joint, at `joints` at every joint, else zero.
+        """
         moved = super().joint_angle(context)
         for j in range(1, context.arm.n + 1) if self.seam == "joints" else ():
             own = {name: variable(context, f"{name}{j}") for name in self.drivers if JOINT_NAME.fullmatch(name)}

@@ -13,10 +13,9 @@ from casadical.effects.base import Context, Effect, setting
 
 @dataclass(frozen=True)
 class FrameDrift(Effect):
-    """Drift of the measuring frame against the robot with time.
+    """Drift of the measuring frame relative to the robot's base with time.
 
-    shape : exponent of time; 1 for a steady drift, below 1 for one that settles, above 1 for a late
-        one
+    shape : exponent of time; 1 for a constant rate, below 1 for a falling, above 1 for a rising one
     """
 
     shape: float = setting(1.0, (0.5, 1.0, 2.0), steps=True)
@@ -31,11 +30,14 @@ class FrameDrift(Effect):
     size = dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
 
     def course(self, context: Context) -> Symbolic:
-        """Return the share of the whole drift that has happened, 0 to 1."""
+        """Return the drift at a pose, divided by that at the end of the campaign, 0 to 1."""
         return (context.conditions["progress"] + 1e-6) ** self.shape
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] in the measuring frame after the drift so far."""
+        """Return the point displaced by the drift at a pose, shape (3,) [m].
+
+        point : without the drift, shape (3,) [m]; both are in the measuring frame
+        """
         when = self.course(context)
         creep = ca.vertcat(*(self.value(context, c) for c in "xyz"))
         turn = ca.vertcat(*(self.value(context, f"r{c}") for c in "xyz"))
@@ -44,9 +46,9 @@ class FrameDrift(Effect):
 
 @dataclass(frozen=True)
 class FrameSettling(FrameDrift):
-    """Exponential settling of the measuring frame against the robot after the start of a campaign.
+    """Exponential settling of the measuring frame relative to the robot after a campaign's start.
 
-    settles : time constant as a share of the campaign
+    settles : time constant, divided by the duration of the campaign
     """
 
     settles: float = 0.1
@@ -61,16 +63,16 @@ class FrameSettling(FrameDrift):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect with several time constants."""
+        """Return the effect for each of four time constants."""
         return (cls(None, settles=s) for s in (0.02, 0.05, 0.12, 0.3))
 
     def course(self, context: Context) -> Symbolic:
-        """Return the share of the whole motion that has happened, 0 to 1."""
+        """Return the motion at a pose, divided by the whole motion after infinite time, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
 
-# Times of candidate steps, as shares of the campaign. They are few, since a step of six parameters
-# also fits the data at times between two of them.
+# Times of candidate steps of a frame, 0 at the campaign's start, 1 at its end. They are few, since
+# a step of six parameters also fits data with a step at times between two of them.
 STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 
 
@@ -78,8 +80,8 @@ STEP_TIME_GRID = tuple(float(t) for t in np.linspace(0.06, 0.94, 12))
 class FrameStep(Effect):
     """A step of a link's frame, or of the measuring frame, in all six degrees of freedom.
 
-    at : time of the step, as a share of the campaign
-    Without a joint the measuring frame moves against the robot's base, else the frame of that link.
+    at : time of the step, 0 at the campaign's start, 1 at its end
+    joint : link whose frame moves, 1-based; None: the measuring frame, relative to the robot's base
     """
 
     at: float = setting(0.5, STEP_TIME_GRID, steps=True)
@@ -94,20 +96,26 @@ class FrameStep(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return steps of the measuring frame and of all links but the last, at several times."""
+        """Return steps of the measuring frame and of all links but the last, at twelve times."""
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:
-        """Return the six components of the step at a pose, zero before it."""
+        """Return x, y, z [m], rx, ry, rz [rad] of the step if a pose is after it, else zeros."""
         after = context.conditions["progress"] > self.at
         return [self.value(context, name) * after for name in self.size]
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the step of its link's frame, (4, 4) [m]; the identity for other links."""
+        """Return the step of its link's frame, (4, 4) [m], in that frame; else the identity.
+
+        number : number of a link, 1-based
+        """
         return small_frame(*self._six(context)) if number == self.joint else ca.SX.eye(4)
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] after a step of the measuring frame."""
+        """Return the point displaced by a step of the measuring frame, shape (3,) [m].
+
+        point : without the step, shape (3,) [m]; both are in the measuring frame
+        """
         if self.joint is not None:
             return point
         x, y, z, *turn = self._six(context)
@@ -135,7 +143,11 @@ class SmrOffset(Effect):
     size = {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] displaced along, across and above the beam."""
+        """Return the point displaced along, across and above the beam, shape (3,) [m].
+
+        point : without the offset, shape (3,) [m]; both are in the measuring frame, whose third
+            axis is taken as vertical: across is horizontal
+        """
         beam = point - ca.DM(self.station)
         along = beam / ca.sqrt(ca.sumsqr(beam) + 1e-12)
         across = ca.vertcat(-along[1], along[0], 0) / ca.sqrt(along[0] ** 2 + along[1] ** 2 + 1e-12)
@@ -147,9 +159,9 @@ class SmrOffset(Effect):
 class Session(Effect):
     """Differences of a later session from the first: base frame, tool point and joint zero offsets.
 
-    which : its name in the column `session`
-    base_too, tool_too : whether it has its own base frame and tool point
-    zeros : number of the first joints that have their own zero offsets
+    which : name of the session in the column `session`
+    base_too, tool_too : whether the session has a base frame and a tool point of its own
+    zeros : joints 1 to `zeros` have zero offsets of their own in the session
     """
 
     which: str = setting("", given=True)
@@ -170,7 +182,7 @@ class Session(Effect):
 
     @property
     def label(self) -> str:
-        """Return its identifier, which contains the name of the session."""
+        """Return the identifier of the effect: session_NAME OF THE SESSION."""
         return f"{self.name}_{self.which}"
 
     @property
@@ -180,33 +192,45 @@ class Session(Effect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the name of the column that marks its poses."""
+        """Return the name of the column that is 1 at the session's poses, in a tuple."""
         return (self.column,)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return prior standard deviation and unit of each difference from the first session."""
+        """Return prior standard deviation and unit of each difference from the first session.
+
+        Names are x, y, z, rx, ry, rz of the base frame, tool_x, tool_y, tool_z, zero1, zero2, ...
+        """
         base = dict.fromkeys(("x", "y", "z"), (1.0, "m")) | dict.fromkeys(("rx", "ry", "rz"), (0.5, "rad"))
         tool = {f"tool_{c}": (0.05, "m") for c in "xyz"}
         zeros = {f"zero{i}": (1e-3, "rad") for i in range(1, self.zeros + 1)}
         return (base if self.base_too else {}) | (tool if self.tool_too else {}) | zeros
 
     def _now(self, context: Context, name: str) -> Symbolic:
-        """Return a parameter in this session, and zero in others."""
+        """Return the value of a parameter at a pose of this session, and zero at all others."""
         return self.value(context, name) * context.conditions[self.column]
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the differences of the joint zero offsets, (n,) [rad or m], in this session."""
+        """Return the differences of the joint zero offsets, shape (n,) [rad or m].
+
+        They are zero at poses of other sessions.
+        """
         moved = ca.SX.zeros(context.arm.n)
         for i in range(self.zeros):
             moved[i] = self._now(context, f"zero{i + 1}")
         return moved
 
     def base(self, context: Context) -> Symbolic:
-        """Return the difference of the base frame, (4, 4) [m], in this session."""
+        """Return the difference of the base frame as a transform (4, 4) [m] in the base frame.
+
+        It is the identity at poses of other sessions.
+        """
         if not self.base_too:
             return ca.SX.eye(4)
         return small_frame(*(self._now(context, name) for name in ("x", "y", "z", "rx", "ry", "rz")))
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the difference of the tool point, (4, 4) [m], in this session."""
+        """Return the difference of the tool point as a translation (4, 4) [m] in the flange frame.
+
+        It is the identity at poses of other sessions.
+        """
         return translate(*(self._now(context, f"tool_{c}") for c in "xyz")) if self.tool_too else ca.SX.eye(4)

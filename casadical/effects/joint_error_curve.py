@@ -11,11 +11,12 @@ from casadical.core.parts import Arm
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
 
-# Prior standard deviation of a harmonic of a joint without other information [rad].
+# Prior standard deviation of the sine and of the cosine amplitude of each harmonic up to the knee
+# of a joint's error curve [rad], until the data give another one.
 TYPICAL_HARMONIC_RAD = 60e-6
-# Highest harmonic of each curve.
+# Order of the highest harmonic of each joint's curve.
 DEFAULT_ORDERS = 60
-# Highest harmonic of each curve where there are that many poses.
+# Order of the highest harmonic of each joint's curve in campaigns of 400 poses or more.
 EXTENDED_ORDERS = 90
 
 
@@ -23,9 +24,9 @@ EXTENDED_ORDERS = 90
 class JointErrorCurve(Effect):
     """A periodic error curve of each revolute joint: a Fourier series in its own angle.
 
-    spread : prior standard deviation of a harmonic up to the knee, of each joint [rad]; 0 for a
-        joint without a curve (prismatic)
-    orders : highest harmonic of a revolution
+    spread : prior standard deviation of a harmonic's amplitudes up to the knee, of each joint
+        [rad]; 0 for a joint without a curve (prismatic)
+    orders : order of the highest harmonic
     knee : order above which the prior size of a harmonic is inversely proportional to its order
     """
 
@@ -53,13 +54,16 @@ class JointErrorCurve(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return one candidate, with curves of all revolute joints."""
+        """Return one candidate, with curves of all revolute joints; none if there are none."""
         return (
             (cls(None, tuple(TYPICAL_HARMONIC_RAD * (j in arm.revolute) for j in arm.numbers)),) if arm.revolute else ()
         )
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return prior standard deviation and unit of every harmonic of every joint."""
+        """Return prior standard deviation and unit of every amplitude of every joint.
+
+        s3_q2 is that of the sine of order 3 of joint 2, c3_q2 that of the cosine.
+        """
         return {
             f"{wave}{order}_q{joint}": (spread * min(1.0, self.knee / order), "rad")
             for joint, spread in enumerate(self.spread, 1)
@@ -69,28 +73,34 @@ class JointErrorCurve(Effect):
         }
 
     def for_poses(self, count: int) -> "JointErrorCurve":
-        """Return the effect with more harmonics where there are enough poses."""
+        """Return the effect with `EXTENDED_ORDERS` harmonics if there are 400 poses or more."""
         # The readings of so many poses determine more harmonics.
         return replace(self, orders=EXTENDED_ORDERS) if count >= 400 and self.orders == DEFAULT_ORDERS else self
 
     @property
     def parts(self) -> dict[int, Array]:
-        """Return the indices, shape (k,), of each joint's parameters, by joint."""
+        """Return the indices in `sizes` of each joint's amplitudes, shape (2 orders,), by joint."""
         joints = [j for j, spread in enumerate(self.spread, 1) if spread > 0]
         return {j: np.arange(2 * self.orders * k, 2 * self.orders * (k + 1)) for k, j in enumerate(joints)}
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
-        """Return number of harmonics and prior size of each joint's, in place of parameters."""
+        """Return lines (name, value, unit) of the order and of each joint's prior size [urad].
+
+        Reports show them in place of the parameters.
+        """
         sizes = ", ".join(f"{1e6 * spread:.0f}" for spread in self.spread)
         return ("harmonics of each joint", str(self.orders), ""), ("one sigma of each, joint by joint", sizes, "urad")
 
     def with_sizes(self, factors: Mapping[int, float]) -> "JointErrorCurve":
-        """Return the effect with the prior size of each joint's curve times a factor, by joint."""
+        """Return the effect with the prior size of each joint's curve multiplied by a factor.
+
+        factors : dimensionless, by joint; 1 for missing ones
+        """
         return replace(self, spread=tuple(s * factors.get(j, 1.0) for j, s in enumerate(self.spread, 1)))
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the error of every joint by its curve, (n,) [rad]."""
+        """Return the error of every joint by its curve, shape (n,) [rad]; 0 without a curve."""
         moved = ca.SX.zeros(context.arm.n)
         for joint in self.parts:
             values = [
@@ -100,13 +110,20 @@ class JointErrorCurve(Effect):
         return moved
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts without these curves, which it cannot have."""
+        """Return a simulator's counterparts with an omission of these curves.
+
+        v : values of the amplitudes by short name [rad]; if all are zero, nothing is omitted
+        """
         why = "a MuJoCo joint has no error that follows its own angle; add dq of `export c --what curves` to ctrl"
         return simulator.without(self.label, why) if any(v.values()) else simulator.noted(f"{self.label}: zero")
 
 
 def series(q: Symbolic, sines: Sequence[Symbolic], cosines: Sequence[Symbolic]) -> Symbolic:
-    """Return a Fourier series of an angle, without constant term, by angle addition formulas."""
+    """Return a Fourier series of an angle q [rad] without a constant term.
+
+    sines, cosines : amplitudes of the orders 1, 2, ..., in the unit of the result
+    Sine and cosine of multiples of q follow from those of q by addition formulas.
+    """
     s1, c1 = ca.sin(q), ca.cos(q)
     s, c, total = s1, c1, ca.SX(0)
     for a, b in zip(sines, cosines, strict=True):

@@ -22,9 +22,9 @@ Cause = type[DefinedEffect]
 
 @cache
 def motion_effects() -> Mapping[str, type[DefinedEffect]]:
-    """Return the causes of joint logs by name: the package's and those of plug-ins.
+    """Return the effect classes that are causes in joint logs, by name.
 
-    Those of plug-ins are definitions whose `on_list` is "motion".
+    They are the package's and, of plug-ins, the defined effects whose `on_list` is "motion".
     """
     installed = {k: kind for k, kind in known_effects().items() if kind.on_list == "motion"}
     own = {k: kind for k, kind in installed.items() if issubclass(kind, DefinedEffect)}
@@ -32,9 +32,11 @@ def motion_effects() -> Mapping[str, type[DefinedEffect]]:
 
 
 def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:
-    """Return the contribution of each parameter at its typical size at an insertion point.
+    """Return the value of an effect's formula for each parameter alone at its typical size.
 
-    seam : "torque", "torques", "response" or "responses"
+    The other parameters are zero. The values are shares of peak torque or responses [rad or m].
+
+    seam : insertion point, "torque", "torques", "response" or "responses"
     names : samples of the variables of the formula, all of one shape, which is that of each column
     """
     formula, sizes = effect.formulas[seam], effect.sizes()

@@ -14,13 +14,11 @@ from casadical.effects.base import Context, Counterparts, Effect, setting
 class Backlash(Effect):
     """Backlash of a gear, taken up by the gravity torque or by the direction of approach.
 
-    The approach counts where the gravity torque is small.
+    The gravity torque decides on the flank in contact where it overcomes friction.
 
-    The contact changes its flank where gravity overcomes friction.
-
-    friction : torque below which the direction of approach decides, as a share of the joint's peak
+    friction : torque below which the direction of approach decides, divided by the joint's peak
         gravity torque
-    width : of the transition between both flanks, as a share of the joint's peak gravity torque
+    width : torque over which the contact changes between the flanks, divided by the same
     """
 
     friction: float = 0.05
@@ -39,23 +37,29 @@ class Backlash(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at every joint with all frictions and widths of the grid."""
+        """Return the effect at every joint for each of seven frictions and three widths."""
         frictions = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # shares of the peak gravity torque
         return (cls(j, f, f * w) for j in arm.numbers for f in frictions for w in (0.3, 0.6, 1.2))
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the name of the column of its joint's direction of approach."""
+        """Return the name of the column of its joint's direction of approach, in a tuple."""
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         # Friction holds the link behind its last motion.
-        """Return the shift of the joint towards the flank in contact [rad]."""
+        """Return the shift of the joint towards the flank in contact [rad].
+
+        It lies between plus and minus the parameter `half`. q : reading of the joint, not used
+        """
         push = context.load(self.joint) - self.friction * context.conditions[f"approach{self.joint}"]
         return self.value(context, "half") * ca.tanh(push / self.width)
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts with backlash in the joint's drive train."""
+        """Return a simulator's counterparts with backlash in the joint's drive.
+
+        v : `half`, half of the backlash [rad]. It is an omission where that is not positive.
+        """
         if v["half"] <= 0:
             return simulator.without_sign(self.label)
         limits = f"joint{self.joint}_play with limits of +-{1e6 * v['half']:.1f} urad"
@@ -78,16 +82,22 @@ class BacklashByLoad(Backlash):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at every joint with several widths."""
+        """Return the effect at every joint for each of five widths, from 0.003 to 0.3."""
         return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
 
     @property
     def only_without(self) -> tuple[str, ...]:
-        """Return the name of the column of the approach, with which `Backlash` is the candidate."""
+        """Return the name of the joint's column of approach, in a tuple.
+
+        Where it was logged, `Backlash` is the candidate instead.
+        """
         return (f"approach{self.joint}",)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the shift of the joint towards the flank that gravity pushes it to [rad]."""
+        """Return the shift of the joint towards the flank to which gravity pushes it [rad].
+
+        It lies between plus and minus the parameter `half`. q : reading of the joint, not used
+        """
         return self.value(context, "half") * ca.tanh(context.load(self.joint) / self.width)
 
 
@@ -95,11 +105,9 @@ class BacklashByLoad(Backlash):
 class AxisWobble(Effect):
     """Run-out of a bearing: a joint's axis tilts and shifts periodically as it turns.
 
-    The wave is that of the bearing ring that turns with the link, or of the fixed one.
-
-    cycles : 1 or 2 per revolution
-    still : whether the wave is fixed in the link before the joint; in the link behind it, it then
-        appears with one cycle fewer and one more
+    cycles : periods per revolution of the joint, 1 or 2
+    still : whether tilt and shift are about axes fixed in the link before the joint rather than in
+        the one behind it, in whose frame they then have one cycle fewer and one more
     """
 
     cycles: int = setting(1, (1, 2))
@@ -113,12 +121,18 @@ class AxisWobble(Effect):
     confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of the sine and cosine of two tilts and two shifts."""
+        """Return typical size and unit of each amplitude of two tilts and two shifts.
+
+        Names are rx_sin, rx_cos (tilt about x), ry_..., x_... (shift along x), y_...
+        """
         parts = [f"{c}_{f}" for c in ("rx", "ry", "x", "y") for f in ("sin", "cos")]
         return {p: (25e-6, "rad") if p[0] == "r" else (20e-6, "m") for p in parts}
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return tilt and shift of its joint's axis, (4, 4) [m]; the identity for other links."""
+        """Return tilt and shift of the joint's axis as a transform (4, 4) [m] in its link's frame.
+
+        It is the identity where `number`, the link (1-based), is not that of the effect's joint.
+        """
         if number != self.joint:
             return ca.SX.eye(4)
         q = context.turned(number)
@@ -133,7 +147,7 @@ class AxisWobble(Effect):
 
 
 def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-    """Return a vector across the axis in the frame of a link that has turned by q [rad]."""
+    """Return components x, y of a vector in axes that are rotated about z by q [rad]."""
     return ca.cos(q) * x + ca.sin(q) * y, ca.cos(q) * y - ca.sin(q) * x
 
 
@@ -141,9 +155,8 @@ def _turned_back(x: Symbolic, y: Symbolic, q: Symbolic) -> tuple[Symbolic, Symbo
 class BearingPlay(Effect):
     """Play of a bearing, which tilts under the moment of weight and moves along the load.
 
-    soft : moment at which the play is taken up, as a share of the peak gravity torques there; above
-        1 it acts as a spring
-
+    soft : moment at which the play is taken up, divided by the larger peak gravity torque of the
+        joint and the one before it; above 1 it acts as a spring
     The bearing of the last joint includes the tool flange.
     """
 
@@ -161,7 +174,10 @@ class BearingPlay(Effect):
     size = {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return tilt and drop of its bearing as a transform (4, 4) [m]; else the identity."""
+        """Return tilt and drop of the joint's bearing as a transform (4, 4) [m].
+
+        It is in the frame of link `number` (1-based), and the identity for other joints' links.
+        """
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T

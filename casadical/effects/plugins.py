@@ -20,10 +20,10 @@ ENTRY_POINT_GROUP = "casadical.effects"
 
 @cache
 def known_effects() -> Mapping[str, type[Effect]]:
-    """Return every effect by name: those of the package, then those of installed plug-ins, by name.
+    """Return the class of every effect by its name: the package's, then those of plug-ins.
 
-    Raises InputError that names the entry point where one cannot be loaded, is no effect, or has a
-    name that is taken.
+    Raises InputError that names the entry point of a plug-in that cannot be loaded, is no subclass
+    of `Effect`, or has a name that is taken or differs from that of its class.
     """
     own: list[type[Effect]] = [kind for kind in vars(registry).values() if isinstance(kind, type)]
     classes = {kind.name: kind for kind in own}
@@ -44,11 +44,11 @@ def known_effects() -> Mapping[str, type[Effect]]:
 
 
 def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
-    """Return the class of an effect.
+    """Return the class of the effect of a name.
 
     name : as in the table of docs/effects.md
-    own : additional classes to search
-    Raises InputError, with the names of all effects, for an unknown one.
+    own : additional classes to search; they replace installed ones of the same name
+    Raises InputError, with the names of all effects, for an unknown name.
     """
     kinds = {**known_effects(), **{kind.name: kind for kind in own}}
     if name not in kinds:
@@ -60,9 +60,10 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
 
 
 def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
-    """Return the classes of effects that a file defines.
+    """Return the effect class of each definition in a file, in order.
 
-    Raises InputError for a faulty definition, and for a name that is taken.
+    Raises InputError for a faulty definition, and for a name of a known effect or one that occurs
+    twice.
     """
     kinds = effect_classes(definitions)
     for k, kind in enumerate(kinds, 1):
@@ -72,14 +73,14 @@ def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
 
 
 def defined_in_files(effects: Iterable[Effect]) -> list[Definition]:
-    """Return the definitions, each once, of effects that are not installed.
+    """Return the definitions, each once, of those effects that a file defined.
 
-    A file with such an effect contains its definition, too.
+    They are not installed, so that a file with such an effect must contain its definition, too.
     """
     kinds = dict.fromkeys(type(e) for e in effects if isinstance(e, DefinedEffect) and e.name not in known_effects())
     return [kind.definition for kind in kinds]
 
 
 def signature_of(name: str) -> str:
-    """Return how an effect appears in the data, in words; empty for an unknown name."""
+    """Return the sentence on how the effect of a name appears in data; "" for an unknown name."""
     return known_effects()[name].signature if name in known_effects() else ""

@@ -10,11 +10,11 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from casadical.core.basics import InputError
 
-# Configuration of pydantic for settings.
+# Configuration with which pydantic validates settings: no conversion of types, finite numbers.
 _STRICT = ConfigDict(strict=True, allow_inf_nan=False)
-# Largest integer setting, and largest number of combinations of settings on their grids.
+# Largest value of an integer setting, and largest number of combinations of settings on grids.
 MAX_SETTING_COUNT = 10_000
-# In place of a grid: the joints next to the effect's own one (see `Arm.near`).
+# Value of `grid` that stands for the joints next to the effect's own one (see `Arm.near`).
 NEAR_JOINTS = "near"
 
 
@@ -32,15 +32,15 @@ def setting(
     """Return a dataclass field for a setting, in which an effect is not linear.
 
     default : value where none is given
-    grid : values of the candidates, between which the diagnosis refines a setting of type float by
-        factors;
-        "near": up to two joints before and two behind the effect's own one
-    steps : whether it is refined by shares of the grid's spacing rather than by factors
+    grid : values of the candidates of a diagnosis, which refines a setting of type float by factors
+        between them; "near": up to two joints before and two behind the effect's own one
+    steps : whether it is refined by fractions of the grid's spacing rather than by factors
     signed : whether it may be below zero
-    given : whether only a user can know it (a gear ratio): it is not refined
-    joint : whether it is the number of a joint
+    given : whether only a user can know it (a gear ratio), so that it is not refined
+    joint : whether it is the number of a joint, 1-based
     whole : whether integers are more probable than other values
-    tried : values that are tried, with integers of settings that are `whole`, once a cause is found
+    tried : additional values that are evaluated once the cause is found; for a `whole` setting
+        the nearest integers are, too
 
     Examples
     --------
@@ -57,9 +57,10 @@ def setting(
 
 
 def grid_points(kind: type, near: Sequence[int] = ()) -> Iterator[dict[str, Any]]:
-    """Return all combinations of the settings that have a grid, by name.
+    """Return a dict of settings by name for every combination of their grid values.
 
-    near : joints that replace the grid `NEAR_JOINTS`
+    kind : class of an effect; settings without a grid are not in the dicts
+    near : numbers of joints that replace the grid `NEAR_JOINTS`
     """
     grids = {f.name: f.metadata["grid"] for f in fields(kind) if f.metadata.get("grid")}
     grids = {name: near if grid == NEAR_JOINTS else grid for name, grid in grids.items()}
@@ -67,14 +68,16 @@ def grid_points(kind: type, near: Sequence[int] = ()) -> Iterator[dict[str, Any]
 
 
 def settings_of(effect: Any) -> dict[str, Any]:
-    """Return the settings of an effect by name, as plain data."""
+    """Return the values of all fields of an effect but `joint`, by name."""
     return {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joint"}
 
 
 def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return validated settings of an effect's class, from plain data.
+    """Return validated values of an effect's settings, by name, from plain data.
 
-    Raises InputError for an unknown setting or a value of the wrong type.
+    kind : class of the effect; given : values by name, lists in place of tuples
+    Raises InputError for an unknown setting, a value of the wrong type, and an integer below 0 or
+    above `MAX_SETTING_COUNT`.
     """
     hints = get_type_hints(kind)
     names = [f.name for f in fields(kind) if f.name != "joint"]
@@ -93,7 +96,7 @@ def checked_settings(kind: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _whole_numbers(value: Any) -> Iterator[int]:
-    """Yield the integers in a value or in nested lists."""
+    """Yield every integer in a value, which may be nested lists or tuples."""
     if isinstance(value, tuple | list):
         yield from (number for each in value for number in _whole_numbers(each))
     elif isinstance(value, int):

@@ -16,18 +16,18 @@ from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link
 
-# Prior standard deviation of the first term of a smooth joint error.
+# Prior standard deviation of the coefficient of a smooth joint error's first harmonic [rad].
 TYPICAL_ANGLE_RAD = 30e-6
-# Prior standard deviation of the first term of a smooth displacement.
+# Prior standard deviation of the coefficient of a smooth displacement's first term [m].
 TYPICAL_LENGTH_M = 30e-6
 
 
 @dataclass(frozen=True)
 class _Smooth(Effect):
-    """Base of effects that name no cause."""
+    """Base of effects that name no cause and model an error as a smooth function."""
 
     on_list = "unknown"
-    # Template of its label, with settings in braces.
+    # Template of the effect's label, with names of fields in braces.
     words: ClassVar[str] = ""
 
     @property
@@ -35,14 +35,17 @@ class _Smooth(Effect):
         return self.words.format(**vars(self))
 
     def _harmonics(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the Fourier series of an angle with the parameters s1, c1, s2 and so on."""
+        """Return the Fourier series of an angle q [rad] with the parameters s1, c1, s2, ... [rad].
+
+        The digit is the order of the harmonic, s a sine, c a cosine.
+        """
         waves = {"s": ca.sin, "c": ca.cos}
         return sum(self.value(context, n) * waves[n[0]](int(n[1:]) * q) for n in self.sizes())
 
 
 @dataclass(frozen=True)
 class _Series(_Smooth):
-    """Errors of all joint variables as a series in the functions that `terms` gives.
+    """Errors of all joint variables as linear combinations of the functions that `terms` returns.
 
     moved : number of joints
     """
@@ -54,9 +57,10 @@ class _Series(_Smooth):
         return (cls(None, arm.n),)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return name, share of the size, and value of each function.
+        """Return (name, relative prior size, dimensionless value) of each function of the series.
 
-        Without context the values are meaningless; names and shares count.
+        The prior standard deviation of a function's coefficient is the relative size multiplied by
+        `TYPICAL_ANGLE_RAD`. If `context` is None, the values are placeholders.
         """
         raise NotImplementedError
 
@@ -65,7 +69,7 @@ class _Series(_Smooth):
         return {f"q{i}_{n}": (TYPICAL_ANGLE_RAD * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the error of every joint by its series, shape (n,) [rad]."""
+        """Return the error of every joint variable by its series, shape (n,) [rad or m]."""
         terms = self.terms(context)
         return ca.vertcat(
             *(sum(self.value(context, f"q{i}_{n}") * f for n, _, f in terms) for i in range(1, self.moved + 1))
@@ -83,18 +87,24 @@ class SmoothInJoint(_Series):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for every joint as the driver."""
+        """Return one effect for every joint as `driver`."""
         return (cls(None, arm.n, i) for i in arm.numbers)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return sines and cosines of the driver's angle up to the fourth harmonic."""
+        """Return (name, 1 / order, value) of sine and cosine of the driver's angle, orders 1 to 4.
+
+        If `context` is None, the values are placeholders.
+        """
         q = context.q[self.driver - 1] if context else 0.0
         return [(f"{name}{h}", 1 / h, f(h * q)) for h in (1, 2, 3, 4) for name, f in (("s", ca.sin), ("c", ca.cos))]
 
 
 @dataclass(frozen=True)
 class AnyOfOwnAngle(_Smooth):
-    """An error of one joint that is any function of its own angle (damaged tooth, stained disc)."""
+    """An error of one joint that is any function of its own angle (damaged tooth, stained disc).
+
+    orders : highest harmonic of the Fourier series
+    """
 
     orders: int = 12
 
@@ -103,17 +113,20 @@ class AnyOfOwnAngle(_Smooth):
     words = "any function of q{joint} in joint {joint}"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each harmonic."""
+        """Return typical size and unit of each harmonic's amplitude: sine s1, cosine c1, s2, ..."""
         return {f"{n}{h}": (TYPICAL_ANGLE_RAD, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of its joint [rad], a Fourier series of its own angle q."""
+        """Return the error of the effect's joint [rad], a Fourier series of its reading q [rad]."""
         return self._harmonics(context, q)
 
 
 @dataclass(frozen=True)
 class AnyOfOtherAngle(_Smooth):
-    """An error of one joint that is any function of another joint's angle (belt, cable, hose)."""
+    """An error of one joint that is any function of another joint's angle (belt, cable, hose).
+
+    driver : number of the other joint, 1-based; orders : highest harmonic of the Fourier series
+    """
 
     driver: int = setting(1, joint=True)
     orders: int = 4
@@ -123,15 +136,18 @@ class AnyOfOtherAngle(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for every joint, with every other revolute joint as the driver."""
+        """Return one effect for every joint and every other revolute joint as `driver`."""
         return (cls(j, i) for j in arm.numbers for i in arm.revolute if i != j)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each harmonic."""
+        """Return typical size and unit of each harmonic's amplitude: sine s1, cosine c1, s2, ..."""
         return {f"{n}{h}": (2 * TYPICAL_ANGLE_RAD / h, "rad") for h in range(1, self.orders + 1) for n in "sc"}
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the error of its joint [rad], a Fourier series of the driver's angle."""
+        """Return the error of the effect's joint [rad], a Fourier series of the driver's reading.
+
+        q : reading of the effect's joint, not used
+        """
         return self._harmonics(context, context.q[self.driver - 1])
 
 
@@ -147,11 +163,14 @@ class SmoothInJoints(_Series):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for every pair of joints."""
+        """Return one effect for every pair of joints."""
         return (cls(None, arm.n, i, j) for i, j in combinations(arm.numbers, 2))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return the products of sines and cosines of both angles."""
+        """Return (name, 1, value) of the four products of a sine or cosine of each angle.
+
+        If `context` is None, the values are placeholders.
+        """
         a, b = (context.q[self.first - 1], context.q[self.second - 1]) if context else (0.0, 0.0)
         parts = (("s", ca.sin), ("c", ca.cos))
         return [(f"{m}{n}", 1.0, f(a) * g(b)) for m, f in parts for n, g in parts]
@@ -166,12 +185,19 @@ class SmoothInTime(_Series):
     needs = ("progress",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return cosines of time up to the sixth harmonic."""
+        """Return (name, 1 / order, value) of the cosines of order pi t, orders 1 to 6.
+
+        t is 0 at the campaign's start and 1 at its end. If `context` is None, the values are
+        placeholders.
+        """
         t = context.conditions["progress"] if context else 0.0
         return [(f"t{h}", 1 / h, ca.cos(ca.pi * h * t)) for h in (1, 2, 3, 4, 5, 6)]
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each term, for joints, measuring frame and tool."""
+        """Return typical size and unit of each coefficient, of joints, measuring frame and tool.
+
+        Names are q1_t2 (joint, order), mx_t2 (measuring frame, axis), ex_t2 (tool, axis).
+        """
         points = {
             f"{w}{c}_{n}": (TYPICAL_LENGTH_M * s, "m")
             for w in ("m", "e")
@@ -181,17 +207,23 @@ class SmoothInTime(_Series):
         return {**super().sizes(), **points}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] displaced with the measuring frame."""
+        """Return the point displaced by the motion of the measuring frame, shape (3,) [m].
+
+        point : without the effect, shape (3,) [m]; both are in the measuring frame
+        """
         return point + self._moved(context, "m")
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the displacement of the tool as a transform (4, 4) [m]."""
+        """Return the displacement of the tool as a translation (4, 4) [m] in the flange frame."""
         T = ca.SX.eye(4)
         T[:3, 3] = self._moved(context, "e")
         return T
 
     def _moved(self, context: Context, what: str) -> Symbolic:
-        """Return the displacement, shape (3,) [m], of the measuring frame (m) or the tool (e)."""
+        """Return a displacement, shape (3,) [m], by the series in time.
+
+        what : "m" of the measured point in the measuring frame, "e" of the tool in the flange frame
+        """
         terms = self.terms(context)
         return ca.vertcat(*(sum(self.value(context, f"{what}{c}_{n}") * f for n, _, f in terms) for c in "xyz"))
 
@@ -201,8 +233,7 @@ class WarmUp(_Smooth):
     """Exponential warm-up of an arm without measured temperature: zeros drift and links grow.
 
     moved : number of joints
-
-    settles : time constant as a share of the campaign
+    settles : time constant, divided by the duration of the campaign
     """
 
     moved: int = 6
@@ -215,23 +246,29 @@ class WarmUp(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect with several time constants."""
+        """Return the effect for each of three time constants."""
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of the drift of each zero and of the growth of links."""
+        """Return typical size and unit of each joint zero's drift (q1, ...) and of the growth.
+
+        Both are final values; the growth is that of every link, divided by its length.
+        """
         return {f"q{i}": (TYPICAL_ANGLE_RAD, "rad") for i in range(1, self.moved + 1)} | {"growth": (8e-5, "m/m")}
 
     def _warmth(self, context: Context) -> Symbolic:
-        """Return the share of the warm-up that has happened, 0 to 1."""
+        """Return the warm-up at a pose, divided by the whole one after infinite time, 0 to 1."""
         return 1 - ca.exp(-context.conditions["progress"] / self.settles)
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the drift of all joint zeros so far, shape (n,) [rad or m]."""
+        """Return the drift of all joint zeros at a pose, shape (n,) [rad or m]."""
         return self._warmth(context) * ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, self.moved + 1)))
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the growth of a link so far as a transform (4, 4) [m]."""
+        """Return the growth of link `number` (1-based) at a pose as a translation (4, 4) [m].
+
+        It is in the link's frame.
+        """
         return grown_link(number, context, self.value(context, "growth") * self._warmth(context))
 
 
@@ -239,7 +276,7 @@ class WarmUp(_Smooth):
 class SmoothInSpace(_Smooth):
     """A quadratic distortion of the measuring space (scale or refraction of an instrument).
 
-    reach : length that scales the coordinates [m]
+    reach : length by which the coordinates of points are divided [m]
     """
 
     reach: float = 2.0
@@ -253,12 +290,18 @@ class SmoothInSpace(_Smooth):
         return (cls(None, max(arm.reach, 0.1)),)
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each coefficient of the quadratic polynomials."""
+        """Return typical size and unit of each coefficient of the quadratic polynomials.
+
+        x_yz is the coefficient of y z in the displacement along x.
+        """
         products = [a + b for k, a in enumerate("xyz") for b in "xyz"[k:]]
         return {f"{c}_{p}": (TYPICAL_LENGTH_M, "m") for c in "xyz" for p in ("x", "y", "z", *products)}
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the point (3,) [m] displaced by a quadratic polynomial of itself."""
+        """Return the point displaced by a quadratic polynomial of its coordinates, shape (3,) [m].
+
+        point : without the effect, shape (3,) [m]; both are in the measuring frame
+        """
         x = dict(zip("xyz", ca.vertsplit(point / self.reach), strict=True))
         moved = ca.SX.zeros(3)
         for name in self.sizes():
@@ -283,7 +326,12 @@ class SmoothInLoad(_Series):
         return tuple(f"approach{i}" for i in range(1, self.moved + 1))
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return gravity in the flange frame, saturating loads, and directions of approach."""
+        """Return (name, relative prior size, value) of each function of load and approach.
+
+        They are the components of gravity in the flange frame, in units of 9.81 m/s^2, tanh(2 load)
+        and the direction of approach, -1 or 1, of every joint. A load is the gravity torque divided
+        by its peak. If `context` is None, the values are placeholders.
+        """
         if context is None:
             down, loads, sides = [0.0] * 3, [0.0] * self.moved, [0.0] * self.moved
         else:

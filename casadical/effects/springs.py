@@ -17,14 +17,14 @@ from casadical.effects.base import Balancer, Context, Counterparts, Effect, sett
 class GravityCompensator(Effect):
     """A balancing spring on joint 2 that the base model omits.
 
-    anchor : distance of the spring's fixed end from the joint, as a multiple of its lever on the
-        arm
-    phase : reading at which spring, joint and lever lie in line [rad]
+    anchor : distance of the spring's fixed end from the joint, divided by the distance of its end
+        on the arm from the joint
+    phase : reading of the joint at which both ends and the joint lie in line [rad]
     """
 
     # The closer to 1, the more sharply the torque changes where the spring is shortest.
     anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
-    # Phases of the candidates of a balancing spring, readings of joint 2.
+    # The candidates' readings of joint 2 at which the spring lies in line, in steps of 30 degrees.
     phase: float = setting(0.0, tuple(np.deg2rad(np.arange(0, 360, 30)).tolist()), steps=True, signed=True)
 
     name = "gravity_compensator"
@@ -35,16 +35,19 @@ class GravityCompensator(Effect):
         "preload the sine over the spring's length (Klimchik et al. 2013)."
     )
     confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
-    # Shares of the joint's peak gravity torque.
+    # Coefficients of the spring's torque, divided by the joint's peak gravity torque.
     size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at joint 2 with all settings of the grid."""
+        """Return the effect at joint 2, once for each combination of settings on their grids."""
         return (effect for effect in super().candidates(arm) if effect.joint == 2)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
-        """Return the deflection of the joint by the torque of the spring [rad]."""
+        """Return the deflection of the joint by the torque of the spring [rad].
+
+        q : reading of the joint [rad]
+        """
         assert self.joint is not None
         turn = q + context.values[f"theta{self.joint}"] - self.phase
         length = ca.sqrt(1 + self.anchor**2 + 2 * self.anchor * ca.cos(turn)) / self.anchor
@@ -53,7 +56,11 @@ class GravityCompensator(Effect):
         return context.values.get(f"c{self.joint}", 0.0) * context.torque_scale[self.joint - 1] * share
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts with a balancing spring."""
+        """Return a simulator's counterparts with a balancing spring.
+
+        v : `sin`, `cos` and `preload`, torques divided by the joint's peak gravity torque
+        It is an omission where the joint has no compliance.
+        """
         if not self.joint or simulator.drive(self.joint).compliance <= 0:
             return simulator.without_sign(self.label)
         peak = simulator.peak_torque(self.joint)
@@ -65,10 +72,10 @@ class GravityCompensator(Effect):
 
 @dataclass(frozen=True)
 class HoseDrag(Effect):
-    """The pull of a hose or cable from the forearm to the tool at the wrist.
+    """The pull of a hose or cable, from a clip on the forearm to the load, on the wrist.
 
-    clip : position of its clip, as a share of the way from the elbow to the wrist
-    side : distance of the clip from the forearm, as a share of its length
+    clip : position of the clip along the forearm, 0 at the elbow, 1 at the wrist
+    side : distance of the clip from the forearm's line, divided by the forearm's length
     """
 
     clip: float = setting(0.7, (0.3, 0.6, 0.9))
@@ -82,12 +89,13 @@ class HoseDrag(Effect):
         "wrist joints through their own springs, by the slope of its length."
     )
     confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
-    # Torque at the last joint but one, as a share of its peak gravity torque.
+    # Parts of the energy at twice the usual length of the hose, divided by the peak gravity torque
+    # of the last joint but one.
     size = {"tension": (0.1, ""), "spring": (0.2, "")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for arms of six joints or more."""
+        """Return the effect for each combination of settings; none for less than six joints."""
         return super().candidates(arm) if arm.n >= 6 else ()
 
     def energy(self, context: Context) -> Symbolic:
@@ -110,7 +118,7 @@ class HoseDrag(Effect):
 class LinkMasses(Effect):
     """Errors of the declared masses and mass centres of the links.
 
-    share : prior standard deviation of each link's mass, as a share of the declared one
+    share : prior standard deviation of each link's mass, divided by the declared mass
     centre : prior standard deviation of each coordinate of a link's mass centre [m]
     Both are zero for a link without declared mass, and where they are known exactly (see
     `Arm.body_width`).
@@ -141,13 +149,20 @@ class LinkMasses(Effect):
         return (cls(None, share, centre),) if compliant and (any(share) or (width.centre and any(centre))) else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return prior standard deviation and unit of each mass and coordinate of a mass centre."""
+        """Return prior standard deviation and unit of each parameter, by name.
+
+        m2 is the error of link 2's mass divided by the declared mass; x2, y2, z2 are the error of
+        its first moment in its frame, divided by the declared mass [m].
+        """
         masses = {f"m{i}": (size, "kg/kg") for i, size in enumerate(self.share, 1) if size}
         return masses | {f"{c}{i}": (size, "m") for i, size in enumerate(self.centre, 1) if size for c in "xyz"}
 
     @property
     def summary(self) -> tuple[tuple[str, str, str], ...]:
-        """Return the prior standard deviations of all links, in place of parameters."""
+        """Return lines (name, value, unit) of the prior standard deviations, one value a link.
+
+        Reports show them in place of the parameters.
+        """
         centres = ", ".join(f"{1e3 * size:.0f}" for size in self.centre)
         return (
             ("one sigma of each mass", ", ".join(f"{100 * size:.0f}" for size in self.share), "%"),
@@ -155,7 +170,7 @@ class LinkMasses(Effect):
         )
 
     def energy(self, context: Context) -> Symbolic:
-        """Return the potential energy [J] of the differences from the declared masses."""
+        """Return the potential energy [J] of true minus declared masses and mass centres."""
         total: Symbolic = 0.0
         for i, (joint, T) in enumerate(zip(context.arm.joints, context.frames, strict=True), 1):
             if joint.body and (self.share[i - 1] or self.centre[i - 1]):
@@ -166,7 +181,11 @@ class LinkMasses(Effect):
         return total
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return the counterparts with the true masses and mass centres."""
+        """Return a simulator's counterparts with the identified masses and mass centres.
+
+        v : values of the parameters by short name (see `sizes`)
+        It is an omission where a mass is not positive.
+        """
         bodies = list(simulator.bodies)
         for k, body in enumerate(bodies):
             factor = 1 + v.get(f"m{k + 1}", 0.0)
@@ -183,7 +202,7 @@ class LinkMasses(Effect):
 def _undeclared(arm: Arm, row: int) -> float:
     """Return half of a link's length [m] if its mass centre is at its frame's origin, else 0.
 
-    Such a mass centre was probably not declared.
+    Such a mass centre was probably not declared. row : index of the link, from 0
     """
     body = arm.joints[row].body
     if body is None or np.any(body.com):
@@ -215,13 +234,20 @@ class BaseCompliance(Effect):
     size = {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
 
     def base(self, context: Context) -> Symbolic:
-        """Return the tilt of the pedestal under the moment of weight as a transform (4, 4) [m]."""
+        """Return the tilt of the pedestal as a transform (4, 4) [m] in the base frame.
+
+        It is proportional to the moment of the weight of all links and the payload about a point
+        `below` the base's origin. Parameters: tilt about x and y under the arm's peak moment.
+        """
         moment = context.moment(1, ca.vertcat(0, 0, -self.below)) / context.great_moment
         rx, ry = (self.value(context, name) * moment[k] for k, name in enumerate(("rx", "ry")))
         return translate(0, 0, -self.below) @ small_frame(0, 0, 0, rx, ry, 0) @ translate(0, 0, self.below)
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts with hinges of the pedestal."""
+        """Return a simulator's counterparts with elastic hinges of the pedestal.
+
+        v : `rx` and `ry`, tilts under the maximum over the joints of the peak gravity torque [rad]
+        """
         return replace(simulator.with_springs(self.label, v, 0), base_below=self.below)
 
 
@@ -229,8 +255,8 @@ class BaseCompliance(Effect):
 class LinkFlexure(Effect):
     """Elastic bending and torsion of a link under the weight beyond it.
 
-    Its parameters are the rotations of the link's end about its axes, under the peak gravity torque
-    of the joints at its two ends.
+    Its parameters are the rotations of the link's end about the axes of its frame under a constant
+    moment, the larger of the peak gravity torques of the joints at its two ends.
 
     member : the link (1-based) that bends, not the last one
     spread : whether its own weight is distributed along it rather than at its mass centre
@@ -251,9 +277,10 @@ class LinkFlexure(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable["LinkFlexure"]:
-        """Return the effect for links that are long enough: the sag is cubic in the length.
+        """Return the effect for each long link but the last: the sag is cubic in the length.
 
-        Where weights are declared, they are at the mass centres, or distributed along the links.
+        If one of these links has a declared mass, each is a candidate twice: with weights at the
+        mass centres and with weights distributed along the links (`spread`).
         """
         lengths = np.array([np.hypot(j.a, j.d) for j in arm.joints[1:]])
         # A link of less than 0.3 of the longest one's length sags by less than a thirtieth of it.
@@ -264,7 +291,10 @@ class LinkFlexure(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Yield each link alone, and all of them together."""
+        """Yield sets of effects, each judged as one cause: every link alone, then all together.
+
+        This is repeated for each value of `spread`.
+        """
         for _, beams in groupby(cls.candidates(arm), key=lambda e: e.spread):
             links = tuple(beams)
             yield from (*((e,) for e in links), links)
@@ -276,11 +306,17 @@ class LinkFlexure(Effect):
             raise InputError(f"{self.name}: member = {arm.n} is the last link; allowed: links between two joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of the rotation of the link's end about each axis."""
+        """Return typical size and unit of the rotation of the link's end about each axis, by name.
+
+        rx2, ry2, rz2 are about the axes of link 2's frame, under a peak moment (see the class).
+        """
         return {f"{c}{self.member}": (60e-6, "rad") for c in ("rx", "ry", "rz")}
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return slope and sag of its end as a transform (4, 4) [m]; the identity for others."""
+        """Return slope and sag of the end of link `number` as a transform (4, 4) [m].
+
+        It is in the frame of that link (1-based), and the identity for all links but `member`.
+        """
         if number != self.member:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
@@ -304,5 +340,8 @@ class LinkFlexure(Effect):
         )
 
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
-        """Return a simulator's counterparts with hinges in the link."""
+        """Return a simulator's counterparts with elastic hinges in the link.
+
+        v : rotations under the peak moment by short name [rad] (see `sizes`)
+        """
         return simulator.with_springs(self.label, v, self.member, spread=self.spread)
