@@ -19,7 +19,7 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True)
 class Accuracy(Shown):
-    """Statistics of the errors of one set of poses [m], over the poses.
+    """Statistics of the errors at the poses of one or several sets [m].
 
     n : number of poses
     mean, max, std, rms, p95 : mean, maximum, sample standard deviation, root mean square, 95th
@@ -44,12 +44,18 @@ class Accuracy(Shown):
 
     @property
     def in_degrees(self) -> dict[str, float]:
-        """Return the statistics of angles with their names in JSON [deg]."""
+        """The statistics of angles, JSON key ("mean_deg", "max_deg", ...) -> value [deg].
+
+        The fields must be angles [rad], as those of `turn`.
+        """
         return {f"{name}_deg": float(np.rad2deg(getattr(self, name))) for name in ("mean", "max", "std", "rms", "p95")}
 
 
 def accuracy_of(robot: Robot, sets: Sequence[Measurements]) -> Accuracy:
-    """Return the statistics of a robot's errors over all poses of some sets, angles included."""
+    """Return the statistics of a robot's errors over all poses of some sets (see `errors`) [m].
+
+    Those of orientations are in `turn` [rad].
+    """
     turns = [turn for m in sets if (turn := turn_errors(robot, m)) is not None]
     found = summarise(np.concatenate([errors(robot, m) for m in sets]))
     return replace(found, turn=summarise(np.concatenate(turns))) if turns else found
@@ -80,9 +86,9 @@ def summarise(errors: Array) -> Accuracy:
 
 
 def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None = None) -> tuple[Array, Array]:
-    """Return the robot's tool poses at some readings by its model, in the measuring frame.
+    """Return tool positions (n, 3) [m] and orientations (n, 3, 3) by a robot's model.
 
-    Positions have shape (n, 3) [m], orientations shape (n, 3, 3).
+    They are in the measuring frame.
 
     m : poses and their conditions
     values : parameter name -> value [SI], used in place of the robot's own
@@ -120,7 +126,7 @@ def residual_mm(robot: Robot, m: Measurements) -> Array:
 
 
 def errors(robot: Robot, m: Measurements) -> Array:
-    """Return the size of the residual at each pose, shape (n,) [m], as defined by the kind.
+    """Return the error of a robot's model at each pose, shape (n,) [m], zero or positive.
 
     Position and pose: the distance between measured and computed point. Distances: the absolute
     difference. Contact: the distance from the mean of all poses at the same point, the only
@@ -137,8 +143,9 @@ def errors(robot: Robot, m: Measurements) -> Array:
 
 
 def positions_at(robot: Robot, m: Measurements) -> PositionsAt:
-    """Return a function from other readings (n, joints) to the positions there (n, 3) [m].
+    """Return the function from readings (n, joints) to the robot's positions there (n, 3) [m].
 
-    The conditions (payload, temperature and others) are those of the poses m.
+    Positions are those of the measured point in the measuring frame, at the conditions (payload,
+    temperature and others) of the n poses m.
     """
     return lambda q: predicted(robot, replace(m, q=q))[0]

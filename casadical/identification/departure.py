@@ -25,25 +25,26 @@ from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import LeastSquares
 from casadical.robot.robot import Robot
 
-# Groups of parameters that a drawing gives.
+# Groups of parameters whose nominal values a drawing of the arm gives.
 DRAWN_GROUPS = ("geometry", "loop")
-# Sizes of departures [mm, mrad]; the first one stands for none.
+# Grid of sizes s of departures [mm for lengths, mrad for angles]; the first one stands for none.
 SIZE_GRID = np.array([1e-3, *np.geomspace(0.01, 20.0, 68)])
 # Prior probability that the arm does not depart from its drawing; the other sizes are equally
 # probable.
 PRIOR_PROBABILITY_OF_NONE = 0.3
-# The free fit is kept where a prior would take up less than this share of what the poses determine.
+# Largest share of a prior in the estimate (0 to 1, mean over the eigenvectors of the information)
+# with which the fit without a prior is used.
 MAX_SHARE_OF_PRIOR = 0.08
-# The free fit is also kept of an arm that departs by more [mm, mrad] than drawings usually do: a
-# prior that wide would hold nothing.
+# Largest prior standard deviation that is used [mm, mrad]; above it, the fit without a prior is
+# used: a prior that wide would constrain nothing.
 MAX_PRIOR_SIZE = 3.0
 
 
 @dataclass(frozen=True)
 class Departure(Shown):
-    """How far an arm departs from its nominal geometry: the root mean square of all departures.
+    """How far an arm departs from its nominal geometry: root mean square s of all departures.
 
-    size : posterior median [mm for lengths, mrad for angles]
+    size : posterior median of s [mm for lengths, mrad for angles]
     low, high : 95 % interval [mm, mrad]
     prior : prior standard deviation of the fit [mm, mrad]; None: the poses determine the geometry,
         and the fit is free
@@ -57,17 +58,17 @@ class Departure(Shown):
     prior: float | None = field(metadata=WRITTEN)
 
     def priors(self, robot: Robot) -> Mapping[str, tuple[float, float]]:
-        """Return the priors of the geometry, name -> (mean, one sigma) [SI]; empty of a free fit."""
+        """Return priors of the geometry, name -> (mean, one sigma) [SI]; {} if `prior` is None."""
         drawn = (p for p in robot.parameters if p.group in DRAWN_GROUPS)
         return {} if self.prior is None else {p.name: (p.value, self.prior * p.scale) for p in drawn}
 
     @property
     def visible(self) -> bool:
-        """Return whether the poses show that the geometry is not nominal."""
+        """Whether the 95 % interval of the departures excludes a nominal geometry."""
         return bool(self.low > SIZE_GRID[0])
 
     def in_words(self) -> str:
-        """Return a sentence on the departure, and on the prior that followed from it."""
+        """Return a sentence with the departure [mm and mrad rms], and whether a prior followed."""
         if not self.visible:
             return f"The geometry does not visibly depart from nominal (at most {self.high:.2g} mm and mrad rms)."
         interval = f"{self.size:.2g} mm and mrad rms ({self.low:.2g} to {self.high:.2g})"
@@ -78,7 +79,10 @@ class Departure(Shown):
 def departure_of(problem: LeastSquares, v: Array, variance: float, names: Sequence[str]) -> Departure | None:
     """Return how far the geometry departs from nominal by a fit; None without free geometry.
 
-    problem : as it was solved; v : its optimum; variance : of a residual in units of sigma
+    None, too, where the posterior of the departure cannot be computed from this fit.
+
+    problem : as it was solved; v : its optimum
+    variance : of a residual in units of sigma squared
     names : of all parameters that the measurements distinguish
     """
     geometry = [problem.robot.parameters[name].group in DRAWN_GROUPS for name in names]
@@ -111,9 +115,10 @@ def _posterior(
 
     None where the free fit is no point to linearise about: no size is likely there.
 
-    eigen : eigenvalues and eigenvectors of its information, in units of sigma; product : of its
-        Jacobian and the residual with nominal geometry, whose square sum is `square`
-    count : degrees of freedom of that residual; sigma : estimate of the noise by the free fit
+    eigen : eigenvalues and eigenvectors of the geometry's information, in units of scale and sigma
+    product : J'r with its Jacobian J and the residuals r with nominal geometry, shape (p,)
+    square, count : sum of squares and degrees of freedom of r
+    sigma : standard deviation of a residual by the fit without a prior, in units of sigma
     """
     value, projected = np.maximum(eigen[0], 0.0), eigen[1].T @ product
     highest = max(4 * sigma, 2 * np.sqrt(square / max(count, 1.0)))

@@ -16,16 +16,16 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Unit of a parameter -> name and title of the figure of all parameters with that unit.
+# Unit of a parameter, as tables show it -> name and title of the figure of parameters with it.
 FIGURE_OF_UNIT = {
     "mm": ("lengths", "Lengths"),
     "deg": ("angles", "Angles"),
     "urad/(N m)": ("compliance", "Joint compliance"),
 }
-# At most this number of residuals (their quantiles) or of readings is drawn, to keep the page
-# small.
+# Maximum number of residuals (their quantiles), and of poses of a set whose readings are drawn, to
+# keep the page small.
 MAX_POINTS_DRAWN = 600
-# At most this number of correlated pairs is named in a sentence.
+# Maximum number of correlated pairs that a sentence names.
 MAX_PAIRS_NAMED = 8
 # Captions of the figures of residuals, of joint coverage, and of correlated pairs.
 _RESIDUALS_CAPTION = (
@@ -59,9 +59,9 @@ def intervals(
 ) -> Figure:
     """Return a figure with a row for each label: a dot with the interval from low to high.
 
-    value, low, high : of each row, in the unit of the axis x
-    notes : text of each row's tooltip; tip : format of the value in the tooltip, such as %{x:.2f}
-    more : further arguments of `Figure`
+    name : of the figure; rows : labels; value, low, high : of each row, in the unit of the axis x
+    notes : last line of each row's tooltip; tip : format of the value there, such as %{x:.2f}
+    colours : of the dots, one per row, blue by default; more : further arguments of `Figure`
     """
     dots = Series(
         "points",
@@ -84,7 +84,7 @@ def banded(x: Array, low: Array, high: Array, **style: Any) -> Series:
 
 
 def parameter_figures(result: Identification) -> Iterator[Figure]:
-    """Yield a figure for each unit: identified minus nominal values with their 95 % intervals.
+    """Yield a figure for each unit (mm, deg, ...): identified minus nominal values, 95 % intervals.
 
     Base and tool frames are left out: their departures depend on how the robot was set up, and are
     so much larger that they would hide the others.
@@ -123,8 +123,8 @@ def fit_figures(
 ) -> Iterator[Figure]:
     """Yield the figures of residuals, joint coverage and pairs of correlated parameters.
 
-    sets : legend entry -> poses, each in parts of one kind
-    residuals : used in place of the fit's own, any shape [sigma]
+    sets : legend entry of the figure of joint coverage -> its sets of measurements
+    residuals : in place of the fit's own, in units of their standard deviation, any shape
     """
     if residuals is None:
         own = np.concatenate([r.ravel() for r in result.problem.residuals(result.solution.v)])
@@ -138,7 +138,8 @@ def fit_figures(
 def residual_quantiles(residuals: Array) -> Figure:
     """Return the normal quantile plot of the residuals, with a 95 % band for normal noise.
 
-    residuals : of every coordinate of every used pose, any shape [sigma]
+    residuals : of every coordinate of every used pose, in units of their standard deviation, any
+        shape
     """
     residuals = np.sort(residuals, axis=None)
     n = len(residuals)
@@ -159,7 +160,9 @@ def residual_quantiles(residuals: Array) -> Figure:
 def joint_coverage(robot: Robot, sets: Mapping[str, Sequence[Measurements]]) -> Figure:
     """Return the figure of the readings of each joint within its limits, in % of its range.
 
-    Each set, by its legend entry, is drawn as a line of ticks.
+    A reading is a tick; each entry of `sets` has a line of ticks at every joint.
+
+    sets : legend entry -> its sets of measurements
     """
     lower, upper = robot.limits
     units = [(key.split("_")[1], factor) for key, factor in robot.reading_units.items()]
@@ -198,12 +201,12 @@ def most_correlated(result: Identification) -> tuple[str, ...]:
 
 
 def correlated_pairs(result: Identification, names: Sequence[str]) -> Figure:
-    """Return the figure of the joint 95 % regions of every two of some parameters.
+    """Return the figure of the joint 95 % regions (ellipses) of every two of some parameters.
 
-    They are in standard errors from the estimates.
+    Axes are departures from the estimates in standard errors. Each ellipse extends 2.45 standard
+    errors along each axis, so that its shape shows the correlation.
 
-    Each ellipse extends 2.45 standard errors along each axis, so that its shape shows the
-    correlation.
+    names : of identified parameters
     """
     n = len(names) - 1
     place = [result.names.index(name) for name in names]
@@ -254,7 +257,11 @@ _PLACED_NOTE = Words(
 
 
 def fit_quality(result: Identification) -> Words:
-    """Return a sentence with residual scatter, condition number and check of the optimum."""
+    """Return sentences with residual scatter, condition number and check of the optimum.
+
+    The scatter is a standard deviation for each set [mm a coordinate]; a large condition number is
+    followed by a warning.
+    """
     noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
     condition = result.identifiability.condition
@@ -301,14 +308,14 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
 
 
 def _shown_rows(result: Identification) -> list[dict[Any, Any]]:
-    """Return the shown parameters of the result, a dictionary per row."""
+    """Return the rows of `Identification.shown`, each as a dict by column."""
     return result.shown.to_dict("records")
 
 
 def _stiffness_words(result: Identification) -> list[Words]:
-    """Return a sentence with the joint stiffness; empty without identified compliance.
+    """Return a sentence with the joint stiffness [N m/rad]; [] without identified compliance.
 
-    Where the masses are estimates, it gives the deflections under gravity instead.
+    Where the masses are estimates, it states the deflections under gravity [mrad] instead.
     """
     if result.robot.masses == "estimated":
         gives = any(result.start.parameters[name].group == "compliance" for name in result.names)
@@ -321,9 +328,11 @@ def _stiffness_words(result: Identification) -> list[Words]:
 
 
 def stiffness(compliance: float, error: float) -> str:
-    """Return the stiffness [N m/rad] of a compliance [urad/(N m)] with its standard error, as text.
+    """Return the stiffness [N m/rad] of a joint as text, without its standard error.
 
-    Where zero compliance lies within the 95 % interval, it is a lower bound.
+    Where zero compliance lies within the 95 % interval, the text states a lower bound.
+
+    compliance, error : estimate and standard error [urad/(N m)]
     """
     if compliance <= 1.96 * error:
         return f"above {1e6 / (compliance + 1.96 * error):.2g} (rigid is possible)"
@@ -331,7 +340,7 @@ def stiffness(compliance: float, error: float) -> str:
 
 
 def unidentifiable_table(result: Identification) -> Table | Words:
-    """Return the table of the parameters that could not be identified, each with its reason."""
+    """Return the table of the parameters that are not identifiable, with reasons, or a sentence."""
     rows = [(r["name"], r["reason"]) for r in _shown_rows(result) if r["status"] == "not identifiable"]
     if not rows:
         return Words("Every parameter was identified.")
@@ -339,13 +348,16 @@ def unidentifiable_table(result: Identification) -> Table | Words:
 
 
 def correlated(result: Identification) -> list[Words]:
-    """Return a sentence with the pairs of estimates correlated above 0.95; empty without."""
+    """Return a sentence with the pairs whose absolute correlation exceeds 0.95; [] without any."""
     pairs = _pairs(result, 0.95)
     text = ", ".join(f"{a}/{b} {c:+.3f}" for a, b, c in pairs[:MAX_PAIRS_NAMED])
     return [Words(f"Correlated above 0.95: {text}" + (" ..." if len(pairs) > MAX_PAIRS_NAMED else ""))] if text else []
 
 
 def _pairs(result: Identification, above: float) -> list[tuple[str, str, float]]:
-    """Return (name, name, correlation) of shown parameters above a threshold, strongest first."""
+    """Return (name, name, correlation) of pairs of shown parameters, the strongest first.
+
+    above : absolute correlation above which a pair is returned
+    """
     pairs = result.correlations(above)
     return [*pairs[pairs[["parameter", "with"]].isin(result.start.shown).all(axis=1)].itertuples(index=False)]

@@ -16,13 +16,13 @@ from casadical.identification.solver import bounded_step
 
 
 def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
-    """Return the covariance of the parameters, shape (p, p) [SI], points marginalised.
+    """Return the covariance of the free parameters, shape (p, p) [SI], points marginalised.
 
     Rows and columns of parameters at a bound are NaN. With a robust loss it is the sandwich H^-1
     (J' W^2 J) H^-1 of M-estimators (Huber and Ronchetti 2009, ch. 7).
 
-    v : the optimum, shape (size,); variance : of a residual in units of sigma, one if the sigmas
-        are right
+    v : the optimum, shape (size,); variance : of a residual in units of sigma squared, one if the
+        sigmas are right
     """
     free = np.flatnonzero(~problem.at_bounds(v))
     inverse = scaled_inverse(problem.gradient(v)[1][np.ix_(free, free)])
@@ -36,11 +36,11 @@ def covariance(problem: LeastSquares, v: Array, variance: float) -> Array:
 
 
 def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float:
-    """Return the variance of a residual in units of sigma: square sum over degrees of freedom.
+    """Return the variance of a residual at v in units of sigma^2: square sum by degrees of freedom.
 
-    With a robust loss, and unless outliers were trimmed, it comes from the median absolute
-    residuals instead. With a correlated prior it is at least one: small residuals relative to the
-    prior are no sign that the prior or the instrument is better than stated.
+    With a robust loss, and unless outliers were left out (`trimmed`), it comes from a robust
+    scatter of the residuals instead. With a correlated prior it is at least one: small residuals
+    relative to the prior are no sign that the prior or the instrument is better than stated.
     """
     least = 1.0 if problem.known else 0.0
     freedom = max(1, problem.degrees_of_freedom)
@@ -51,9 +51,12 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
 
 
 def redundancies(problem: LeastSquares, v: Array) -> Array:
-    """Return the redundancy of each observed number, one minus its leverage, shape (residuals,).
+    """Return the redundancy number (1 minus leverage) of each residual, shape (residuals,).
 
-    Their sum is the number of degrees of freedom of the fit.
+    Their sum is the number of degrees of freedom of the fit. Those of all sets follow each other,
+    then those of known distances between points.
+
+    v : the optimum, shape (size,)
     """
 
     def computed(v: Array) -> Array:
@@ -66,18 +69,18 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
 
 
 def _weighted(problem: LeastSquares, v: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield weights of the loss, and Jacobian (rows, size), for some residuals at a time."""
+    """Yield the loss weights, shape (rows,), and the Jacobian, (rows, size), of some residuals."""
     for k, r, J in problem.parts(v):
         yield np.repeat(loss_slope(problem.loss_of(k), r), r.shape[1]), J
 
 
 def steps_without(problem: LeastSquares, v: Array, groups: Sequence[Array]) -> Array:
-    """Return bounded Gauss-Newton steps from v, each without one group of rows.
+    """Return the bounded Gauss-Newton steps from v without each group of poses, (groups, size).
 
-    The shape is (groups, size). A variable on which the omitted group alone has information keeps
-    its value.
+    Step k is that of the problem without the poses of group k. A variable on which the omitted
+    group alone has information keeps its value.
 
-    groups : for every set the number of each row's group, shape (n,)
+    groups : for every set the number of each pose's group, from 0, shape (n,)
     """
     count = 1 + max(int(own.max()) for own in groups)
     lost = [(np.zeros(problem.size), np.zeros((problem.size, problem.size))) for _ in range(count)]

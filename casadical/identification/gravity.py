@@ -33,7 +33,7 @@ class Deflection:
 
 
 def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
-    """Return the deflection over the poses of every joint whose compliance was identified.
+    """Return the deflection over the used poses of every joint whose compliance was identified.
 
     Only the variation over the poses counts: a constant deflection is indistinguishable from a
     joint's zero. Its standard error follows to first order from the covariance of all identified
@@ -49,7 +49,10 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
     best, place = robot.parameters.values, robot.parameters.index_of
 
     def courses(values: Array) -> Array:
-        """Return each compliant joint's deflection minus its mean, shape (joints, poses)."""
+        """Return each compliant joint's deflection minus its mean, (joints, poses) [rad or m].
+
+        values : of all parameters [SI]
+        """
         tau = robot.model.evaluate(("tau",), q, w, values)[0].reshape(robot.n, len(q))
         bent = np.array([values[place(f"c{i}")] * tau[i - 1] for i in soft])
         return np.asarray(bent - bent.mean(axis=1, keepdims=True))
@@ -72,7 +75,10 @@ def gravity_deflections(found: Identification) -> tuple[Deflection, ...]:
 
 
 def as_json(found: Identification) -> list[dict[str, float]]:
-    """Return the gravity deflections that the poses determine as plain data, in mrad."""
+    """Return the gravity deflections that the poses determine, a dict per joint, for JSON.
+
+    The keys are joint (from 1), deflection_mrad (range over the poses) and std_error_mrad.
+    """
     return [
         {"joint": d.joint, "deflection_mrad": round(1e3 * d.change, 5), "std_error_mrad": round(1e3 * d.error, 5)}
         for d in gravity_deflections(found)
@@ -81,7 +87,11 @@ def as_json(found: Identification) -> list[dict[str, float]]:
 
 
 def in_words(found: Identification) -> str:
-    """Return a sentence on the deflections if masses are estimates; empty for declared masses."""
+    """Return a sentence on the joints' deflections under gravity if masses are estimates.
+
+    It states their ranges over the poses with standard errors [mrad], or 95 % upper limits where
+    none is certain. Empty for declared masses, or without identified compliance.
+    """
     if found.robot.masses != "estimated" or not (every := gravity_deflections(found)):
         return ""
     why = "the masses are estimates from the reach, so that no stiffness follows"

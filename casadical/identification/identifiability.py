@@ -18,13 +18,15 @@ from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import inverse_of_triangle
 from casadical.core.parameters import Parameter
 
-# A unit column is dependent if its residual after projection on the others is at most this long.
+# Largest length of a unit column's residual, after projection on the columns before it, at which it
+# counts as their linear combination.
 MAX_DEPENDENT_RESIDUAL = 1e-6
-# A parameter has no effect if its column is at most this share of the longest one.
+# Largest length of a Jacobian column, as a share of the longest one, at which the parameter has no
+# effect on the measurements.
 MAX_INVISIBLE_SHARE = 1e-9
 # Condition number of the scaled Jacobian above which some parameters are nearly confounded.
 CONFOUNDED_CONDITION_NUMBER = 1000
-# The reason given for a parameter whose column is invisible.
+# The reason given for a parameter that has no effect on the measurements.
 NO_EFFECT_REASON = "it has no effect on what was measured"
 
 
@@ -59,13 +61,13 @@ class Identifiability:
 def analyse(
     J: Array, names: Sequence[str], always: int, held: dict[str, str], moved: str = "moves the measured points"
 ) -> Identifiability:
-    """Split the columns of a Jacobian into independent and dependent ones.
+    """Return which parameters (columns of a Jacobian) are independent, and why others are not.
 
     J : shape (residuals, always + len(names)), in units of sigma per unit of scale
-    always : number of first columns (unknown points) that are kept whatever the others are
-    names : of the further columns, the preferred ones first
+    always : number of first columns (unknown points), which are always variables
+    names : parameters of the further columns, the preferred ones first
     held : name -> reason, of parameters that are fixed whatever the data
-    moved : verb phrase for the effect of a parameter on the data
+    moved : verb phrase for the effect of a parameter on the data, in the reasons
     """
     R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
     length = np.linalg.norm(R, axis=0)
@@ -125,24 +127,27 @@ def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
 
 
 def _strongest(share: Array, names: Sequence[str], least: float) -> tuple[str, ...]:
-    """Return up to six names with a share above the least, the largest first."""
+    """Return up to six names whose share exceeds `least`, the largest share first.
+
+    share : of each name, shape (k,)
+    """
     return tuple(names[j] for j in np.argsort(-share)[:6] if share[j] > least)
 
 
 def drop_poor(
     parameters: Sequence[Parameter], H: Array, variance: float = 1.0
 ) -> tuple[list[int], list[Unidentifiable], Array]:
-    """Leave out parameters that the data determine less accurately than their prior.
+    """Separate parameters that the data determine less accurately than their prior from the others.
 
     They are left out one by one, the worst first. Guesses stay, constrained by their priors. Bounds
-    are ignored: a parameter may sit at one just because the data do not determine it.
+    are ignored: a parameter may be at one just because the data do not determine it.
 
     parameters : of the first rows of H; further rows are unknown points, which stay
     H : information matrix of all, shape (size, size), the parameters in units of their scale
-    variance : of a residual in units of sigma
+    variance : of a residual in units of sigma squared
 
     Returns the indices of the remaining parameters, the others with the reason, and the covariance
-    of the remaining ones, shape (p, p).
+    of the remaining ones in units of their scale, shape (p, p).
     """
     priors = np.array([np.inf if p.guess else p.prior / p.scale for p in parameters])
     left = list(range(len(H)))
@@ -172,9 +177,10 @@ def drop_poor(
 
 
 def scaled_inverse(H: Array) -> Array:
-    """Return the inverse of a positive semidefinite matrix, scaled to a unit diagonal first.
+    """Return the inverse of a positive semidefinite matrix H, computed at unit diagonal.
 
-    Directions with eigenvalues at round-off come out as very uncertain, not as infinite.
+    The result is in the units of H^-1. Directions with eigenvalues at round-off get a very large
+    variance, not an infinite one.
     """
     root = np.sqrt(np.maximum(np.diag(H), 1e-200))
     scaled = H / np.outer(root, root)

@@ -39,11 +39,13 @@ from casadical.identification.solver import Progress
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Knowledge, Robot
 
-# A method of the paper: without (KM) or with (SKCM) joint compliance.
+# Name of a method of the paper: identification of kinematic parameters without (KM) or with (SKCM)
+# joint compliance.
 Method = Literal["KM", "SKCM"]
 # Method of the paper -> the parameter groups that it identifies.
 METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic", "compliance")}
-# Priors of an identification, see `identify`.
+# Choice of priors of an identification: whether the robot's own apply, others by parameter name, as
+# (mean, one sigma) [SI], or "auto" (see `identify`).
 AnyPriors = bool | Mapping[str, tuple[float, float]] | Literal["auto"]
 # Treatment of the links' masses: "declared" as in the robot file; "unknown" frees the errors of
 # masses that the file does not declare; "free" frees those of declared masses too.
@@ -57,14 +59,14 @@ class Prepared(Shown):
     robot : nominal, with all effects in its model that measurements and prior require (see
         `prepare`)
     sets : the measurements
-    free : labels of the effects that were added to the base model (masses, sessions) and are to be
-        freed
-    prior : of parameters from another campaign
-    knowledge : of the robot as it was given
+    free : labels of the effects that were added to the base model (masses, sessions), whose
+        parameters are to be identified
+    prior : prior of parameters from another campaign
+    knowledge : covariance and ranges of validity of the robot as it was given
     method : of the paper, None for a user's own choice of parameters
-    identification : of the base model, where there is one already
-    tried : result of the test for a compliance that the robot file does not declare, where it was
-        made
+    identification : of the base model, where it was made already, else None
+    tried : result of the test for a compliance that the robot file does not declare, None where it
+        was not made
     """
 
     line: ClassVar[str] = " {{ it.robot.name | repr }} and {{ it.sets | map('length') | sum }} poses"
@@ -80,7 +82,7 @@ class Prepared(Shown):
 
     @cached_property
     def start(self) -> Robot:
-        """The robot with base and tool frames placed.
+        """The nominal robot with initial base and tool frames fitted to the measurements.
 
         Raises InputError: for measurements that this robot cannot have made.
         """
@@ -110,15 +112,15 @@ def prepare(
     masses: Masses = "declared",
     tool_turns: bool = False,
 ) -> Prepared:
-    """Return a robot and measurements ready for identification, with all that they require.
+    """Return a robot and its measurements ready for identification, with all needed effects added.
 
-    That is: the prior's effects, the method's parameters, errors of unknown masses, sessions, and
-    the tool's orientation.
+    The model gets the prior's effects, the method's compliance, errors of unknown masses, an effect
+    for each further session, and the tool's orientation.
 
     prior : the robot from another campaign, or a prior as `carry_over` returns it
-    method : of the paper; it determines how masses are treated
+    method : of the paper; it determines how masses are treated, in place of `masses`
     tool_turns : whether the orientation of an unknown tool is free where orientations were measured
-    Raises InputError.
+    Raises InputError for measurements or a method that cannot be used.
     """
     sets = _sets_of(measurements)
     if isinstance(prior, Robot):
@@ -159,9 +161,10 @@ def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measu
 
 
 def with_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot as a method of the paper models it, and the labels of added effects.
+    """Return the robot as a method of the paper models it, and the labels of effects to identify.
 
-    Raises InputError.
+    KM sets all compliances to zero; SKCM adds the errors of estimated masses
+    (`with_unknown_masses`). Raises InputError for another method.
     """
     if method not in METHODS:
         raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
@@ -176,19 +179,20 @@ def lacks_declared_compliance(robot: Robot) -> bool:
 
 
 def with_all_joints_compliant(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot with compliance at all revolute joints, and its added effects' labels.
+    """Return the robot with compliance (nominally zero) at all revolute joints, and effect labels.
 
-    The labels are as of `with_unknown_masses`.
+    The labels are those of added mass errors, which are to be identified too
+    (`with_unknown_masses`).
     """
     joints = (replace(j, compliance=0.0 if j.kind == "revolute" else None) for j in robot.joints)
     return with_unknown_masses(replace(robot, joints=tuple(joints)), sets)
 
 
 def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot with errors of its estimated masses in the model, and their labels.
+    """Return the robot with errors of its estimated masses as effects, and the effects' labels.
 
-    The labels are those of the effects to free. The robot is unchanged, and there are no labels,
-    where its masses are declared, no joint is compliant, or an earlier fit has found them.
+    The labels name groups of parameters to be identified. The robot is unchanged, and there are no
+    labels, where its masses are declared, no joint is compliant, or it has such effects already.
     Compliances are fitted to the torques of estimated masses (`parts.with_estimated_masses`), and
     the errors of these estimates are fitted with them: mass and mass centre of every link, and the
     mass centre of a logged payload. The deflection of each joint under gravity is then determined
@@ -210,10 +214,10 @@ def with_unknown_masses(robot: Robot, sets: Sequence[Measurements]) -> tuple[Rob
 
 
 def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> Prepared:
-    """Return what an identification started from, or the same for other measurements of its robot.
+    """Return the prepared problem of an identification, or of other measurements of its robot.
 
     sets : other measurements, still to be fitted; without any, the identification itself is part of
-        what is returned
+        the prepared problem
     """
     freed = {found.given.parameters[name].group for name in found.names}
     unknown = [e.label for e in found.given.effects if isinstance(e, (LinkMasses, PayloadError))]
@@ -224,7 +228,7 @@ def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> 
     return replace(prepared, free=(*free, *prepared.free))
 
 
-# The test for undeclared compliance uses at most this number of poses of each set, to save time.
+# Maximum number of poses of each set in the test for undeclared compliance, to save time.
 MAX_POSES_TRIED = 1_000
 
 
@@ -297,9 +301,10 @@ def identify(
 def calibrated_without_outliers(
     prepared: Prepared, outliers: tuple[tuple[int, int], ...], loss: AnyLoss = "auto", **options: Any
 ) -> Identification:
-    """Identify without the poses that a more complete model found to be outliers.
+    """Identify without the given outliers, which the result lists as its own.
 
-    outliers : (set, pose) indices; options : of `calibrated`
+    outliers : (set, pose) indices, as a more complete model found them
+    loss : auto is huber where there are outliers, else linear; options : of `calibrated`
     """
     if loss == "auto":
         loss = "huber" if outliers else "linear"
@@ -309,9 +314,10 @@ def calibrated_without_outliers(
 
 
 def with_compliance_if_supported(prepared: Prepared, progress: Progress | None = None) -> Prepared:
-    """Return the problem with undeclared compliance if its measurements support it.
+    """Return the problem with compliance of all revolute joints if its measurements support it.
 
-    They do where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
+    Only compliance that the robot file does not declare is tested; the result is in `tried`. It is
+    supported where all of these hold: the residuals are at least 1 % smaller, BIC prefers the
     compliant model (Schwarz 1978; the degrees of freedom of the rigid model replace the number of
     data), and an F-test gives such a reduction by chance a probability below 1e-3, which few data
     require. Only parameters that the data determine are counted, and the robot's priors constrain
@@ -365,9 +371,10 @@ def calibrated(
 ) -> Identification:
     """Identify the parameters of a prepared problem; arguments as of `identify`.
 
-    A method brings its own parameters in place of `free`.
+    The parameters of `prepared.method`, where there is one, take the place of `free`.
 
-    weighed : see `LeastSquares`
+    weighed : whether the tilt of the pedestal is identified by the weight of the links alone, where
+        nothing at rest was measured
     Raises InputError, ConvergenceError.
     """
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
@@ -425,10 +432,11 @@ def calibrated(
 def _with_priors(
     prepared: Prepared, free: Identification, names: Sequence[str], priors: AnyPriors, **options: Any
 ) -> Identification:
-    """Return the result of the same poses with priors, where a free fit was made before.
+    """Return the identification of the same poses with priors, after one without.
 
-    names : of the parameters to identify; the free fit says why the others are not identifiable
-    options : of `calibrated`
+    free : the identification without priors, whose outliers and loss are used, and whose reasons
+        are taken over for parameters that are not identifiable
+    names : of the parameters to identify; options : of `calibrated`
     """
     asked = replace(prepared, method=None, free=())
     held = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
@@ -439,10 +447,13 @@ def _with_priors(
 
 
 def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:
-    """Identify the base model from which a diagnosis starts.
+    """Identify the base model, without additional causes, from which a diagnosis starts.
 
-    Gross errors have little weight but stay, and the robot's own priors apply. A tilted pedestal
-    loads the joints as a cause might: its tilt is sought even where no reading at rest shows it.
+    The loss is huber, without outliers left out, and the robot's own priors apply. A tilted
+    pedestal loads the joints as a cause might: its tilt is identified even where no measurement at
+    rest shows it.
+
+    free : parameters to identify, as of `identify`
     Raises InputError, ConvergenceError.
     """
     return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True)

@@ -18,8 +18,8 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-# Logged torques that differ from the model's by more than this factor are probably those of the
-# motors, before the gears, or in another unit.
+# Largest factor between logged and computed torques, to either side; beyond, they are probably
+# those of the motors, before the gears, or in another unit.
 MAX_TORQUE_RATIO = 8.0
 
 
@@ -37,13 +37,16 @@ class States:
     tau: Array
 
     def turned(self, joint: int, *, torque_alone: bool = False) -> "States":
-        """Return the states with one joint's motion and torque, or its torque alone, reversed."""
+        """Return the states with the sign of one joint's motion and torque reversed.
+
+        joint : index, from 0; torque_alone : whether the torque alone is reversed
+        """
         sign = np.where(np.arange(self.q.shape[1]) == joint, -1.0, 1.0)
         q, v, a = (each if torque_alone else sign * each for each in (self.q, self.v, self.a))
         return States(q, v, a, sign * self.tau)
 
     def swapped(self, first: int, second: int) -> "States":
-        """Return the states with the columns of two joints exchanged."""
+        """Return the states with the columns of two joints (indices from 0) exchanged."""
         order = np.arange(self.q.shape[1])
         order[[first, second]] = second, first
         return States(*(each[:, order] for each in (self.q, self.v, self.a, self.tau)))
@@ -79,8 +82,9 @@ def states_of(log: JointLog) -> States | None:
 def determined(robot: Robot, log: JointLog) -> Identifiability | None:
     """Return which inertial parameters (names of `Dynamics`) the motion in a log determines.
 
-    None without a signed torque. Each joint also has an offset, Coulomb and viscous friction, as
-    every drive does. The parameters of the last links are preferred, and masses to moments.
+    None without signed torques or currents, or with too few states. Each joint also has an offset,
+    Coulomb and viscous friction, as every drive does. The parameters of the last links are
+    preferred, and masses to moments.
     """
     states = states_of(log)
     if states is None:
@@ -99,20 +103,30 @@ def determined(robot: Robot, log: JointLog) -> Identifiability | None:
 
 
 def _friction_columns(v: Array) -> Array:
-    """Return regressors of offset, Coulomb and viscous friction at velocities v, shape (N, 3)."""
+    """Return regressors of offset, Coulomb and viscous friction of one joint, shape (N, 3).
+
+    v : its velocities, shape (N,) [rad/s or m/s]
+    """
     # Coulomb friction changes its sign smoothly over 0.01 rad/s or m/s.
     return np.column_stack([np.ones(len(v)), np.tanh(v / 0.01), v])
 
 
 def contradictions(robot: Robot, log: JointLog) -> tuple[str, ...]:
-    """Return sentences on data that the log needs, and on joints in another order or sign."""
+    """Return sentences on contradictions between a log and the arm's model, each with a remedy.
+
+    They concern missing masses or motor data, torques in another unit, and joints in another order
+    or sign.
+    """
     states = None if lacks_masses(robot) else states_of(log)
     ends = () if states is None else (*_torque_scale_faults(robot, log, states), *_column_faults(robot, log, states))
     return (*_missing_data(robot, log), *ends)
 
 
 def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
-    """Yield a sentence for each unknown datum of arm or drives that the log would need."""
+    """Yield a sentence for each datum of arm or drives that the log's evaluation lacks.
+
+    Joints whose readings are outside of their range are reported, too.
+    """
     signed = log.torque is not None or (log.current is not None and not log.current_unsigned)
     if lacks_masses(robot) or robot.masses == "estimated":
         yield (
@@ -137,7 +151,7 @@ def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
 
 
 def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Yield a sentence where torques differ from the model's by a factor as that of a gear."""
+    """Yield a sentence if logged torques differ from the model's by more than MAX_TORQUE_RATIO."""
     if log.torque is None:
         return
     model = Dynamics(robot).torque(states.q, states.v, states.a)
@@ -153,7 +167,7 @@ def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterato
 
 
 def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]:
-    """Yield a sentence for a joint with reversed sign, or two exchanged joints, by the torques."""
+    """Yield sentences on a joint with reversed sign, or two exchanged joints, by their torques."""
     dynamics, n, names = Dynamics(robot), robot.n, log.joints
     against = "the torque or current of {} counts against its angle"
     plain = _unexplained_shares(dynamics, states)
@@ -185,9 +199,11 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
 
 
 def _driving_friction_share(v: Array, tau: Array, model: Array) -> float:
-    """Return the share of a joint's torque variance that is friction driving the joint; else 0.
+    """Return the fitted friction's share of one joint's torque variance if it delivers power, or 0.
 
     Friction that delivers power contradicts physics: the sign of torque or speed is wrong.
+
+    v, tau, model : velocity, logged torque and the rigid body model's torque, shape (N,) each
     """
     A = np.column_stack([_friction_columns(v), model])
     x = np.linalg.lstsq(A / (size := np.linalg.norm(A, axis=0).clip(1e-12)), tau, rcond=None)[0] / size
@@ -197,8 +213,9 @@ def _driving_friction_share(v: Array, tau: Array, model: Array) -> float:
 
 
 def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:
-    """Return the share of each joint's torque that friction and the model leave, shape (joints,).
+    """Return the share of each joint's torque variance that the model leaves, shape (joints,).
 
+    Variance that friction and an offset explain is removed first (1: the model explains nothing).
     The model's torque is scaled by the best positive factor.
     """
     model = dynamics.torque(states.q, states.v, states.a)

@@ -51,15 +51,16 @@ INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # of a standard error. A search is slow along what only priors determine, such as the common scale
 # of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
-# Above this number of parameters with priors, those of effects are not tested for independence, and
-# a solve starts with Gauss-Newton steps.
+# Number of free parameters with priors above which those of effects are not tested for
+# independence, and a solve starts with Gauss-Newton steps.
 MANY_PARAMETERS = 200
 # Maximum number of Gauss-Newton steps with which a solve of many parameters starts.
 MAX_APPROACH_STEPS = 8
-# Groups of parameters that belong to a campaign, not to the robot.
+# Groups of parameters (frames) that belong to a campaign's set-up, not to the robot.
 FRAME_GROUPS = ("base", "tool")
 
-# Index of the set, residuals of some of its poses, shape (n, m), and their Jacobian, (n m, size).
+# Index of a set, residuals of some of its poses, shape (n, m), and their Jacobian by v, shape
+# (n m, size), both in units of sigma. Known distances between points have the index after the last.
 _Part = tuple[int, Array, Array]
 
 
@@ -68,18 +69,18 @@ class LeastSquares:
     """One identification problem; the module's docstring defines its variables and cost.
 
     robot : nominal; sets : measurements
-    names : parameters that are variables
-    loss : robust loss of the residuals
-    priors : whether the robot's own priors constrain the variables, or name -> (mean, one sigma)
-        [SI] of other priors
+    names : free parameters, which are variables
+    loss : loss of the residuals of a pose
+    priors : whether the robot's own priors constrain the variables; a mapping name -> (mean, one
+        sigma) [SI] means that they do, except for the priors that it replaces
     sigmas : standard deviations of one coordinate [m] and one angle [rad], for each set
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
-    weighed : whether the tilt of a pedestal is sought that nothing at rest shows, but the weight of
-        the links does
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `expressions`)
+    weighed : whether the tilt of the pedestal is identified by the weight of the links alone, where
+        nothing at rest was measured
     known : correlated priors, each as names and their covariance [SI]; their means are those of
         `priors`
-    max_cached_values : maximum number of values of a Jacobian or of residuals, and of poses' data, that are
-        cached
+    max_cached_values : maximum number of values of a cached Jacobian or cached residuals, and of
+        poses whose inputs are cached
     cache : of what was computed
     """
 
@@ -97,15 +98,15 @@ class LeastSquares:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of all unknown points, as "set number/point name"."""
+        """Names of all K unknown points, as "set index/point name", such as "0/A"."""
         return self.cache.once("labels", self._labels)
 
     def _labels(self) -> tuple[str, ...]:
-        """Return the names of all unknown points."""
+        """Compute `labels` from the poses of all sets, in order of appearance."""
         return tuple(dict.fromkeys(name for k in range(len(self.sets)) for name in self.pose_labels(k)))
 
     def pose_labels(self, k: int) -> list[str]:
-        """Return the name of each pose's unknown point in set k; empty if the kind has none."""
+        """Return the label of each pose's unknown point in set k; empty if the kind has none."""
         m = self.sets[k]
         return [f"{k}/{name}" for name in find_kind(m.kind).point_names(m.arrays)]
 
@@ -115,7 +116,7 @@ class LeastSquares:
         return self.cache.once("points", self._points)
 
     def _points(self) -> Array:
-        """Return the initial position of every unknown point, from the robot's positions."""
+        """Compute `points` from the nominal robot's positions, as the kinds of measurement do."""
         start: dict[str, Array] = {}
         for k, m in enumerate(self.sets):
             if labels := self.pose_labels(k):
@@ -125,11 +126,11 @@ class LeastSquares:
 
     @property
     def blocks(self) -> tuple[Block, ...]:
-        """The sets of measurements, ready to be evaluated."""
+        """One block per set of measurements, from which residuals and Jacobians are evaluated."""
         return self.cache.once("blocks", self._blocks)
 
     def _blocks(self) -> tuple[Block, ...]:
-        """Return a block for each set of measurements."""
+        """Compute `blocks`, one for each set of measurements."""
         index = {name: k for k, name in enumerate(self.labels)}
         made = []
         for k, (m, (sigma, sigma_angle)) in enumerate(zip(self.sets, self.sigmas, strict=True)):
@@ -144,12 +145,12 @@ class LeastSquares:
 
     @property
     def size(self) -> int:
-        """Number of variables: parameters, and three coordinates per unknown point."""
+        """Number of variables v: free parameters, and three coordinates per unknown point."""
         return len(self.names) + 3 * len(self.labels)
 
     @cached_property
     def residual_count(self) -> int:
-        """Number of residuals of all sets."""
+        """Number of residuals (scalars) of all sets."""
         return sum(m.residuals for m in self.sets)
 
     @property
@@ -174,11 +175,14 @@ class LeastSquares:
 
     @cached_property
     def _free_parameters(self) -> list[Parameter]:
-        """The free parameters."""
+        """The free parameters in the order of `names`."""
         return [self.robot.parameters[n] for n in self.names]
 
     def _parameter_values(self, what: str) -> Array:
-        """Return an attribute of the free parameters, shape (p,), in SI units if it is a value."""
+        """Return an attribute of the p free parameters, shape (p,); lengths and values are SI.
+
+        what : name of an attribute of `Parameter`, such as "scale" or "lower"
+        """
         return np.array([getattr(p, what) for p in self._free_parameters])
 
     @cached_property
@@ -215,7 +219,7 @@ class LeastSquares:
 
     @cached_property
     def guesses(self) -> Array:
-        """Mask of the free parameters whose own priors always apply, shape (p,)."""
+        """Mask of the free parameters whose own priors always apply (guesses), shape (p,)."""
         return self._parameter_values("guess").astype(bool)
 
     @cached_property
@@ -224,9 +228,10 @@ class LeastSquares:
         return not (self.priors or self.known or self.guesses.any())
 
     def prior_square(self, v: Array, *, counted: bool = False) -> float:
-        """Return the squared Mahalanobis distance of v from the priors' mean.
+        """Return the squared Mahalanobis distance of the variables v from the priors' mean.
 
-        counted : True includes only the priors that count as information (see `_informed`)
+        counted : True includes only the priors that count as information: not the robot's own
+            ones of base and tool
         """
         if self._without_priors:
             return 0.0
@@ -235,23 +240,23 @@ class LeastSquares:
 
     @cached_property
     def prior_mean(self) -> Array:
-        """Prior mean of each variable, shape (size,); zero, nominal, by the robot's own priors."""
+        """Prior mean of the variables v, shape (size,); zero (nominal) by the robot's priors."""
         mean = np.zeros(self.size)
         mean[: len(self.names)] = (self._prior[0] - self._parameter_values("value")) / self.scale
         return mean
 
     @cached_property
     def _prior(self) -> Array:
-        """Mean and one sigma of each free parameter's prior, shape (2, p) [SI]."""
+        """Mean (row 0) and one sigma (row 1) of each free parameter's prior, shape (2, p) [SI]."""
         return np.array([self.given.get(p.name, (p.value, p.prior)) for p in self._free_parameters]).reshape(-1, 2).T
 
     def separate(self, v: Array) -> tuple[Array, Array]:
-        """Return the parts of the variables v: parameters x (p,) and unknown points u (K, 3)."""
+        """Return parameters x (p,) [units of scale] and unknown points u (K, 3) [mm] out of v."""
         p = len(self.names)
         return v[:p], v[p:].reshape(-1, 3)
 
     def values(self, v: Array) -> dict[str, float]:
-        """Return the parameters at v by name [SI].
+        """Return the values of the free parameters at v, name -> value [SI].
 
         They are clipped to their bounds, which rounding may exceed.
         """
@@ -269,8 +274,8 @@ class LeastSquares:
         Where round-off of the cost stops Ipopt's line search, the solver cannot tell that it is at
         an optimum; the size of one more Gauss-Newton step decides.
 
-        start : shape (size,)
-        Raises ConvergenceError.
+        start : variables v, shape (size,)
+        Raises ConvergenceError where Ipopt finds none.
         """
         scale = 0.5 * self.residual_count
         if start is None and self.priors and len(self.names) > MANY_PARAMETERS:
@@ -286,10 +291,10 @@ class LeastSquares:
         return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
     def _approached(self) -> Array:
-        """Return the point that bounded Gauss-Newton steps reach while each lowers the cost.
+        """Return the variables v, shape (size,), reached from zero by bounded Gauss-Newton steps.
 
-        With many parameters one of them meets its bound on the way, where Ipopt shortens the whole
-        step.
+        Steps end where one lowers the cost by less than SETTLED_COST_GAIN. With many parameters one
+        of them meets its bound on the way, where Ipopt shortens the whole step.
         """
         v = np.zeros(self.size)
         cost = self.cost(v)
@@ -301,7 +306,7 @@ class LeastSquares:
         return v
 
     def cost(self, v: Array) -> float:
-        """Return half the sum of squares at v, through the robust loss, with the priors.
+        """Return the cost at v: half the sum of squares, through the loss, with the priors.
 
         If Ipopt did not take the gradient at the last point, it is in a line search: residuals are
         then evaluated without derivatives.
@@ -331,7 +336,7 @@ class LeastSquares:
         information as the Jacobian in a size that does not grow with the residuals; the sums at v
         are computed along with it.
 
-        of : indices of some columns to which it is limited, without the sums
+        of : indices of some columns (variables) to which it is limited, without the sums
         """
         if of is not None:
             return reduce(_with_rows, (J[:, of] for _, _, J in self.parts(v)), np.zeros((0, len(of))))
@@ -343,9 +348,9 @@ class LeastSquares:
         return known.triangle
 
     def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
-        """Return the first set with a residual or derivative that is not finite, and a pose mask.
+        """Return the first set with a residual or derivative that is not finite at v, and its mask.
 
-        None where all are finite.
+        The mask marks these poses, shape (n,). None where all are finite.
         """
         bad: list[list[Array]] = [[] for _ in self.sets]
         for k, r, J in self.parts(v):
@@ -355,7 +360,10 @@ class LeastSquares:
         return next((each for each in at if each[1].any()), None)
 
     def information(self, v: Array) -> Array:
-        """Return J'WJ at v without priors, shape (size, size); W are the weights of the loss."""
+        """Return the information matrix J'WJ at v without priors, shape (size, size).
+
+        J is the Jacobian in units of sigma, W the weights of the loss.
+        """
         return self._sums(v).information
 
     def residuals(self, v: Array) -> list[Array]:
@@ -373,7 +381,7 @@ class LeastSquares:
 
     @staticmethod
     def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:
-        """Return the residuals of each set, joined from parts, in the order of the sets."""
+        """Return the residuals of each set, shape (n, m); parts : (set index, some residuals)."""
         of_set: dict[int, list[Array]] = {}
         for k, r in parts:
             of_set.setdefault(k, []).append(r)
@@ -385,7 +393,10 @@ class LeastSquares:
         return sums
 
     def _summed(self, v: Array, *, triangle: bool = False) -> Sums:
-        """Compute cost, gradient and information over all residuals, in parts of the poses."""
+        """Compute the sums over all residuals at v, some poses at a time.
+
+        triangle : whether the triangular factor of the Jacobian is computed, too
+        """
         cost = square = 0.0
         gradient, information = np.zeros(self.size), np.zeros((self.size, self.size))
         residuals: list[tuple[int, Array]] = []
@@ -406,9 +417,11 @@ class LeastSquares:
         return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
 
     def through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
-        """Return the Jacobian rows and residuals of a part, each times the root of its loss weight.
+        """Return Jacobian (n m, size) and residuals (n m,) of a part, times the root of the weight.
 
-        Shapes (rows, size) and (rows,).
+        The weight of a pose is that of the loss.
+
+        k : index of the set; r, J : residuals, shape (n, m), and Jacobian, shape (n m, size)
         """
         if (loss := self.loss_of(k)) == "linear":
             return J, r.ravel()
@@ -416,22 +429,22 @@ class LeastSquares:
         return J * root[:, None], root * r.ravel()
 
     def _cost(self, v: Array) -> float:
-        """Compute the cost from the residuals alone, without derivatives."""
+        """Compute the cost at v, with the priors, from the residuals alone, without derivatives."""
         x, u = self.separate(v)
         of_sets = ((k, r) for k, block in enumerate(self.blocks) for r in block.residuals(x, u))
         residuals = chain(of_sets, ((k, r) for k, r, _ in self._separated(v)))
         return 0.5 * (sum(float(loss_value(self.loss_of(k), r).sum()) for k, r in residuals) + self.prior_square(v))
 
     def loss_of(self, k: int) -> Loss:
-        """Return the loss of a part; known distances between points pass through no robust loss."""
+        """Return the loss of set k; linear for known distances, whose index is after the last."""
         return self.loss if k < len(self.sets) else "linear"
 
     def parts(self, v: Array) -> Iterable[_Part]:
-        """Return the residuals and Jacobian at v without the loss, some poses at a time.
+        """Return residuals and Jacobian at v without the loss, some poses at a time, as parts.
 
-        Each part has the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size).
-        They are cached for the last v where they are few, so that statistics need no further
-        evaluation.
+        A part has the set's index, residuals, shape (n, m), and Jacobian, shape (n m, size), in
+        units of sigma. They are cached for the last v where they are few, so that statistics need
+        no further evaluation.
         """
         if self.residual_count * self.size > self.max_cached_values:
             return self._evaluated(v)
@@ -439,7 +452,7 @@ class LeastSquares:
         return parts
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
-        """Evaluate residuals and Jacobian at v, some poses at a time."""
+        """Yield residuals and Jacobian at v as parts, evaluated without the cache."""
         x, u = self.separate(v)
         for k, block in enumerate(self.blocks):
             for some, r, J in block.parts(x, u):
@@ -447,7 +460,7 @@ class LeastSquares:
         yield from self._separated(v)
 
     def _separated(self, v: Array) -> Iterator[_Part]:
-        """Yield the part of known distances between touched points, where there are any."""
+        """Yield the one part of known distances between touched points, if there are any."""
         if any(m.separations for m in self.sets):
             w = ca.MX.sym("v", self.size)
             r_s = self._separations(ca.reshape(w[len(self.names) :], 3, len(self.labels)))
@@ -457,7 +470,11 @@ class LeastSquares:
     def _by_all_variables(self, block: Block, some: slice, J: Array) -> Array:
         """Return the Jacobian of some poses of a block by all variables v, shape (n m, size).
 
-        J : by (x, each pose's own point), shape (n, m, z)
+        The columns of a pose's own unknown point are put at the variables of that point; those of
+        all other points are zero.
+
+        J : by the scaled parameters x and the coordinates of each pose's own point, in units of
+            sigma, shape (n, m, z); some : slice of the block's poses
         """
         p = len(self.names)
         if p == self.size:
@@ -470,7 +487,10 @@ class LeastSquares:
         return whole.reshape(-1, self.size)
 
     def _separations(self, u: ca.MX) -> ca.MX:
-        """Return the residuals of known distances between touched points, in units of sigma."""
+        """Return the residuals of known distances between touched points, shape (s,), in sigmas.
+
+        u : variables of all unknown points, shape (3, K) [mm]
+        """
         rows = []
         for k, m in enumerate(self.sets):
             for first, second, length in m.separations:
@@ -480,35 +500,41 @@ class LeastSquares:
         return ca.vertcat(*rows) if rows else ca.MX.zeros(0)
 
     def evaluate(self, v: Array) -> tuple[list[Array], Array]:
-        """Return the residuals of every set, shape (n, m), and the whole Jacobian, without loss.
+        """Return residuals of every set, shape (n, m), and the Jacobian by v, (residuals, size).
 
-        The Jacobian has shape (residuals, size).
+        Both are at v, in units of sigma, without the loss and priors.
         """
         rows = [J for _, _, J in self.parts(v)]
         return self.residuals(v), np.concatenate(rows) if len(rows) > 1 else rows[0]
 
     def at_bounds(self, v: Array) -> Array:
-        """Return the mask of the variables that are at a bound, shape (size,)."""
+        """Return the mask of the variables v that are at a bound, shape (size,)."""
         lower, upper = self.bounds
         near = 1e-5 * np.maximum(1.0, np.minimum(upper - lower, 1e3))
         return np.asarray((v - lower < near) | (upper - v < near))
 
     def decrement(self, v: Array) -> float:
-        """Return the cost reduction (half of chi-squared) of one more bounded Gauss-Newton step."""
+        """Return the cost reduction (half of chi-squared) of a bounded Gauss-Newton step from v.
+
+        It is predicted by the quadratic model of the cost, and zero at an optimum.
+        """
         g, H = self.gradient(v)
         step = self.step(v)
         return max(0.0, float(-(g + 0.5 * H @ step) @ step))
 
     def step(self, v: Array) -> Array:
-        """Return the next bounded Gauss-Newton step, shape (size,).
+        """Return the bounded Gauss-Newton step from v, shape (size,).
 
-        It leads to the minimum of the linearised problem within the bounds.
+        It leads to the minimum of the problem linearised at v, within the bounds.
         """
         lower, upper = self.bounds
         return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
-        """Return the problem with other initial positions of the points, shape (K, 3) [m]."""
+        """Return the problem with other initial positions of the unknown points.
+
+        points : in the measuring frame, shape (K, 3) [m]
+        """
         other = replace(self)
         other.cache.made.update(points=points)
         return other
@@ -547,9 +573,9 @@ class LeastSquares:
 
 @dataclass(frozen=True, eq=False)
 class Linearised(LeastSquares):
-    """A problem linearised about a point: its residuals are linear in v.
+    """A problem linearised about a point: its residuals are linear in the variables v.
 
-    of : the original problem, which may differ in loss and sigmas; at : the point, shape (size,)
+    of : the original problem, which may differ in loss and sigmas; at : the point v, shape (size,)
     """
 
     of: LeastSquares = field(kw_only=True)
@@ -570,7 +596,7 @@ class Linearised(LeastSquares):
         return other
 
     def settled(self, v: Array) -> Array:
-        """Return the optimum without bounds, by reweighted least squares from v, shape (size,).
+        """Return the optimum v without bounds, shape (size,), by reweighted least squares from v.
 
         Source: Huber and Ronchetti 2009.
         """
@@ -584,7 +610,7 @@ class Linearised(LeastSquares):
         return v
 
     def _evaluated(self, v: Array) -> Iterator[_Part]:
-        """Yield the linear residuals at v and their constant Jacobian, by parts."""
+        """Yield the linear residuals at v and their constant Jacobian as parts, in these sigmas."""
         kinds = [find_kind(m.kind) for m in self.sets]
         ratios = np.array(self.of.sigmas) / np.array(self.sigmas)
         for k, r, J in self.of.parts(self.at):
@@ -596,7 +622,7 @@ class Linearised(LeastSquares):
 
 
 def _with_rows(R: Array, J: Array) -> Array:
-    """Return the triangular factor after further rows are appended to those that R represents."""
+    """Return the triangular QR factor of the rows of R followed by those of J, shape (k, size)."""
     return np.asarray(np.linalg.qr(np.concatenate([R, J]) if len(R) else J, mode="r"))
 
 

@@ -33,11 +33,13 @@ from casadical.robot.robot import Robot
 MAX_COMPARED_HARMONIC = 2
 # Highest harmonic of each joint's error in the fit; those not compared only widen the uncertainty.
 MAX_FITTED_HARMONIC = 6
-# Directions of unknown points with a singular value below this share of the largest are dropped.
+# Singular values of the Jacobian by the unknown points below this share of the largest one count as
+# zero: the poses do not determine such a direction of the points.
 MIN_POINT_SINGULAR_SHARE = 1e-9
-# Grid for the joint repeatability divided by the noise of a coordinate [rad/m].
+# Grid of the ratio of a joint's repeatability [rad] to the noise of a measured coordinate [m].
 REPEATABILITY_RATIOS = (0.0, 0.3, 0.5, 0.8, 1.3, 2.0)
-# Up to this number of poses is cached with Jacobians; more are evaluated again each time.
+# Residuals and Jacobians are cached for up to this number of poses; those of larger sets are
+# evaluated again in each pass.
 MAX_CACHED_POSES = 10_000
 # Metres in a millimetre.
 _MM = 1e-3
@@ -51,9 +53,10 @@ class _Rows:
     residuals whose accuracy differs from that of the lengths of the first set are scaled to the
     same noise.
 
-    r : residuals, shape (n, numbers); J : Jacobian by the parameters, (n, numbers, k)
-    Jq : Jacobian by the zero of each revolute joint, (n, numbers, joints) [mm/mrad]
-    U : Jacobian by the unknown points, (n, numbers, 3 points)
+    r : residuals, shape (n, numbers) [mm]
+    J : Jacobian by the parameters in units of their scale, shape (n, numbers, k) [mm]
+    Jq : Jacobian by the zero of each revolute joint, shape (n, numbers, joints) [mm/mrad]
+    U : Jacobian by the coordinates of the unknown points, shape (n, numbers, 3 points) [mm/mm]
     """
 
     r: Array
@@ -63,14 +66,17 @@ class _Rows:
 
 
 class _Poses:
-    """All poses of a fit; few are cached, many are evaluated each time they are iterated over.
+    """Residuals and Jacobians of all poses that an identification used, iterated over in parts.
 
-    q : readings, shape (n, joints); joints : number of revolute joints
+    q : readings, shape (n, joints) [rad or m]; joints : number of revolute joints
     count : number of measured values minus the coordinates of unknown points
     """
 
     def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], kept: int) -> None:
-        """Evaluate the poses of an identification, if there are at most `kept` of them."""
+        """Prepare the poses of an identification, evaluated at once if they are at most `kept`.
+
+        robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
+        """
         self.q = np.concatenate([m.q for m in found.used])
         self.joints = sum(name.startswith("theta") for name in names)
         self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
@@ -86,13 +92,13 @@ class _Poses:
 
 @dataclass(frozen=True, eq=False)
 class NoiseFit:
-    """The fit for one ratio of joint repeatability to the noise of a coordinate, per joint.
+    """Linear fit of all uncertain parameters at a given joint repeatability (a ratio per joint).
 
-    log_likelihood : with the s2 and the variances that fit best
-    sums : normal equations over the whitened poses, at the fitted values
-    s2 : variance of a coordinate that nothing explains, excluding joint repeatability [mm^2]
-    variance : prior variance of each parameter, shape (k,); that of the harmonics is estimated from
-        the residuals
+    log_likelihood : of the residuals at the fitted s2 and prior variances, without a constant
+    sums : normal equations over the whitened poses, at the values of the identification
+    s2 : noise variance of a coordinate, without the part of joint repeatability [mm^2]
+    variance : prior variance of each parameter in units of its scale, shape (k,); that of the
+        harmonics is estimated from the residuals
     """
 
     log_likelihood: float
@@ -103,15 +109,15 @@ class NoiseFit:
 
 @dataclass(frozen=True, eq=False)
 class WideFit:
-    """The fit of all parameters that are not known exactly, and of the harmonics; lengths in mm.
+    """Linear fit of all uncertain parameters and joint harmonics to an identification's residuals.
 
     robot : calibrated, with harmonics of zero size
-    doubts : parameters with their priors; poses : of the fit
-    best : with the most probable of REPEATABILITY_RATIOS, equal for all joints
+    doubts : parameters with their priors; poses : to which they are fitted
+    best : fit with the most probable of REPEATABILITY_RATIOS, equal for all joints
     misfit : factor by which correlated residuals exceed independent noise along the parameters, at
         least 1
-    coordinate_sigma : standard deviation of a coordinate that nothing explains [m]; freedom : its degrees of
-        freedom
+    coordinate_sigma : standard deviation of the residuals of a coordinate [m]
+    freedom : degrees of freedom of `coordinate_sigma`
     """
 
     robot: Robot
@@ -130,14 +136,20 @@ class WideFit:
         return self.poses.joints
 
     def at(self, rhos: tuple[float, ...]) -> NoiseFit:
-        """Return the fit with one ratio of repeatability to coordinate noise per revolute joint."""
+        """Return the fit with joint repeatability `rhos` times the noise of a coordinate.
+
+        rhos : a ratio for each revolute joint [rad/m]; the last fit is cached
+        """
         if rhos not in self._last:
             self._last.clear()
             self._last[rhos] = _fit_at(rhos, self.poses, self.doubts)[0]
         return self._last[rhos]
 
     def log_likelihood(self, rhos: tuple[float, ...]) -> float:
-        """Return the log likelihood with these ratios, starting from the best fit's variances."""
+        """Return the log likelihood (without a constant) of one repeatability ratio per joint.
+
+        rhos : a ratio for each revolute joint [rad/m]; prior variances start at those of `best`
+        """
         if rhos not in self._tried:
             doubts = replace(self.doubts, sigma=np.sqrt(self.best.variance))
             # Four iterations suffice from the variances of another fit.
@@ -146,9 +158,9 @@ class WideFit:
 
 
 def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
-    """Return the fit of all parameters and harmonics to the poses that an identification used.
+    """Return the fit of all uncertain parameters and harmonics to an identification's used poses.
 
-    kept : maximum number of poses whose rows are cached
+    kept : maximum number of poses whose residuals and Jacobians are cached
     Raises InputError for known distances between touched points.
     """
     robot = with_joint_harmonics(found.robot, MAX_FITTED_HARMONIC)
@@ -172,9 +184,11 @@ def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
 
 
 def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterator[_Rows]:
-    """Yield the residuals and Jacobians of some poses at a time.
+    """Yield residuals and Jacobians of the used poses, some at a time, at the identified values.
 
     Where points are unknown, all poses come at once, for several of them may share a point.
+
+    robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
     Raises InputError for known distances between touched points.
     """
     sets = [m.positions_alone() if m.kind == "position_covariance" else m for m in found.used]
@@ -209,9 +223,11 @@ def _rows(found: Identification, robot: Robot, names: tuple[str, ...]) -> Iterat
 
 
 def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
-    """Return residuals and Jacobian with the unknown points projected out.
+    """Return residuals, Jacobian and log of the product of U's singular values, points removed.
 
-    The third value is the log of the product of the points' singular values.
+    Residuals and Jacobian are projected on the complement of the columns of U.
+
+    r, J, U : residuals (n, m), Jacobians by parameters (n, m, k) and by unknown points (n, m, u)
     """
     if not U.shape[2]:
         return r, J, 0.0
@@ -223,14 +239,16 @@ def _without_points(r: Array, J: Array, U: Array) -> tuple[Array, Array, float]:
     return both[:, :, 0], both[:, :, 1:], float(np.log(seen).sum())
 
 
-# Repeatability ratios of the joints, their fit, and its posterior mean.
+# Ratio of repeatability to coordinate noise of each revolute joint [rad/m], the fit with it, and
+# the posterior mean of the parameters in units of their scale, shape (k,).
 _Fit = tuple[tuple[float, ...], NoiseFit, Array]
 
 
 def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
-    """Return the ratio from which no step along REPEATABILITY_RATIOS is more probable, and its fit.
+    """Return ratios, fit and posterior mean at the most probable of REPEATABILITY_RATIOS.
 
-    All joints have the same ratio. Returns ratios, fit and posterior mean.
+    All joints have the same ratio. The search walks along the grid from its middle to the first
+    ratio that is more probable than both neighbours.
     """
     tried: dict[int, _Fit] = {}
     best, at = -1, len(REPEATABILITY_RATIOS) // 2
@@ -246,7 +264,12 @@ def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
 def _fit_at(
     rhos: tuple[float, ...], poses: _Poses, doubts: UncertainParameters, rounds: int = EM_ITERATIONS
 ) -> tuple[NoiseFit, Array]:
-    """Return the fit with noise s2 (I + Jq Jq') and its mean; Jq as in `_normal_equations`."""
+    """Return the fit with noise s2 (I + Jq Jq') and the posterior mean of the parameters (k,).
+
+    Jq is the Jacobian by each joint's zero times its ratio.
+
+    rhos : ratio of each revolute joint [rad/m]; rounds : iterations of expectation maximisation
+    """
     (sums,), spread = _normal_equations(rhos, poses)
     sums = replace(sums, count=poses.count)
     s2, mean, S, variance = posterior_of(sums, doubts, rounds)
@@ -260,14 +283,14 @@ def _fit_at(
 def _normal_equations(
     rhos: tuple[float, ...], poses: _Poses, part: Array | None = None
 ) -> tuple[list[NormalSums], float]:
-    """Return normal equations over the poses, or over each part, and half the log determinant.
+    """Return normal equations of each part of the whitened poses, and a term of the likelihood.
 
-    The poses are whitened.
+    Poses are whitened by the noise I + Jq Jq', with Jq the Jacobian by each joint's zero times its
+    ratio. The term is half the log determinant of that noise, plus the log of the product of the
+    singular values of the unknown points.
 
-    The noise is I + Jq Jq', with Jq the Jacobian by each joint times its ratio. The second value
-    also has the log of the unknown points' singular values.
-
-    part : number of each pose's part, shape (n,)
+    rhos : ratio of each revolute joint [rad/m]; part : number of each pose's part, shape (n,);
+        None: all poses are one part
     """
     sums_of: dict[int, NormalSums] = {}
     spread, done = 0.0, 0
@@ -289,8 +312,9 @@ def _normal_equations(
 def misfit_of(found: Identification) -> float:
     """Return the factor by which an identification's variances are to be multiplied, at least 1.
 
-    It is a mean over the directions of the parameters, each in units of the stated variance; 1
-    where it is not known.
+    It is the harmonic mean, over the directions of the identified parameters, of the variance by
+    the information of `wide_fit` times its misfit, relative to the stated variance. 1 where that
+    fit is impossible.
     """
     try:
         fit = wide_fit(found)
@@ -307,8 +331,12 @@ def misfit_of(found: Identification) -> float:
 def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: float, variance: Array) -> float:
     """Return the factor by which residuals of similar poses exceed independent noise, at least 1.
 
-    The scores J'e over parts of the poses (consecutive ones, or ones with similar readings), with
-    the residuals e of the fit, are compared with what independent noise of variance s2 would give.
+    The scores J'e over parts of the poses, with the residuals e of the fit, are compared with what
+    independent noise of variance s2 would give. The largest factor of all partitions is taken, less
+    two standard deviations of chance.
+
+    of_parts : for each partition of the poses the normal equations of its parts
+    mean, variance : posterior mean and prior variance of the parameters, (k,); s2 : [mm^2]
     """
     whole = reduce(NormalSums.plus, of_parts[0])
     inverse = scaled_inverse(whole.H + s2 * np.diag(1 / variance))
@@ -328,9 +356,11 @@ def _misfit_factor(of_parts: Sequence[Sequence[NormalSums]], mean: Array, s2: fl
 
 
 def _by_region(q: Array) -> Array:
-    """Return a number for each pose's region of joint space, shape (n,).
+    """Return the number (0 to 11) of each pose's region of joint space, shape (n,).
 
-    Regions are twelve cells of equal count along the two directions of largest spread.
+    Regions are cells of about equal count along the two principal directions of the readings.
+
+    q : shape (n, joints) [rad or m]
     """
     centred = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-9)
     along = centred @ np.linalg.svd(centred, full_matrices=False)[2][:2].T

@@ -21,16 +21,17 @@ from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# A direction of the frames is freed of the priors if the readings determine it better by this ratio
-# of variances.
+# Ratio of prior variance to the variance by the measurements above which the priors no longer apply
+# to a direction of the frames.
 MIN_FREED_VARIANCE_RATIO = 100.0
-# For vectors a and t, t @ (a @ _CROSS).reshape(3, 3) is the cross product a x t.
+# Matrix of the cross product, shape (3, 9): for vectors a and t, a x t is
+# t @ (a @ _CROSS).reshape(3, 3).
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).reshape(3, 9)
 
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Flange poses and what was measured of the point at the tool.
+    """Flange poses and the measured positions or distances of the tool point at them.
 
     p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
     seen : measured positions in the measuring frame, shape (n, 3) [m], or distances to known
@@ -44,10 +45,12 @@ class Readings:
     places: Array | None = None
 
     def rows(self, y: Array) -> tuple[Array, Array]:
-        """Return residuals and their directions for tool points at y in the measuring frame.
+        """Return residuals (n, k) [m] for tool points at y, and derivatives by y, (n, k, 3).
 
-        y has shape (n, 3) [m]. Residuals (measured minus computed) have shape (n, k); the
-        directions are the derivatives of the computed values by y, shape (n, k, 3).
+        Residuals are measured minus computed; derivatives are those of the computed values; k is 3
+        for positions and 1 for distances.
+
+        y : in the measuring frame, shape (n, 3) [m]
         """
         if self.places is None:
             return self.seen - y, np.broadcast_to(np.eye(3), (len(y), 3, 3))
@@ -62,7 +65,7 @@ class FrameEstimate:
 
     R, p : base orientation (3, 3) and position (3,) [m] in the measuring frame
     t : tool position in the flange frame, shape (3,) [m]
-    cost : weighted sum of squares, with the priors
+    cost : weighted sum of squared residuals, with the priors; dimensionless
     """
 
     R: Array
@@ -86,9 +89,12 @@ class PlacementProblem:
         self.prior = np.diag(sigma**-2.0)
 
     def determined(self, at: FrameEstimate) -> bool:
-        """Return whether the readings alone determine the base rotation and the tool well.
+        """Return whether the measurements alone determine base rotation and tool position well.
 
-        The errors of a model that is not calibrated yet are taken into account.
+        That is, with a variance MIN_FREED_VARIANCE_RATIO times smaller than the prior's in every
+        direction, with the errors of a model that is not calibrated yet.
+
+        at : estimate at which the problem is linearised
         """
         H = self._sums(at)[0]
         own = [0, 1, 2, *(k for k in (6, 7, 8) if self.prior[k, k] < 1e6)]
@@ -102,7 +108,7 @@ class PlacementProblem:
     def best(self, starts: Sequence[FrameEstimate]) -> FrameEstimate:
         """Return the best local optimum from several starts.
 
-        In directions that the readings determine well, it is freed of the priors.
+        In directions that the measurements determine well, it is refined without the priors.
         """
         lowest = best_of((self._refined(start, self.prior) for start in starts), lambda placed: -placed.cost)
         H, unit = self._sums(lowest)[0], np.diag(self.prior) ** -0.5
@@ -111,9 +117,10 @@ class PlacementProblem:
         return self._refined(lowest, kept)
 
     def starts(self) -> list[FrameEstimate]:
-        """Return starts: the base as in the file, and rotated by right angles about its axes.
+        """Return initial estimates: the file's frames, and the base rotated by right angles.
 
-        The rotated ones map the mean flange position to the mean measured position.
+        With a rotated base, the mean flange position is at the mean of the measured positions (or
+        of the places to which distances were measured). The tool is the file's.
         """
         turns = {tuple(np.round(from_xyz(np.array(a) * np.pi / 2), 6).ravel()) for a in product(range(4), repeat=3)}
         seen = [r.places if r.places is not None else r.seen for r in self.readings]
@@ -126,7 +133,7 @@ class PlacementProblem:
         return places
 
     def _off(self, at: FrameEstimate) -> Array:
-        """Return rotation [rad], shift [m] and tool [m] relative to the robot file, shape (9,)."""
+        """Return base rotation [rad], shift [m] and tool [m] relative to the file's, shape (9,)."""
         turn = to_xyz(at.R @ self.base[:3, :3].T)
         return np.concatenate([turn, at.p - self.base[:3, 3], at.t - self.tool])
 
@@ -134,7 +141,9 @@ class PlacementProblem:
         """Return normal matrix (9, 9), right side (9,) and sum of squares, without the priors.
 
         The variables are a small rotation in the measuring frame [rad], a shift [m] and the tool
-        [m].
+        [m]. Residuals are in units of 3 mm; more than 30 poses have the weight of 30.
+
+        at : estimate at which the problem is linearised
         """
         H, g, square = np.zeros((9, 9)), np.zeros(9), 0.0
         total = sum(len(r.p) for r in self.readings)
@@ -151,14 +160,17 @@ class PlacementProblem:
         return H, g, square
 
     def _refined(self, start: FrameEstimate, prior: Array) -> FrameEstimate:
-        """Return the local optimum that the Levenberg-Marquardt method finds from a start."""
+        """Return the local optimum that the Levenberg-Marquardt method finds from a start.
+
+        prior : precision matrix about the file's frames, shape (9, 9), variables as of `_sums`
+        """
 
         def placed(x: Array, cost: float = np.inf) -> FrameEstimate:
-            """Return the estimate with the variables x, shape (15,)."""
+            """Return the estimate with R (9), p (3) and t (3) in x, shape (15,), and this cost."""
             return FrameEstimate(x[:9].reshape(3, 3), x[9:12], x[12:], cost)
 
         def evaluate(x: Array) -> Evaluated:
-            """Return the cost at x, and a function for the normal equations there."""
+            """Return the cost at x, shape (1, 15), and a function of its normal equations."""
             at = placed(x[0])
             (H, g, square), off = self._sums(at), self._off(at)
             return np.array([square + float(off @ prior @ off)]), lambda better: (
@@ -167,7 +179,7 @@ class PlacementProblem:
             )
 
         def move(x: Array, step: Array) -> Array:
-            """Return frames x after a step: a rotation in the measuring frame, and shifts."""
+            """Return x (1, 15) after a step (1, 9): rotation in the measuring frame, shifts."""
             turned = nearest_rotation(from_xyz(step[0, :3]) @ x[0, :9].reshape(3, 3))
             return np.concatenate([turned.ravel(), x[0, 9:] + step[0, 3:]])[None]
 
@@ -176,13 +188,13 @@ class PlacementProblem:
         return placed(best[0], float(cost[0]))
 
 
-# Initial frames are computed from at most this number of poses, to save time. They are drawn at
+# Maximum number of poses from which initial frames are computed, to save time. They are drawn at
 # random, because on a measured grid every k-th pose may be similar.
 MAX_START_POSES = 200
-# Fewer measured values than this leave the frames as the robot file has them, and fewer poses do
-# not determine them without a prior.
+# Minimum number of measured values from which initial frames are computed, and of poses that
+# determine them without the robot file as prior.
 MIN_START_READINGS = 6
-# Names of the tool's position parameters.
+# Names of the parameters of the tool's position in the flange frame.
 TOOL_POSITION_NAMES = ("tool_x", "tool_y", "tool_z")
 
 
@@ -229,12 +241,14 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
 def _placed(
     p: Array, R: Array, y: Array, known: Array | None, T_M0: Array, t: Array, robot: Robot
 ) -> tuple[Array, Array]:
-    """Return base frame and tool from measured positions y, shape (n, 3) [m].
+    """Return base frame T_M0 (4, 4) and tool position (3,) [m] that fit measured positions.
 
     Where these do not determine them, the robot file is a prior.
 
-    p, R : of the flange in the base frame; known : fixed tool position, None if unknown; T_M0, t :
-        initial frames
+    p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
+    y : measured positions in the measuring frame, shape (n, 3) [m]
+    known : fixed tool position in the flange frame, shape (3,) [m]; None: it is found
+    T_M0, t : initial base frame (4, 4) and tool position (3,) [m]
     """
     file = robot.tool.T[:3, 3]
     held = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
@@ -251,7 +265,11 @@ def _placed(
 
 
 def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with base and tool from distances to known points, for a single tool."""
+    """Return the robot with base and tool frames that fit distances to known points.
+
+    Without such distances the tool is fitted to unknown places (`_by_unknown_places`). Robots with
+    several tools, and with fewer than MIN_START_READINGS distances, are returned unchanged.
+    """
     known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
     if robot.targets or sum(map(len, known or sets)) < MIN_START_READINGS:
         return robot
@@ -271,7 +289,7 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 
 
 def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with the tool that fits distances or contacts at unknown places.
+    """Return the robot with the tool position that fits distances or contacts at unknown places.
 
     The rest of the robot stays nominal. A tool point on the last axis, as in a file without a tool,
     is no start: there parameters are confounded or without effect that a point off the axis
@@ -290,7 +308,10 @@ def _by_unknown_places(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 
 
 def _with_targets(robot: Robot, m: Measurements) -> Robot:
-    """Return the robot with base and tools placed, for a robot with several tool points."""
+    """Return the robot with base and all tool points fitted to measured positions.
+
+    The base is placed by the tool point that was measured most, the others given that base.
+    """
     assert m.position is not None
     logged = m.condition_matrix([t.column for t in robot.targets], np.zeros(len(robot.targets)))
     at = np.where(logged.any(axis=1), 1 + np.argmax(logged, axis=1), 0)
@@ -327,9 +348,9 @@ def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
 
 
 def rigid(robot: Robot) -> Robot:
-    """Return the robot with rigid joints and unknown base and tool, to find gross mistakes.
+    """Return the robot with rigid joints, unknown base pose and unknown tool position.
 
-    Deflections are millimetres, mistakes decimetres.
+    It serves to find gross mistakes: deflections are millimetres, mistakes decimetres.
     """
     rigid = tuple(replace(j, compliance=None) for j in robot.joints)
     base, tool = replace(robot.base, unknown="pose"), replace(robot.tool, unknown="position")
@@ -337,7 +358,7 @@ def rigid(robot: Robot) -> Robot:
 
 
 def median_error(robot: Robot, m: Measurements) -> float:
-    """Return the median error after base and tool are placed [m].
+    """Return the median error [m] over the poses after base and tool are fitted to them.
 
     It is infinite where the model cannot be evaluated.
     """
@@ -358,7 +379,7 @@ def solve_placement(
 ) -> tuple[Array, Array]:
     """Return base frame T_M0 (4, 4) and tool t, shape (3,) [m], from positions in closed form.
 
-    What the poses do not determine stays as in the given frames.
+    What the poses do not determine stays as in the initial frames T_M0, t.
 
     p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
     y : measured positions in the measuring frame, shape (n, 3) [m]
@@ -400,9 +421,10 @@ def solve_placement(
 
 
 def _seen_inverse(G: Array) -> Array:
-    """Return the pseudoinverse of a normal matrix in the directions that it determines.
+    """Return the pseudoinverse of a normal matrix G, shape (k, k), in the directions it determines.
 
-    A solution stays as it was in the others.
+    Directions whose singular value is below a thousandth of the largest get zero: a step computed
+    with it does not move along them.
     """
     values, V = np.linalg.eigh(G)
     # Singular values below this share of the largest are noise.

@@ -16,13 +16,16 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
-# A table is checked for a change of unit in this number of parts, in the order of its rows.
+# Number of parts, consecutive in the order of rows, in which a table is checked for another unit.
 UNIT_CHECK_PARTS = 5
-# Minimum number of poses in a part, and for a check of the orientations' frame.
+# Minimum number of poses in a part that is checked for another unit, and for the check whether
+# orientations and positions are in one frame.
 MIN_POSES_PER_PART = 6
-# A part is checked only if the model moves in it by this share of the reach.
+# Minimum extent of the computed positions in a part, as a share of the robot's reach, with which
+# the part is checked for another unit.
 MIN_MOVEMENT_OF_REACH = 0.3
-# Maximum median error of orientations [rad] after base and tool are rotated to fit.
+# Maximum median error of orientations [rad], after base and tool are rotated to fit, with which
+# measurements are accepted.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
 # Median error of orientations [rad] with the given tool up to which the tool is not questioned.
 MAX_GIVEN_TOOL_ERROR_RAD = np.deg2rad(1.0)
@@ -32,13 +35,13 @@ MAX_ORIENTATION_ERROR_RATIO = 3.0
 # Maximum median error of orientations [rad] with the base as positions determine it; above, they
 # are of another frame than the positions.
 MAX_FRAME_ERROR_RAD = np.deg2rad(2.0)
-# Orientations are compared at no more than this number of poses.
+# Maximum number of poses at which measured and computed orientations are compared.
 MAX_POSES_COMPARED = 200
-# Iterations in which poses with large errors are excluded.
+# Number of iterations of a fit of frames in which poses with large errors are excluded.
 EXCLUSION_ROUNDS = 3
 # Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
 LIMIT_ALLOWANCE = 2e-3
-# Maximum payload as a multiple of the mass of the arm's links.
+# Maximum logged payload as a multiple of the mass of the arm's links.
 MAX_PAYLOAD_OF_ARM_MASS = 10.0
 
 
@@ -63,7 +66,7 @@ def check_against(robot: Robot, *sets: Measurements) -> None:
 def refuse_undefined(robot: Robot, m: Measurements) -> None:
     """Refuse readings at which a robot with effects has no finite position, such as a zero divisor.
 
-    Raises InputError with the row.
+    Readings at the second pose of a distance are tested, too. Raises InputError with the row.
     """
     for k in range(0, len(m) if robot.effects else 0, MAX_CACHED_DATA_POSES):
         some = m[k : k + MAX_CACHED_DATA_POSES]
@@ -74,7 +77,7 @@ def refuse_undefined(robot: Robot, m: Measurements) -> None:
 
 
 def undefined(robot: Robot, m: Measurements, bad: Array) -> InputError:
-    """Return the error for rows at which the robot's model is not finite.
+    """Return the InputError (not raised) for rows at which the robot's model is not finite.
 
     bad : mask of these rows, shape (n,)
     """
@@ -147,9 +150,9 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
 
 
 def fault_of_orientations(robot: Robot, m: Measurements) -> str:
-    """Return why the measured orientations are impossible for the robot, and a remedy.
+    """Return why the measured orientations do not fit the nominal robot, with a remedy, as text.
 
-    The text is empty where they are possible, or none were measured.
+    The text is empty where they fit, or none were measured.
     """
     if m.orientation is None:
         return ""
@@ -183,9 +186,10 @@ def fault_of_orientations(robot: Robot, m: Measurements) -> str:
 
 
 def frame_error(robot: Robot, m: Measurements) -> float:
-    """Return the error of orientations [rad] with the base as the positions determine it.
+    """Return the median error of orientations [rad] if they are of another frame than positions.
 
-    Zero means that positions and orientations are in one frame.
+    The base is placed by the positions alone. Zero means that both are in one frame, or that the
+    data do not show it.
     """
     free = replace(robot, tool=replace(robot.tool, unknown="pose"))
     if robot.base.unknown != "pose" or m.position is None or len(m) < MIN_POSES_PER_PART:
@@ -204,9 +208,9 @@ def frame_error(robot: Robot, m: Measurements) -> float:
 
 
 def orientation_error(robot: Robot, m: Measurements) -> float:
-    """Return the median angle [rad] between measured and computed orientations.
+    """Return the median angle [rad] between measured and computed orientations over the poses.
 
-    Unknown base and tool orientations are rotated to fit.
+    Base and tool are rotated to fit where their orientation is unknown (`unknown` = "pose").
     """
     assert m.orientation is not None
     some = m[np.linspace(0, len(m) - 1, min(len(m), MAX_POSES_COMPARED)).astype(int)]
@@ -234,9 +238,9 @@ def orientation_error(robot: Robot, m: Measurements) -> float:
 
 
 def _refuse_another_unit_midway(robot: Robot, m: Measurements, some: Measurements, p: Array) -> None:
-    """Raise InputError where part of the rows is in another unit.
+    """Raise InputError where consecutive rows of a table are in another unit than the others.
 
-    some : a sample of the poses; p : their positions by the model, shape (n, 3) [m]
+    some : a sample of the poses m; p : its positions by the model, shape (n, 3) [m]
     """
     by_row = _by_row(some)
     parts, said = [], ""
@@ -260,18 +264,21 @@ def _by_row(m: Measurements) -> Array:
 
 
 def _unit_fault(robot: Robot, m: Measurements, p: Array, which: Array | slice = slice(None)) -> str:
-    """Return what is wrong with the unit of some of the poses; empty if nothing is.
+    """Return a sentence on the wrong unit of measured lengths; empty if it seems right.
 
-    p : positions of the model, shape (n, 3) [m]
+    p : positions of the poses m by the model, shape (n, 3) [m]
+    which : indices of the poses that are judged together, all by default
     """
     arrays = {name: values[which] for name, values in m.arrays.items()}
     return find_kind(m.kind).unit_fault(arrays, p[which], lambda q: positions_at(robot, m[which])(q), robot.reach)
 
 
 def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Return first and last row of each run of rows in another unit.
+    """Return first and last row number of each run of rows in another unit.
 
     Each run is grown row by row from a part in which the fault was found.
+
+    parts : first and last row number of these parts
     """
     by_row, (p, _) = _by_row(m), predicted(robot, m)
     rows = m.row[by_row]
@@ -281,7 +288,10 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def beside(k: int, few: Array = few) -> bool:
-            """Return whether row k is in another unit, too, like those of the part."""
+            """Return whether the k-th pose by row is in another unit, too, like those of the part.
+
+            few : places of sample poses of the part, in the order of rows
+            """
             # The row is repeated to outweigh the others, for faults that a median shows.
             which = by_row[[*few, *[k] * (len(few) + 1)]]
             return bool(_unit_fault(robot, m, p, which))
@@ -295,9 +305,10 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
 
 
 def least_margins(robot: Robot, m: Measurements) -> Array:
-    """Return the smallest margin of the robot's four-bars at each pose, shape (n,).
+    """Return the smallest margin of the robot's four-bars at each pose, shape (n,), at most 1.
 
-    1 is a square one; below 0 it cannot close.
+    It is the squared sine between rocker and diagonal (`fourbar.margin`): 1 where they are
+    perpendicular, negative where a four-bar cannot close, 0 also where it is undefined.
     """
     w = m.condition_matrix(robot.conditions, robot.declared)
     (margin,) = robot.model.evaluate(("margin",), m.q, w, robot.parameters.values)

@@ -18,18 +18,19 @@ from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
 
-# Longer file names [characters] are shortened in an axis title, so that a phone shows them.
+# Maximum length of a file's name in an axis title [characters]; longer ones are shortened, so that
+# a phone shows them.
 MAX_FILE_NAME_LENGTH = 26
-# Set of poses -> its title.
+# Name of a set of poses -> its title in figures.
 SET_TITLES = {
     "report": "Held-out poses",
     "identify": "Poses that identified",
     "train": "Poses networks learnt",
     "choose": "Poses that judged networks",
 }
-# Colour, symbol and dash of a model.
+# Colour, symbol and dash with which figures draw a model.
 Style = tuple[str, str, str]
-# Style of each model; models in one figure do not differ by colour alone.
+# Name of a model -> its style; models in one figure do not differ by colour alone.
 MODEL_STYLES: dict[str, Style] = {
     "before": ("grey", "x-thin-open", "dot"),
     "KM": ("orange", "square", "dash"),
@@ -47,8 +48,8 @@ class ModelErrors:
     length : size of the error at each pose [m], shape (n,)
     vector : measured minus computed position in the measuring frame [m], shape (n, 3); None without
         positions
-    note : what a reader must know of this model ("refused")
-    shown : whether it is drawn initially, or only on request
+    note : remark on this model in the legend, such as "refused"; empty: none
+    shown : whether it is drawn initially, or only when a reader selects it
     network : style of a network; None for other models
     """
 
@@ -61,7 +62,7 @@ class ModelErrors:
 
     @property
     def words(self) -> str:
-        """The model's entry in a legend."""
+        """The model's entry in a legend: its name, and its note if it has one."""
         return f"{self.model}, {self.note}" if self.note else self.model
 
     @property
@@ -96,12 +97,12 @@ class PoseErrors:
 
     @property
     def words(self) -> str:
-        """The title of the set of poses."""
+        """The title of the set of poses in figures."""
         name, *more = self.name.split("/")
         return SET_TITLES.get(name, name) + (f" ({', '.join(more)})" if more else "")
 
     def thinned(self, most: int) -> PoseErrors:
-        """Return the set with at most so many poses, evenly spaced in their order."""
+        """Return the set with at most `most` poses, evenly spaced in their order."""
         if len(self) <= most:
             return self
         k = np.linspace(0, len(self) - 1, most).round().astype(int)
@@ -161,7 +162,10 @@ def errors_by_pose(poses: PoseErrors, name: str = "errors", caption: str = "", f
 
 
 def _points(some: PoseErrors, model: ModelErrors, low: float, top: float, size: float) -> Series:
-    """Return one model's errors by row as points; errors beyond the axis are triangles."""
+    """Return one model's errors [mm] by row as points; errors above the axis are triangles.
+
+    low, top : ends of the error axis [m], to which errors are clipped; size : of a symbol [px]
+    """
     colour, symbol, _ = model.style
     far = model.length > top
     return Series(
@@ -179,7 +183,7 @@ def _points(some: PoseErrors, model: ModelErrors, low: float, top: float, size: 
 
 
 def _few(rows: Sequence[int], most: int = 4) -> str:
-    """Return the first rows as text, with the number of the others."""
+    """Return the first `most` row numbers as text, followed by the number of the others."""
     return ", ".join(map(str, rows[:most])) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
@@ -193,6 +197,8 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
     """Return lower and upper end of the error axis [m], and whether it is logarithmic.
 
     A few large errors do not extend the axis.
+
+    lengths : errors of each model, shape (n,) each [m]
     """
     medians = [float(np.median(length)) for length in lengths]
     # The axis is logarithmic if the medians of two models differ by more than this factor.
@@ -205,7 +211,7 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
-    """Return the figure of the share of poses [%] with an error below x [mm]."""
+    """Return the figure of each model's share of poses [%] with an error below x [mm]."""
     share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(
@@ -238,8 +244,8 @@ def error_distribution(poses: PoseErrors, name: str = "distribution", caption: s
 def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") -> Figure:
     """Return the 3D figure of the measured points with each model's error vectors.
 
-    Each model's vectors are enlarged by its own factor, which the legend states. Measured positions
-    are required.
+    Points and vectors are in the measuring frame [m]. Each model's vectors are enlarged by its own
+    factor, which the legend states. Measured positions are required.
 
     robot : drawn as a skeleton at one of the poses; None: not drawn
     """
@@ -271,7 +277,10 @@ def round_factor(factor: float) -> float:
 
 
 def _vectors(poses: PoseErrors, model: ModelErrors, factor: float, shown: bool) -> list[Series]:
-    """Return a line for each pose from the measured point along its error, and the line's end."""
+    """Return a model's error vectors as two series: lines from the measured points, and their ends.
+
+    factor : by which the vectors are enlarged; shown : whether they are drawn initially
+    """
     assert poses.position is not None
     assert model.vector is not None
     tip = poses.position + factor * model.vector
@@ -295,11 +304,11 @@ def _vectors(poses: PoseErrors, model: ModelErrors, factor: float, shown: bool) 
 
 
 def skeleton(robot: Robot, q: Array) -> Array:
-    """Return the origins of base, links and tool in the measuring frame at a reading.
+    """Return the origins of base, links and tool in the measuring frame, (joints + 2, 3) [m].
 
-    The shape is (joints + 2, 3) [m]. Links are rigid; the tool is the model's.
+    Links are without deflections and effects; the tool is the model's, with both.
 
-    q : shape (joints,) [rad or m]
+    q : readings of one pose, shape (joints,) [rad or m]
     """
     values = {p.name: ca.DM(p.value) for p in robot.parameters}
     T = np.array(ca.DM(base_frame(robot, values, ca.DM(robot.base.T))))
@@ -310,5 +319,5 @@ def skeleton(robot: Robot, q: Array) -> Array:
 
 
 def _xyz(points: Array) -> dict[str, Any]:
-    """Return points, shape (n, 3), as the coordinates of a series."""
+    """Return the coordinates of points, shape (n, 3) [m], by the keys x, y, z, each shape (n,)."""
     return dict(zip("xyz", np.round(points, 6).T, strict=True))

@@ -29,24 +29,25 @@ from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import FRAME_GROUPS, LeastSquares
 from casadical.robot.robot import Covariance, Robot
 
-# A size is an unknown factor on prior widths. These are the prior standard deviations of its
-# logarithm, for the arm and for base and tool.
+# Prior standard deviations of the logarithm of the unknown factor on prior widths ("size"): that of
+# the arm's parameters, and that of base and tool.
 SIZE_LOG_SIGMAS = (1.0, 1.5)
-# Largest factor on prior widths of the grid, which starts at its inverse.
+# Largest factor on prior widths that is evaluated; the smallest one is its inverse.
 MAX_SIZE = 50.0
-# Number of factors on prior widths of the grid, in geometric progression.
+# Number of factors on prior widths that are evaluated, in geometric progression.
 SIZE_GRID_POINTS = 61
 
 
 def covariance_of_all(
     problem: LeastSquares, v: Array, variance: float, given: Robot
 ) -> tuple[LeastSquares, Array, Array]:
-    """Return problem, departures and covariance [SI] of all parameters that are not known exactly.
+    """Return problem, departures (k,) and covariance (k, k) [SI] of all uncertain parameters.
 
-    The problem is the solved one with their names, the departures are from nominal in units of
+    These are all k parameters that are not known exactly, identified or not. The problem is the
+    solved one with their names, which give the order; departures are from nominal in units of
     scale.
 
-    problem : as it was solved; v : its optimum; variance : of a residual in units of sigma
+    problem : as it was solved; v : its optimum; variance : of a residual in units of sigma squared
     given : the robot as its file has it, with base and tool where they were assumed to be
     """
     solved = ~problem.at_bounds(v)
@@ -73,9 +74,14 @@ def covariance_of_all(
 
 
 def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: Robot) -> Array:
-    """Return the rms departure that the data suggest for each variable, in units of its own prior.
+    """Return the factor on each variable's prior width that the data suggest, shape as v.
 
-    One where a prior from elsewhere applies. The shape is that of v.
+    It is the root of the posterior mean square of the unknown size: one value for all arm
+    parameters, another for base and tool. It is 1 where a covariance from another campaign applies,
+    for effects, and for unknown points.
+
+    whole : problem with all uncertain parameters; v : its variables at the optimum
+    variance : of a residual in units of sigma squared; given : the robot as its file has it
     """
     own = [whole.robot.parameters[n] for n in whole.names]
     effects = {p.name for e in whole.robot.effects for p in e.parameters()}
@@ -112,9 +118,13 @@ def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: R
 
 
 def _data_information(whole: LeastSquares, v: Array, variance: float, unit: Array) -> tuple[Array, Array]:
-    """Return the data's information matrix of all variables, and its product with their estimate.
+    """Return the data's information matrix M (size, size), and M times the estimate, (size,).
 
-    Both are without the priors, with the variables in the given units.
+    Both are without the priors, of all variables in units of `unit`.
+
+    v : variables at which the problem is linearised; variance : of a residual in units of sigma
+        squared
+    unit : of each variable, as a multiple of the problem's own unit, shape (size,)
     """
     g, H = whole.gradient(v)
     product = (H @ v - g - whole.prior_matrix @ whole.prior_mean) * unit / variance

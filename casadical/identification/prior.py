@@ -23,8 +23,8 @@ from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Covariance, Knowledge, Robot
 
-# Factor on the variances: they come from the scatter within one campaign, which does not contain
-# the differences between campaigns.
+# Factor on the variances of a prior from another campaign: they come from the scatter within that
+# campaign, which does not contain the differences between campaigns.
 PRIOR_VARIANCE_FACTOR = 1.5
 # Standard deviation of a parameter's change between campaigns, as a share of its scale (of
 # geometry: 1 mm or 1 mrad).
@@ -46,14 +46,14 @@ def probability_of_change(log_odds: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Prior(Shown):
-    """The prior of parameters that are known from elsewhere.
+    """The prior of parameters from another campaign of the robot, or from robots of its type.
 
-    free : names of all its parameters, which an identification frees
+    free : names of all its parameters, which are to be identified
     means : name -> (mean, one sigma) [SI]
-    known : names and covariances [SI] of the correlated ones
-    labels : of the effects that were carried over
-    knowledge : of the campaign that they come from
-    frozen : whether they are fixed at their values (then free, means and known are empty)
+    known : names and covariance [SI] of each group of correlated parameters
+    labels : of the effects that were taken over
+    knowledge : covariance and ranges of validity of the robot file that they come from
+    frozen : whether the parameters are fixed at their values (then free, means and known are empty)
     """
 
     line: ClassVar[str] = (
@@ -76,9 +76,9 @@ class Prior(Shown):
     frozen: bool = False
 
     def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
-        """Return the prior with mean zero and no correlation for some of its parameters.
+        """Return the prior with mean zero and no correlation for some parameters.
 
-        wide : name -> one sigma [SI]
+        wide : names of these parameters -> new standard deviation [SI]
         """
         rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.known)
         known = (
@@ -89,9 +89,9 @@ class Prior(Shown):
         return replace(self, means=means, known=tuple(block for block in known if block[0]))
 
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
-        """Return the share of poses outside of the range on which the values were learnt.
+        """Return the share of poses (0 to 1) outside of each range on which the prior was learnt.
 
-        The keys are joints (q1) and logged columns.
+        The keys are joints ("q1", ...) and logged columns.
         """
         of = {f"q{j}": (ends, [m.q[:, j - 1] for m in sets]) for j, ends in enumerate(self.knowledge.readings, 1)}
         for name, ends in self.knowledge.conditions.items():
@@ -100,7 +100,10 @@ class Prior(Shown):
         return {name: float(np.mean((x < low) | (x > high))) for name, ((low, high), x) in columns.items()}
 
     def refuse_uncovered(self, sets: Sequence[Measurements]) -> None:
-        """Refuse frozen values outside of the range that they cover. Raises InputError."""
+        """Refuse frozen values where a pose is outside of the ranges on which they were learnt.
+
+        Raises InputError, also for a prior without ranges.
+        """
         if not len(self.knowledge.readings):
             raise InputError(
                 "frozen: the prior's file does not say on which readings it was learnt ([learnt.readings]); use it as "
@@ -125,7 +128,7 @@ class Prior(Shown):
         return all(np.abs(q[:, j] - end).min() < 1e-9 for j, ends in enumerate(theirs) for end in ends)
 
     def in_words(self, sets: Sequence[Measurements]) -> str:
-        """Return sentences on what was carried over, its use, and whether its ranges apply."""
+        """Return sentences on what was taken over, how, and whether the poses are in its ranges."""
         what = ", ".join(self.labels) or "geometry and compliance"
         source = f"Prior from {self.knowledge.campaign or 'another campaign'}: {what}"
         if self.learnt_from(sets):
@@ -148,20 +151,27 @@ class Prior(Shown):
         return text + (covered if len(self.knowledge.readings) else "")
 
     def to_json(self, sets: Sequence[Measurements]) -> dict[str, Any]:
-        """Return the prior as plain data, with the shares of poses outside of its ranges."""
+        """Return the prior for JSON, with the shares of poses outside of its ranges.
+
+        The keys are campaign, effects, parameters (their number), frozen, same_data (whether it
+        was learnt from these sets) and uncovered (name -> share).
+        """
         uncovered = {name: round(share, 4) for name, share in self.uncovered(sets).items()}
         return {**plain(self), "same_data": self.learnt_from(sets), "uncovered": uncovered}
 
 
 def _shares_in_words(uncovered: Mapping[str, float]) -> str:
-    """Return the shares of uncovered poses as text."""
+    """Return the positive shares of uncovered poses as text in %; empty if all are zero.
+
+    uncovered : joint or logged column -> share, 0 to 1
+    """
     return ", ".join(f"{name} {100 * share:.3g} %" for name, share in uncovered.items() if share > 0)
 
 
 def carry_over(
     robot: Robot, other: Robot, parts: Collection[str] = ("effects",), *, frozen: bool = False
 ) -> tuple[Robot, Prior]:
-    """Return the robot with another campaign's results in its model, and these as a prior.
+    """Return the robot with another campaign's effects and values, and these values as a prior.
 
     other : the same robot as it was identified then, with effects or covariances
     parts : "effects" (those that do not depend on time or warm-up), names or labels of single
@@ -202,10 +212,11 @@ def carry_over(
 
 
 def _widened_covariance(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
-    """Return the covariance with which the next campaign starts.
+    """Return the prior covariance of a campaign from that of an earlier one, shape (k, k) [SI].
 
-    block : of the last one; sizes : scale of each parameter [SI]; times : factor on the variances;
-        share : of the scale, the standard deviation of a change
+    block : of the earlier one; sizes : scale of each parameter [SI]; times : factor on it
+    share : standard deviation of a change in between, as a share of each parameter's scale
+    Raises InputError for a variance of zero.
     """
     variances = np.diag(block.matrix)
     if not (variances > 0).all():
@@ -216,7 +227,10 @@ def _widened_covariance(block: Covariance, sizes: Mapping[str, float], times: fl
 
 
 def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
-    """Return the effects that were asked for. Raises InputError."""
+    """Return the effects of the other robot that `parts` names, in its order.
+
+    parts : as of `carry_over`. Raises InputError for an unknown name, and where there is none.
+    """
     lasting = [e for e in other.effects if not any(c.startswith(("progress", "warmth")) for c in e.conditions)]
     effects = lasting if {"effects", "all"} & set(parts) else []
     for word in parts:
@@ -236,10 +250,11 @@ def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:
 
 
 def refuse_another(robot: Robot, other: Robot, what: str) -> None:
-    """Refuse another robot, which cannot be the same one in the same convention and units.
+    """Refuse another robot that cannot be the same one in the same convention and units.
 
     what : word for the other one in messages
-    Raises InputError.
+    Raises InputError unless number and kinds of joints are equal, and the geometry agrees within
+    the parameters' bounds.
     """
     if other.n != robot.n:
         raise InputError(
@@ -266,6 +281,6 @@ def refuse_another(robot: Robot, other: Robot, what: str) -> None:
 
 
 def _difference(p: Parameter, value: float) -> float:
-    """Return another value minus a parameter's; for angles without whole turns."""
+    """Return a value minus that of a parameter [SI]; for angles without whole turns [rad]."""
     apart = value - p.value
     return float((apart + np.pi) % (2 * np.pi) - np.pi) if p.unit == "rad" else apart

@@ -26,30 +26,38 @@ from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
 from casadical.measurements.kinds.registry import find_kind
 
-# The reduced problem, its solution, and which parameters are identifiable.
+# The problem reduced to its identifiable parameters, its solution, and the verdict on each
+# parameter.
 Solved = tuple[LeastSquares, Solution, Identifiability]
-# (names of parameters, names of points) -> optimum of an earlier problem with these variables.
+# (names of parameters, names of points) -> optimum v of an earlier problem with these variables,
+# from which later solves start.
 Optima = dict[tuple[tuple[str, ...], tuple[str, ...]], Array]
 
-# Probability that noise alone makes a pose an outlier.
+# Probability that noise alone makes a given pose an outlier (significance level of the test).
 OUTLIER_PROBABILITY = 1e-5
-# Lower limit of a redundancy number by which residuals are normalised.
+# Lower limit of the redundancy number (one minus leverage) by which a residual is normalised.
 MIN_REDUNDANCY = 0.1
-# With a correlated prior that explains nearly all, fewer degrees of freedom do not determine the
-# noise.
+# Minimum number of degrees of freedom from which the noise is estimated; a correlated prior may
+# explain nearly all residuals and leave fewer.
 MIN_NOISE_FREEDOM = 10.0
-# Maximum number of rounds in which outliers are left out.
+# Maximum number of rounds in which outliers are left out and the problem is solved again.
 MAX_OUTLIER_ROUNDS = 8
-# Maximum number of rounds in which sigmas are estimated.
+# Maximum number of rounds in which the noise sigmas are estimated and the problem is solved again.
 MAX_SIGMA_ROUNDS = 6
-# Sigmas have converged if their logarithms change by less.
+# Noise sigmas have converged if the logarithm of none changes by more than this in a round.
 SIGMA_LOG_TOLERANCE = 0.03
-# Lower limit of a sigma [m or rad], for data without noise.
+# Lower limit of an estimated or declared noise sigma [m or rad], for data without noise.
 MIN_SIGMA = 1e-9
 
 
 def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima: Optima) -> Solved:
-    """Solve; estimate noise sigmas that matter and were not declared, and solve again."""
+    """Reduce and solve a problem, with noise sigmas estimated in turns where they matter.
+
+    Sigmas matter with a robust loss, priors, or numbers of several accuracies; those that the
+    measurements declare are used as declared. Returns as `reduce_and_solve`.
+
+    optima : start points by variables, to which the optima found here are added
+    """
     first = problem.sets[0]
     several = len(problem.sets) > 1 or find_kind(first.kind).angles > 0 or bool(first.separations)
     matters = problem.loss != "linear" or problem.priors or several or problem.guesses.any()
@@ -66,12 +74,12 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
 
 
 def _largest_log_change(before: Sequence[tuple[float, float]], now: Sequence[tuple[float, float]]) -> float:
-    """Return the largest change of a logarithm of a sigma."""
+    """Return the largest absolute change of ln(sigma) between two lists of sigmas [m, rad]."""
     return float(np.abs(np.log(np.array(now) / np.array(before))).max())
 
 
 def _residuals_with_redundancies(problem: LeastSquares, solution: Solution) -> list[tuple[Array, Array]]:
-    """Return residuals and redundancy numbers of each set, both of shape (n, m)."""
+    """Return residuals [sigma] and redundancy numbers (0 to 1) of each set, both shape (n, m)."""
     residuals = problem.residuals(solution.v)
     edges = np.cumsum([r.size for r in residuals])
     shares = np.split(redundancies(problem, solution.v), edges)
@@ -79,8 +87,9 @@ def _residuals_with_redundancies(problem: LeastSquares, solution: Solution) -> l
 
 
 def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[float, float], ...]:
-    """Return the sigmas of each set, declared or from residuals and their redundancies.
+    """Return the noise sigmas of each set, of a coordinate [m] and of an angle [rad].
 
+    They are the declared ones, or follow from residuals and their redundancies.
     Source: variance component estimation, Foerstner 1979.
     """
     if all(m.sigma and (m.sigma_angle or not find_kind(m.kind).angles) for m in problem.sets):
@@ -103,9 +112,12 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
 
 
 def _deviation(problem: LeastSquares, r: Array, freedom: Array) -> float:
-    """Return the standard deviation of residuals with these redundancy numbers.
+    """Return the factor on the sigmas at which these residuals have the variance that is expected.
 
-    It is robust with a robust loss.
+    It is the rms residual over the root of the mean redundancy; with a robust loss of the problem a
+    robust scatter takes the place of the rms.
+
+    r, freedom : residuals [sigma] and their redundancy numbers, equal shapes
     """
     square = robust_std(r) ** 2 if problem.loss != "linear" else float(np.mean(r**2))
     return float(np.sqrt(square / max(float(np.mean(freedom)), 1 / r.size)))
@@ -118,9 +130,9 @@ def solve_without_outliers(
 
     Several rounds are needed because outliers enlarge the scatter by which they are judged. A pose
     that the last solution explains after all, because others distorted an earlier one, is taken
-    back. Returns the solution and the outliers as (set, pose) indices.
+    back. Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
 
-    rounds : maximum number of rounds
+    rounds : maximum number of rounds; 0 leaves out no pose
     """
     optima: Optima = {}
     solved = _solve_with_sigmas(problem, progress, optima)
@@ -151,7 +163,9 @@ def solve_by_auto(
 ) -> tuple[Solved, tuple[tuple[int, int], ...]]:
     """Solve with the huber loss where that finds outliers, else with the problem's linear loss.
 
-    Returns the solution and the outliers as (set, pose) indices.
+    Returns what `reduce_and_solve` returns, and the outliers as (set, pose) indices.
+
+    rounds : maximum number of rounds in which outliers are left out
     """
     try:
         plain = _solve_with_sigmas(problem, progress, {})
@@ -200,9 +214,10 @@ def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
 
 
 def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0) -> list[Array]:
-    """Return for each set the mask of the poses that are outliers.
+    """Return for each set the mask of the poses that are outliers, shape (n,).
 
-    Noise alone exceeds the bound of their normalised residuals with OUTLIER_PROBABILITY.
+    A pose is one if the squared norm of its residuals, normalised by redundancy and robust scatter,
+    exceeds the bound that noise alone exceeds with OUTLIER_PROBABILITY.
 
     share : factor on that bound
     """
@@ -215,12 +230,12 @@ def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0)
 
 
 def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
-    """Return for each set the indices of the poses that a solution explains.
+    """Return for each set the indices of the poses whose residuals are no larger than noise.
 
-    Their residuals are no larger than noise. Poses that were left out are tested too: as they have
-    no part in the solution, their residuals are their full errors.
+    Poses that were left out are tested too: as they have no part in the solution, their residuals
+    are their full errors.
 
-    problem : with all poses
+    problem : with all poses; solved : of a part of these poses
     """
     fitted, solution, _ = solved
     whole = replace(fitted, sets=problem.sets)
@@ -238,9 +253,10 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     ]
 
 
-# Maximum residual as a share of the reach; larger ones are no measuring error.
+# Largest standard deviation of a coordinate's residual, as a share of the robot's reach, with which
+# a model is accepted; larger ones are no measuring error.
 MAX_RESIDUAL_OF_REACH = 0.005
-# Maximum number of parameters that a message names.
+# Maximum number of parameters that an error message names.
 MAX_NAMES_IN_MESSAGE = 6
 
 
@@ -254,6 +270,7 @@ def reduce_and_solve(
     one at the optimum: the compliance of a vertical first axis, once the base is found to be
     tilted; and, if `weighed`, the tilt of a robot without measurements at rest, which the weight of
     its links shows.
+    Returns the reduced problem, its solution, and the verdict on each parameter.
     Raises InputError where the data determine no parameter at all, or there are no more data than
     unknowns.
 
@@ -318,12 +335,12 @@ def reduce_and_solve(
 def _with_visible(
     problem: LeastSquares, v: Array, found: Identifiability, order: Sequence[str]
 ) -> tuple[LeastSquares, Array] | None:
-    """Return the problem with the parameters that the data determine only at its optimum v.
+    """Return the problem extended by parameters that have an effect only at its optimum v.
 
-    They had no effect at the start. The point in the larger problem is returned too; None if there
+    They had none at the start. The point v in the extended problem is returned too; None if there
     is no such parameter.
 
-    found : of the start; order : names of all parameters
+    found : verdict on the parameters at the start; order : names of all parameters, in their order
     """
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
@@ -351,7 +368,10 @@ def _with_visible(
 def _with_added_parameters(
     problem: LeastSquares, v: Array, more: set[str], order: Sequence[str]
 ) -> tuple[LeastSquares, Array]:
-    """Return the problem with more free parameters, at nominal values, and the point v in it."""
+    """Return the problem with additional free parameters, and the point v in it.
+
+    more : names of the added parameters, which are at their nominal values; order : of all names
+    """
     names = [n for n in order if n in more or n in problem.names]
     own = np.zeros(len(names))
     own[[names.index(n) for n in problem.names]] = v[: len(problem.names)]
@@ -359,17 +379,17 @@ def _with_added_parameters(
 
 
 def _largest_residual_sigma(problem: LeastSquares, v: Array) -> float:
-    """Return the largest standard deviation of a coordinate's residual of all sets [m]."""
+    """Return the residual standard deviation of a coordinate at v, the largest of all sets [m]."""
     return float(np.sqrt(variance(problem, v))) * max(sigma for sigma, _ in problem.sigmas)
 
 
 def _poorly_determined(
     problem: LeastSquares, v: Array, variance: float, of_data: Collection[str] = ()
 ) -> list[Unidentifiable]:
-    """Return the parameters that the data determine worse than their prior.
+    """Return the parameters with a standard error at v above their prior's, each with the reason.
 
-    variance : of a residual in units of sigma
-    of_data : names of parameters whose own priors are not to count as data
+    variance : of a residual in units of sigma squared
+    of_data : names of parameters whose own priors do not reduce their standard error
     """
     H = problem.gradient(v)[1].copy()
     at = [k for k, name in enumerate(problem.names) if name in of_data]
@@ -379,9 +399,9 @@ def _poorly_determined(
 
 # The reason given for parameters that move the robot as a whole.
 GAUGE_REASON = "nothing at rest was measured: moving the whole robot changes nothing"
-# Those of them that tilt the pedestal, which also changes the effect of gravity.
+# Names of parameters that tilt the pedestal; this also changes the effect of gravity on the joints.
 _TILTS = ("base_rx", "base_ry", "base_rz")
-# Names of the parameters that move the robot as a whole.
+# Names of the parameters that move the robot as a whole relative to the measuring frame.
 _WHOLE_ROBOT = (
     "alpha0",
     "a0",
@@ -394,9 +414,10 @@ _WHOLE_ROBOT = (
 
 
 def independent_parameters(problem: LeastSquares) -> Identifiability:
-    """Return which parameters the data determine, by the Jacobian at v = 0.
+    """Return which parameters the data determine, by the Jacobian at v = 0 (nominal values).
 
-    Gravity torques are those of the nominal geometry if joints are compliant.
+    Gravity torques are those of the nominal geometry where joints are compliant or the robot has
+    effects. Where nothing determines the scale, the longest length is fixed as its reference.
     Raises InputError, with the row, where the Jacobian is not finite.
     """
     robot, names, p = problem.robot, problem.names, len(problem.names)
@@ -439,7 +460,7 @@ def _length(problem: LeastSquares, name: str) -> float:
 
 
 def _scale_is_free(problem: LeastSquares) -> bool:
-    """Return whether scaling all lengths by a common factor leaves the residuals unchanged.
+    """Return whether one common factor on all lengths and points leaves the residuals unchanged.
 
     Contact residuals p - u are then homogeneous in lengths and points, and by Euler's theorem J
     (lengths, points) = residuals. Compliance violates this by its share of the position, which

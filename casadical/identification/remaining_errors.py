@@ -22,15 +22,17 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.remaining_errors import with_joint_harmonics
 from casadical.robot.robot import RemainingErrors, Robot
 
-# Minimum number of poses; fewer do not show the errors that no parameter explains.
+# Minimum number of poses with a measured position from which remaining errors are estimated; fewer
+# do not show the errors that no parameter explains.
 MIN_POSES_WITH_POSITION = 30
-# Lower limit of the noise of a coordinate [mm], below that of any instrument; simulated poses may
-# have none.
+# Lower limit of the estimated standard deviation of a coordinate's noise [mm], below that of any
+# instrument; simulated poses may have none.
 MIN_COORDINATE_SIGMA_MM = 1e-3
-# At most this number of poses is used, drawn at random; more would only need more memory.
+# Maximum number of poses from which remaining errors are estimated, drawn at random; more would
+# only need more memory.
 MAX_POSES_LEARNT = 20_000
-# Iterations of expectation maximisation; prior variances that the poses do not determine are still
-# near their initial values then.
+# Number of iterations of expectation maximisation; prior variances that the poses do not determine
+# are still near their initial values then.
 EM_ITERATIONS = 12
 # Metres in a millimetre.
 _MM = 1e-3
@@ -38,12 +40,13 @@ _MM = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameters:
-    """Parameters that may deviate, with their priors.
+    """Parameters that are not known exactly, identified or not, with their priors.
 
-    names : of the parameters
+    names : of the k parameters
     sigma : prior standard deviation of each in units of its scale, shape (k,)
-    solved : indices of those that were identified
-    joints : indices of the harmonics of each joint, whose prior variance is estimated
+    solved : indices of those that were identified, shape (s,)
+    joints : groups of indices of joint harmonics; each group has one prior variance, estimated from
+        the residuals
     """
 
     names: tuple[str, ...]
@@ -53,7 +56,7 @@ class UncertainParameters:
 
 
 def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> RemainingErrors:
-    """Return the remaining errors, from the used poses with a measured position.
+    """Return the remaining errors of a calibrated robot, from the used poses with positions.
 
     most : maximum number of poses, drawn at random
     Raises InputError where they are too few, nothing measured a position, or error curves were
@@ -88,8 +91,9 @@ def learn_remaining(found: Identification, most: int = MAX_POSES_LEARNT) -> Rema
 
 
 def uncertain_parameters_of(robot: Robot, solved: Sequence[str]) -> UncertainParameters:
-    """Return the robot's parameters with a prior; its last effect is the curve of joint harmonics.
+    """Return all parameters of a robot that have a prior width, as uncertain parameters.
 
+    robot : its last effect is the curve of joint harmonics (`with_joint_harmonics`)
     solved : names of those that were identified
     """
     names = tuple(p.name for p in robot.parameters if p.prior > 0)
@@ -104,9 +108,11 @@ def uncertain_parameters_of(robot: Robot, solved: Sequence[str]) -> UncertainPar
 
 
 def residuals_and_jacobian(robot: Robot, sets: Iterable[Measurements], names: tuple[str, ...]) -> tuple[Array, Array]:
-    """Return residuals, shape (n, 3) [mm], and their Jacobian, shape (n, 3, k).
+    """Return position residuals of all sets, shape (n, 3) [mm], and their Jacobian, (n, 3, k).
 
-    The Jacobian is in mm per unit of a parameter's scale.
+    Residuals are in the measuring frame; the Jacobian is in mm per unit of a parameter's scale.
+
+    names : the k parameters by which it is taken
     """
     none = np.zeros((0, 3))
     blocks = (make_block(robot, m, names, _MM, 1.0, none, np.zeros(len(m), dtype=int)) for m in sets)
@@ -118,15 +124,16 @@ def residuals_and_jacobian(robot: Robot, sets: Iterable[Measurements], names: tu
 def posterior_of(
     sums: NormalSums, doubts: UncertainParameters, rounds: int = EM_ITERATIONS
 ) -> tuple[float, Array, Array, Array]:
-    """Return noise variance, posterior mean and covariance, and the prior variances.
+    """Return noise variance, posterior mean and covariance, and prior variances of parameters.
 
-    The first is the variance of a coordinate that nothing explains [mm^2]; the others have shapes
-    (k,), (k, k) and (k,). Few poses leave fewer than MIN_NOISE_FREEDOM degrees of freedom: the
-    missing ones get the variance of the residuals of the identified parameters alone. Otherwise all
-    residuals would be explained, and the poses be taken as exact, down to the limit
-    MIN_COORDINATE_SIGMA_MM.
+    The first is the noise variance of a coordinate [mm^2]; the others are in units of the
+    parameters' scales, with shapes (k,), (k, k) and (k,). Few poses leave fewer than
+    MIN_NOISE_FREEDOM degrees of freedom: the missing ones get the variance of the residuals of the
+    identified parameters alone. Otherwise all residuals would be explained, and the poses be taken
+    as exact, down to the limit MIN_COORDINATE_SIGMA_MM.
 
-    sums : normal equations of all parameters; rounds : number of iterations
+    sums : normal equations of all parameters [mm]; rounds : number of iterations of expectation
+        maximisation
     """
     s2 = max(float(sums.square / sums.count), MIN_COORDINATE_SIGMA_MM**2)
     alone: float = sums.square / max(1, sums.count - len(doubts.solved))
@@ -150,10 +157,13 @@ def _mean_squares(J: Array, M: Array) -> Array:
 
 
 def _truncated_factor(M: Array, rest: float, J: Array) -> Array:
-    """Return a factor of M with the fewest columns that keep 95 % of each pose's mean square.
+    """Return F, shape (k, r), with M nearly F F' and the fewest columns r.
 
-    rest : mean square that no parameter explains [mm^2]; J : Jacobians of the poses, shape (n, 3,
-        k)
+    At every pose at most 5 % of the mean square error tr(J M J') + rest is lost.
+
+    M : second moment of the parameters in units of scale, shape (k, k)
+    rest : mean square error of a pose that no parameter explains [mm^2]
+    J : Jacobians of the poses by the parameters, shape (n, 3, k) [mm]
     """
     scale = np.sqrt(np.diag(M))
     values, V = np.linalg.eigh(M / np.outer(scale, scale))

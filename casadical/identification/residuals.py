@@ -21,19 +21,19 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import Expressions, expressions
 from casadical.robot.robot import Robot
 
-# A loss function of squared residuals.
+# Name of a loss: the cost of a pose as a function of the squared norm of its residuals.
 Loss = Literal["linear", "huber", "soft_l1"]
-# A loss, or auto: huber where that finds outliers, else linear.
+# Name of a loss, or "auto": huber where that finds outliers, else linear.
 AnyLoss = Literal["auto", Loss]
 
 # Names of all losses.
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
 # Names of all losses, and auto.
 ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
-# Unit of an unknown point's variable [m].
+# Unit of the variables of an unknown point: a variable of 1 is this length [m].
 POINT_SCALE = 1e-3
-# Up to this number of poses the kernel's data are cached; with more they are assembled again at
-# each evaluation.
+# The inputs of the residual function are cached for sets of up to this number of poses; those of
+# larger sets are assembled again at each evaluation.
 MAX_CACHED_DATA_POSES = 100_000
 
 # Number of residuals of a pose -> squared norm at which a robust loss departs from the parabola:
@@ -42,19 +42,25 @@ LOSS_KNEE_SQUARE = {1: 3.84, 2: 5.99, 3: 7.81, 4: 9.49, 5: 11.07, 6: 12.59}
 
 
 def _huber(s: Array, knee: float) -> tuple[Array, Array]:
-    """Return Huber's loss of squared residuals s and its slope."""
+    """Return Huber's loss of squared residuals s and its derivative by s, each shaped as s.
+
+    knee : squared residual up to which the loss is s itself
+    """
     root = np.sqrt(np.maximum(s, knee) * knee)
     return np.where(s <= knee, s, 2 * root - knee), knee / root
 
 
 def _soft_l1(s: Array, knee: float) -> tuple[Array, Array]:
-    """Return the soft L1 loss of squared residuals s and its slope."""
+    """Return the soft L1 loss of squared residuals s and its derivative by s, each shaped as s.
+
+    knee : squared residual at which the loss departs clearly from s
+    """
     root = np.sqrt(1 + s / knee)
     return 2 * knee * (root - 1), 1 / root
 
 
-# Loss -> rho(s) of a squared residual s and its slope (Triggs et al. 2000, without the second-order
-# term).
+# Name of a loss -> function of squared residuals s and a knee, with the loss rho(s) and rho'(s) as
+# values (Triggs et al. 2000, without the second-order term).
 _LOSS_AND_SLOPE: dict[Loss, Callable[[Array, float], tuple[Array, Array]]] = {
     "linear": lambda s, _: (s, np.ones_like(s)),
     "huber": _huber,
@@ -70,10 +76,10 @@ class PoseFunctions:
 
     kind : of the measurement; point : whether z ends with an unknown point
     fixed_loads : whether gravity torques are those of the nominal geometry
-    residual : the residual r, shape (m,), in units of sigma, without the loss, and the transpose of
-        its Jacobian by z, shape (z, m)
-    value : r alone, in a fifth of the time
-    observed : names of the observed arrays in the data, in their order
+    residual : function of the residual r, shape (m,), in units of sigma, without the loss, and the
+        transpose of its Jacobian by z, shape (z, m)
+    value : function of r alone, which takes a fifth of the time
+    observed : names of the measured arrays in a pose's data, in their order
     """
 
     def __init__(
@@ -108,26 +114,28 @@ class PoseFunctions:
         self.value = MappedFunction("value", of_pose, shared, [r])
 
 
-# Kernels are cached, because building one takes long.
+# Return the `PoseFunctions` for the same arguments; they are cached, because building takes long.
 _kernel = lru_cache(maxsize=64)(PoseFunctions)
 
 
 def kernel(
     robot: Robot, kind: MeasurementKind, point: bool, names: tuple[str, ...], fixed_loads: bool = False
 ) -> PoseFunctions:
-    """Return the kernel of a kind of measurement for some free parameters of a robot.
+    """Return the residual and Jacobian functions of one pose of a kind of measurement, cached.
 
-    point : whether the kind has unknown points here
-    fixed_loads : whether gravity torques are those of the nominal geometry (see `Model`)
+    point : whether the pose has an unknown point
+    names : free parameters of the robot, by which Jacobians are taken
+    fixed_loads : whether gravity torques are those of the nominal geometry (see `expressions`)
     """
     chosen = tuple(robot.parameters.index_of(name) for name in names)
     return _kernel(expressions(robot.structure, fixed_loads), kind, point, chosen, fixed_loads)
 
 
 def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
-    """Return a kernel's shared inputs after x: nominal parameters [SI], constants and scales.
+    """Return the inputs of a kernel that all poses share, except x, as one vector.
 
-    The constants are the model's, the scales those of the free parameters.
+    These are the nominal values of all parameters [SI], the model's constants (see `constants_of`)
+    and the scales of the free parameters `names` [SI].
     """
     scale = [robot.parameters[n].scale for n in names]
     return np.concatenate([robot.parameters.values, robot.constants, scale])
@@ -136,12 +144,13 @@ def robot_numbers(robot: Robot, names: Sequence[str]) -> Array:
 def data_columns(
     robot: Robot, m: Measurements, observed: Sequence[str], points: Array, sigma: float, sigma_angle: float
 ) -> Array:
-    """Return a kernel's data, shape (numbers, n), a column per pose.
+    """Return a kernel's inputs that differ between poses, shape (numbers, n), a column per pose.
 
-    These are readings, conditions, observed arrays, 1/sigma and the root of the weight.
+    These are readings, conditions, measured arrays, 1/sigma and the root of the pose's weight.
 
-    observed : as of the kernel; points : initial position of each pose's unknown point, shape (n,
-        3) [m]
+    observed : names of the measured arrays, as of the kernel
+    points : initial position of each pose's unknown point in the measuring frame, shape (n, 3) [m]
+    sigma, sigma_angle : standard deviations of a length [m] and an angle [rad]
     """
     arrays = {**m.arrays, "point": points}
     sigmas = [sigma, sigma_angle] if find_kind(m.kind).angles else [sigma]
@@ -155,10 +164,10 @@ def data_columns(
 class Block:
     """One set of measurements, ready to be evaluated for some free parameters.
 
-    kernel : its functions
-    data : slice of poses -> their data, shape (numbers, k)
+    kernel : residual and Jacobian functions of a pose
+    data : slice of k poses -> the kernel's inputs that differ between poses, shape (numbers, k)
     group : index of each pose's point among all unknown points, shape (n,)
-    robot : numbers of the robot, see `robot_numbers`
+    robot : the kernel's inputs that all poses share, except x, see `robot_numbers`
     """
 
     kernel: PoseFunctions
@@ -174,31 +183,39 @@ class Block:
         )
 
     def evaluate(self, x: Array, u: Array) -> tuple[Array, Array]:
-        """Return residuals, shape (n, m), and Jacobians, shape (n, m, z), in units of sigma.
+        """Return residuals, shape (n, m), and their Jacobians, shape (n, m, z), in units of sigma.
 
-        x : shape (p,); u : of all points, shape (K, 3) [mm]
+        Residuals are without the loss; z is x followed by the pose's own unknown point, if any.
+
+        x : departures of the free parameters in units of their scale, shape (p,)
+        u : departures of all unknown points from the start, shape (K, 3) [mm]
         """
         parts = [part for _, *part in self.parts(x, u)]
         r, J = (np.concatenate(both) if len(parts) > 1 else both[0] for both in zip(*parts, strict=True))
         return r, J
 
     def parts(self, x: Array, u: Array) -> Iterator[tuple[slice, Array, Array]]:
-        """Yield slice, residuals and Jacobians of some poses at a time; see `evaluate`."""
+        """Yield slice of poses, residuals and Jacobians, part by part; shapes as of `evaluate`."""
         for some, (r, J) in self._called(self.kernel.residual, x, u):
             yield some, r.T, J.T.reshape(*r.T.shape, -1)
 
     def residuals(self, x: Array, u: Array) -> Iterator[Array]:
-        """Yield the residuals of some poses at a time, shape (n, m).
+        """Yield the residuals of some poses at a time, shape (n, m), in units of sigma.
 
         Compiled code of residual and Jacobian is faster than CasADi's interpreter for the residual
         alone.
+
+        x, u : as of `evaluate`
         """
         both, value = self.kernel.residual, self.kernel.value
         for _, (r, *_) in self._called(both if both.is_compiled else value, x, u):
             yield r.T
 
     def _called(self, function: MappedFunction, x: Array, u: Array) -> Iterator[tuple[slice, list[Array]]]:
-        """Yield the outputs of one of the kernel's functions for some poses at a time."""
+        """Yield a slice of poses and a kernel function's outputs there, the poses as last axis.
+
+        x, u : as of `evaluate`
+        """
         shared = np.concatenate([x, self.robot])
         for start in range(0, len(self.group), MAX_CHUNK_POINTS):
             some = slice(start, min(start + MAX_CHUNK_POINTS, len(self.group)))
@@ -218,19 +235,19 @@ def make_block(
     fixed_loads: bool = False,
     held: int = MAX_CACHED_DATA_POSES,
 ) -> Block:
-    """Return measurements as a block.
+    """Return a set of measurements as a block, from which residuals and Jacobians are evaluated.
 
     names : free parameters; sigma, sigma_angle : standard deviations of a coordinate [m] and an
         angle [rad]
-    points : initial positions of all unknown points, shape (K, 3) [m]; group : see `Block`;
-        fixed_loads : see `kernel`
-    held : maximum number of poses whose data are cached
+    points : initial positions of all unknown points in the measuring frame, shape (K, 3) [m]
+    group : index of each pose's point among these, shape (n,); fixed_loads : see `kernel`
+    held : maximum number of poses whose inputs are cached
     """
     kind = find_kind(m.kind)
     compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
 
     def data(m: Measurements, at: slice) -> Array:
-        """Return the kernel's data of some poses, shape (numbers, k)."""
+        """Return the kernel's inputs of the k poses m, shape (numbers, k); at : their slice."""
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
         return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 
@@ -240,7 +257,7 @@ def make_block(
 
 
 def loss_value(loss: Loss, r: Array) -> Array:
-    """Return the loss of each pose's squared residual, shape (n,).
+    """Return rho(s) for the squared norm s of each pose's residuals, shape (n,).
 
     r : residuals, shape (n, m), in units of sigma
     """
@@ -248,8 +265,8 @@ def loss_value(loss: Loss, r: Array) -> Array:
 
 
 def loss_slope(loss: Loss, r: Array) -> Array:
-    """Return the weight that the loss gives each pose, shape (n,).
+    """Return the weight rho'(s) that the loss gives each pose, shape (n,), 0 to 1.
 
-    r : residuals, shape (n, m), in units of sigma
+    r : residuals, shape (n, m), in units of sigma; s : squared norm of a pose's residuals
     """
     return _LOSS_AND_SLOPE[loss](np.einsum("ij,ij->i", r, r), LOSS_KNEE_SQUARE[r.shape[1]])[1]

@@ -32,7 +32,8 @@ from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.robot.robot import Knowledge, Robot, blocks, modified_dh
 from casadical.robot.robot_file import to_toml
 
-# The remark on an identified parameter whose standard error is that of its prior.
+# The remark on an identified parameter whose standard error is that of its prior, so that the poses
+# gave no information on it.
 PRIOR_ONLY_REASON = "as the prior has it; these poses tell no more of it"
 
 
@@ -50,9 +51,10 @@ class LeftOut:
 
 
 def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
-    """Return rows with their errors as text, and their files' names where there are several files.
+    """Return row numbers of outliers with their errors [mm] as text, with several files' names.
 
-    of : all files that they could be from
+    most : maximum number of rows that are listed; of the others the number is given
+    of : names of all files from which they could be
     """
     several = len({*(out.source for out in rows), *of}) > 1
     words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
@@ -63,7 +65,8 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
 class Tried:
     """Result of the test for compliance that the robot file does not declare.
 
-    rigid, compliant : residual standard deviation of each model at the same poses [m a coordinate]
+    rigid, compliant : residual standard deviation of a coordinate with each model, at the same
+        poses [m]
     kept : whether the data support compliance
     outliers : (set, pose) indices of the outliers of the compliant model; None where it did not use
         all poses
@@ -75,9 +78,9 @@ class Tried:
     outliers: tuple[tuple[int, int], ...] | None = ()
 
     def in_words(self, method: str) -> str:
-        """Return a sentence with both residuals and the conclusion.
+        """Return a clause with both residuals [mm a coordinate] and the conclusion.
 
-        method : by which the result was identified
+        method : by which the result was identified, "KM" or "SKCM"
         """
         end = "too little for compliance in the model"
         if self.kept:
@@ -91,17 +94,17 @@ class Tried:
 class Identification(Result):
     """Result of an identification: what was identified, from what, and how certain it is.
 
-    given : the robot as handed in
-    start : with its frames placed
-    robot : calibrated
-    measurements : what was used
-    method : KM, SKCM, or the parameters that were free
-    loss : of the residuals
+    given : the nominal robot as handed in, with added effects
+    start : the same with initial base and tool frames fitted
+    robot : the calibrated robot
+    measurements : all sets, outliers included
+    method : "KM", "SKCM", or "identify" for a user's own choice of parameters
+    loss : loss of the residuals
     identifiability : which parameters are independent, which are not and why
-    problem : the least squares problem that was solved
+    problem : the least squares problem that was solved, without outliers
     solution : point at which the solver stopped
-    variance : of a residual, in units of the sigmas used
-    degrees_of_freedom : number of residuals and priors minus the number of variables
+    variance : of a residual, in units of the problem's sigmas squared
+    degrees_of_freedom : number of residuals and informative priors minus the number of variables
     outliers : (set, pose) indices of poses that a robust loss left out
     tried : whether the data support a compliance that the robot file does not declare
     departure : how far the geometry departs from nominal, where the fit chose its own prior
@@ -177,7 +180,10 @@ class Identification(Result):
 
     @property
     def unknown_places(self) -> list[dict[str, Any]]:
-        """Identified places, such as anchors of wires, in the measuring frame [mm]."""
+        """Identified places to which distances were measured, such as anchors of wires, for JSON.
+
+        Each has source (the table), name and xyz_mm, its position in the measuring frame.
+        """
         places = []
         for label, xyz in self.unknown_points.items():
             k, name = label.split("/", 1)
@@ -187,13 +193,13 @@ class Identification(Result):
         return places
 
     def bars(self) -> list[tuple[str, float]]:
-        """Return mean and 95th percentile of each set's errors [m], for a bar chart."""
+        """Return (label, error [m]) for a bar chart: mean and 95th percentile of each used set."""
         each = [(m.kind, summarise(errors(self.robot, m))) for m in self.used]
         return [bar for kind, a in each for bar in ((f"{kind}, mean", a.mean), (f"{kind}, 95 % below", a.p95))]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the identified parameters."""
+        """Names of the identified parameters, errors of estimated masses included."""
         return self.problem.names
 
     @property
@@ -219,38 +225,35 @@ class Identification(Result):
 
     @cached_property
     def knowledge(self) -> Knowledge:
-        """Covariance and range of validity of the calibrated robot, as a robot file stores it."""
+        """Covariance of the calibrated values, and the ranges on which they were learnt."""
         return learnt_from(self, self.given.knowledge or Knowledge())
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Identified parameters at a bound, rigid joints excepted.
-
-        A compliance of zero is a rigid joint.
-        """
+        """Names of the identified parameters at a bound, except compliances of zero (rigid)."""
         return tuple(n for n in self._stopped if n not in self._rigid)
 
     @property
     def _stopped(self) -> tuple[str, ...]:
-        """Identified parameters at a bound, rigid joints included."""
+        """Names of the identified parameters at a bound, compliances of zero included."""
         mask = self.problem.at_bounds(self.solution.v)[: len(self.names)]
         return tuple(n for n, stopped in zip(self.names, mask, strict=True) if stopped)
 
     @property
     def _rigid(self) -> tuple[str, ...]:
-        """Compliances at their lower bound of zero."""
+        """Names of the identified compliances at their lower bound of zero."""
         own = self.start.parameters
         nearer = {n: 2 * v < own[n].upper for n, v in zip(self.names, self.estimate, strict=True)}
         return tuple(n for n in self._stopped if own[n].group == "compliance" and nearer[n])
 
     @property
     def used(self) -> tuple[Measurements, ...]:
-        """The measurements without outliers."""
+        """The measurements without outliers, one set per original set."""
         return without_poses(self.measurements, self.outliers)
 
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """The poses left out as outliers, the one with the largest error first."""
+        """The outliers with table, row and error [m], the one with the largest error first."""
         out = []
         for k, m in enumerate(self.measurements):
             poses = [i for place, i in self.outliers if place == k]
@@ -266,16 +269,16 @@ class Identification(Result):
 
     @property
     def unknown_points(self) -> dict[str, Array]:
-        """Identified points in the measuring frame, shape (3,) [m] each.
+        """Identified unknown points, label -> position in the measuring frame, shape (3,) [m].
 
-        The keys are "set number/point name", such as "0/A".
+        A label is "set index/point name", such as "0/A".
         """
         _, u = self.problem.separate(self.solution.v)
         return dict(zip(self.problem.labels, self.problem.points + POINT_SCALE * u, strict=True))
 
     @property
     def sigmas(self) -> tuple[tuple[float, float], ...]:
-        """Sigmas of a coordinate [m] and an angle [rad] that the residuals show, for each set."""
+        """Noise standard deviations (coordinate [m], angle [rad]) of each set by the residuals."""
         scale = float(np.sqrt(self.variance))
         return tuple((s * scale, a * scale) for s, a in self.problem.sigmas)
 
@@ -283,8 +286,9 @@ class Identification(Result):
     def parameters(self) -> pd.DataFrame:
         """A row per parameter, with its estimate, 95 % interval and status.
 
-        The columns are name, group, nominal, value, std_error, low, high (95 %), unit, status,
-        reason. Where an identified one has the standard error of its prior, the reason says so.
+        The columns are name, group, nominal, value, std_error, low, high (95 %), unit, status
+        (identified, at bound, not identifiable, held), reason; values are in `unit` (mm, deg, ...).
+        Where an identified one has the standard error of its prior, the reason says so.
         """
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
         reasons = {u.name: u.reason for u in self.identifiability.held}
@@ -314,14 +318,14 @@ class Identification(Result):
 
     @property
     def shown(self) -> pd.DataFrame:
-        """`parameters` without those of effects with many, such as joint_error_curve."""
+        """`parameters` without the rows of effects that are summarised, as joint_error_curve is."""
         return self.parameters[self.parameters["name"].isin(self.start.shown)].reset_index(drop=True)
 
     def correlations(self, above: float = 0.95) -> pd.DataFrame:
         """Return the pairs of strongly correlated estimates, the strongest first.
 
-        above : least absolute correlation that is listed
-        Returns one row a pair: two names, and their correlation.
+        above : absolute correlation above which a pair is listed
+        Returns one row per pair, with the columns parameter, with (both names) and correlation.
         """
         C = self.covariance / np.outer(self.standard_errors, self.standard_errors)
         i, j = np.nonzero(np.tril(np.abs(C) > above, -1))
@@ -332,7 +336,7 @@ class Identification(Result):
 
     @cached_property
     def noise_is_assumed(self) -> bool:
-        """Whether the noise is neither declared nor determined.
+        """Whether the noise is neither declared for all sets nor determined by the residuals.
 
         With a correlated prior, few poses leave too few degrees of freedom to estimate it.
         """
@@ -362,13 +366,13 @@ class Identification(Result):
 
     @cached_property
     def _everything(self) -> tuple[LeastSquares, Array, Array]:
-        """Problem, departures from nominal and covariance [SI] of all uncertain parameters."""
+        """Problem, departures [units of scale] and covariance [SI] of all uncertain parameters."""
         return covariance_of_all(self.problem, self.solution.v, self.variance, self.given)
 
     def accuracy(self, *m: Measurements | Sequence[Measurements]) -> dict[str, Accuracy]:
-        """Return error statistics on any measurements: "nominal", "placed" and "calibrated".
+        """Return error statistics of the "nominal", "placed" and "calibrated" robot, by this name.
 
-        Placed is the nominal robot with base and tool fitted.
+        They are those of any measurements. Placed is the nominal robot with base and tool fitted.
 
         *m : those of the identification or others; of several sets, as a problem has them, the
             figures are over all
@@ -379,7 +383,7 @@ class Identification(Result):
 
     @cached_property
     def placed(self) -> Robot:
-        """The given robot with only base and tool frames fitted.
+        """The given robot with only its base and tool frames fitted to the used poses.
 
         It is the robot "before calibration" with which the calibrated one is compared.
         """
@@ -416,7 +420,11 @@ class Identification(Result):
 
     @property
     def verdict(self) -> str:
-        """The result of the identification in one sentence."""
+        """Sentence with method and numbers of identified and other parameters and of used poses.
+
+        Warnings follow where they apply (parameters at bounds, outliers, a model that does not
+        fit), then the solver's message as a sentence.
+        """
         used = sum(len(m) for m in self.measurements) - len(self.outliers)
         masses = len(self.names) - len(self.identified)
         text = (
@@ -438,10 +446,13 @@ class Identification(Result):
 
 
 def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
-    """Return the knowledge of a robot after an identification.
+    """Return covariance and ranges of validity of the calibrated values of an identification.
 
-    For fixed values it is what was known before. The ranges are those on which the effects were
-    learnt: those of these measurements if a parameter of an effect is free.
+    Parameters that were not identified have what was known before. Readings, logged columns and
+    campaign are those of these measurements, but those of `before` if the robot has effects of
+    which no parameter was identified.
+
+    before : knowledge of the robot that was given
     """
     labels = {e.label for e in found.robot.effects}
     groups = [found.robot.parameters[name].group for name in found.names]
@@ -460,9 +471,9 @@ def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
 
 
 def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
-    """Return measurements without some poses.
+    """Return the sets without some poses, in the same order.
 
-    out : (set, pose) indices
+    out : (set, pose) indices of the poses to be removed, from 0
     """
     left = set(out)
     return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))

@@ -16,20 +16,23 @@ from casadical.identification.placement import place_frames
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
-# Prefix of the columns that tell to which session a pose belongs.
+# Prefix of the columns that state whether a pose belongs to a session: 1 if it does, else 0.
 SESSION_PREFIX = "session_"
 # Minimum number of poses of a session with its own base and tool.
 MIN_SESSION_POSES = 6
 
 
 def sessions_in(sets: Sequence[Measurements]) -> tuple[str, ...]:
-    """Return the names of the sessions in the order of their appearance."""
+    """Return the names of all sessions of the sets in order of appearance; () if none is stated."""
     names = (c.removeprefix(SESSION_PREFIX) for m in sets for c in m.conditions if c.startswith(SESSION_PREFIX))
     return tuple(dict.fromkeys(names))
 
 
 def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
-    """Return the sets with the poses of each session separated: one frame and one tool each."""
+    """Return the sets with every set of several sessions split into one set for each of them.
+
+    In a resulting set base and tool are the same at all poses.
+    """
     alone = []
     for m in sets:
         flags = [flag for name in sessions_in([m]) if (flag := m.conditions[SESSION_PREFIX + name] > 0).any()]
@@ -38,9 +41,10 @@ def split_by_session(sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
 
 
 def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot with an effect for each further session, and these effects' labels.
+    """Return the robot with an effect for each session but the first, and the effects' labels.
 
-    They are to be freed.
+    The labels name groups of parameters that are to be identified. The robot is unchanged where it
+    already has such effects, the sets have fewer than two sessions, or sessions share all.
     Raises InputError where a table does not state its session and others do, and for a session with
     too few poses.
     """
@@ -74,9 +78,9 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
 
 
 def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with base and tool frames of every session set from the measurements.
+    """Return the robot with initial base and tool frames of every session, fitted to the sets.
 
-    Each is placed as `place_frames` does for one session.
+    Each session is placed as `place_frames` places one without sessions.
     """
     sessions = [e for e in robot.effects if isinstance(e, Session)]
     if not sessions:
@@ -100,9 +104,10 @@ def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
 
 
 def not_shared(sets: Sequence[Measurements]) -> str:
-    """Return what sessions without a common pose cannot distinguish, and a remedy.
+    """Return the end of a sentence "they cannot ..." on sessions without a pose in common.
 
-    It is the end of a sentence "they cannot ..."; empty where they have common poses.
+    It states what they cannot distinguish, with a remedy; it is empty where every further session
+    repeats a pose of the first one, or there is only one session.
     """
     names = sessions_in(sets)
     if len(names) < 2:
@@ -119,12 +124,19 @@ def not_shared(sets: Sequence[Measurements]) -> str:
 
 
 def _share_a_pose(a: Array, b: Array, within: float = 5e-4) -> bool:
-    """Return whether a and b have a common reading, within 0.03 deg or half a millimetre."""
+    """Return whether a pose of b has the same joint readings as one of a.
+
+    a, b : readings, shape (n, joints) [rad or m]; within : tolerance of each joint [rad or m]
+    """
     return any((np.abs(a - q).max(axis=1) < within).any() for q in b) if len(a) else False
 
 
 def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], inside: bool) -> Measurements | None:
-    """Return the first measured positions in these sessions, or (inside=False) in none of them."""
+    """Return poses of the first set that has measured positions in these sessions.
+
+    inside : False takes the poses that are in none of the sessions. None where there are no such
+    poses.
+    """
     for m in (m for m in sets if m.position is not None):
         flags = sum((m.conditions.get(e.column, np.zeros(len(m))) for e in sessions), np.zeros(len(m)))
         if len(rows := np.flatnonzero((flags > 0) == inside)):
@@ -133,5 +145,8 @@ def _first_positions(sets: Sequence[Measurements], sessions: Sequence[Session], 
 
 
 def _values_of_session(effect: Session, names: Sequence[str], values: Array) -> dict[str, float]:
-    """Return effect parameter names with their values."""
+    """Return a session's parameters, full name ("label.name") -> value [SI].
+
+    names : without label; values : in their order
+    """
     return {f"{effect.label}.{name}": float(v) for name, v in zip(names, values, strict=True)}

@@ -12,7 +12,7 @@ import numpy as np
 from casadical.core.basics import Array, ConvergenceError
 from casadical.identification.identifiability import scaled_inverse
 
-# Called with the number of the iteration and its cost.
+# Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]
 
 # If the last iterations reduced the cost (half of chi-squared) by less than this, the solver tests
@@ -22,11 +22,11 @@ MIN_COST_REDUCTION = 1e-3
 # Number of last iterations over which a slow reduction of the cost is measured.
 SLOW_ITERATIONS = 10
 
-# The message of a sharp optimum.
+# Message of an optimum at full accuracy.
 OPTIMUM_MESSAGE = "Ipopt found an optimum."
-# Ipopt's status where it stops at less than the required accuracy.
+# Ipopt's status where it stops at its acceptable, not at its required accuracy.
 ACCEPTABLE_STATUS = "Solved_To_Acceptable_Level"
-# Ipopt's status where the test for the optimum stopped it.
+# Ipopt's status where `settled` (see `minimise`) stopped a slow search at the optimum.
 STOPPED_STATUS = "User_Requested_Stop"
 # Ipopt's status -> the message about it.
 _MESSAGE_OF_STATUS = {
@@ -54,8 +54,8 @@ class Solution:
     """The point at which the solver stopped.
 
     v : scaled variables, shape (size,)
-    status : Ipopt's; message : the same as a sentence, with a remedy
-    history : cost at each iteration
+    status : Ipopt's return status; message : the same as a sentence, with a remedy
+    history : cost (half of chi-squared, with priors) at each iteration
     """
 
     v: Array
@@ -67,8 +67,8 @@ class Solution:
 class _Evaluation(ca.Callback):
     """One of the functions that Ipopt calls, computed by numpy in the memory that Ipopt gives.
 
-    inputs, outputs : name -> sparsity
-    compute : arguments -> outputs, of which only the requested ones are written
+    inputs, outputs : (name, sparsity) of each, in order
+    compute : inputs -> outputs; CasADi takes only those that it requested
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class _Evaluation(ca.Callback):
         return True
 
     def eval_buffer(self, arg: Sequence[memoryview | None], res: Sequence[memoryview | None]) -> int:
-        """Compute a CasADi callback's outputs in place; return 0 for success."""
+        """Compute the outputs into the memory `res` from the inputs `arg`; return 0 for success."""
         given = [np.frombuffer(a) if a is not None else np.zeros(0) for a in arg]
         for place, value in zip(res, self.compute(*given), strict=False):
             if place is not None:
@@ -124,8 +124,9 @@ class _Solver:
     """Ipopt for problems of one size; it is cached, because building it takes longer than a solve.
 
     The current problem is set as attributes:
-    cost : v -> f; gradient : v -> (g, H); scale : typical cost by which all of these are divided
-    progress : called at each iteration; settled : whether a slow search has reached the optimum
+    cost : v -> cost; gradient : v -> gradient and Hessian; scale : typical cost, by which all of
+        these are divided
+    progress : called at each iteration; settled : v -> whether a slow search is at the optimum
     """
 
     cost: Callable[[Array], float]
@@ -135,9 +136,9 @@ class _Solver:
     settled: Callable[[Array], bool] | None
 
     def __init__(self, size: int, most: int, watched: bool) -> None:
-        """Build Ipopt for `size` variables and `most` iterations.
+        """Build Ipopt for `size` variables and at most `most` iterations.
 
-        watched : whether it may be stopped by `settled`
+        watched : whether `settled` may stop it
         """
         vector, upper, none = ca.Sparsity.dense(size, 1), ca.Sparsity.upper(size), ca.Sparsity(0, 0)
         number = ca.Sparsity.dense(1, 1)
@@ -195,7 +196,10 @@ class _Solver:
         self._buffer.set_res(self._solve.index_out("x"), self._optimum.data)
 
     def solve(self, start: Array, lower: Array, upper: Array) -> tuple[Array, str]:
-        """Return the optimum, shape (size,), and Ipopt's status."""
+        """Return the point where Ipopt stopped, shape (size,), and its status.
+
+        start, lower, upper : first point and bounds, shape (size,) each
+        """
         for values, of in zip(self._given.values(), (start, lower, upper), strict=True):
             values[:] = of
         self._run()
@@ -206,7 +210,7 @@ class _Solver:
         del self._run, self._buffer, self._solve, self._keep
 
     def _stop(self, v: Array, *_: Array) -> Sequence[Array | float]:
-        """Tell Ipopt to stop (1) if its last iterations gained little at the optimum."""
+        """Return (1.0,) to stop Ipopt at v, if the search is slow and `settled(v)`; else (0.0,)."""
         flat = (
             len(self.history) > SLOW_ITERATIONS
             and self.history[-1 - SLOW_ITERATIONS] - self.history[-1] < MIN_COST_REDUCTION
@@ -214,11 +218,11 @@ class _Solver:
         return (float(flat and self.settled is not None and self.settled(v)),)
 
     def _cost(self, v: Array) -> Sequence[Array | float]:
-        """Return the cost at v over the problem's scale, for Ipopt."""
+        """Return the cost at v divided by `scale`, as Ipopt's objective."""
         return (self.cost(v) / self.scale,)
 
     def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
-        """Return scaled cost and gradient at v; Ipopt calls this once per iterate."""
+        """Return cost and gradient (size,) at v divided by `scale`, and record the iteration."""
         cost, gradient = self.cost(v), self.gradient(v)[0]
         self.history.append(cost)
         if self.progress:
@@ -226,7 +230,7 @@ class _Solver:
         return cost / self.scale, gradient / self.scale
 
     def _hessian(self, v: Array, _: Array, factor: Array, __: Array) -> Sequence[Array | float]:
-        """Return the lower triangle of the scaled Hessian at v."""
+        """Return the Hessian's lower triangle at v, divided by `scale`, times Ipopt's factor."""
         return (self.gradient(v)[1][self._lower] * (factor[0] / self.scale),)
 
 
@@ -254,13 +258,13 @@ def minimise(
 ) -> Solution:
     """Minimise a sum of squares within bounds.
 
-    cost : of v, shape (size,)
+    cost : variables v, shape (size,) -> half the sum of squares
     gradient : v -> gradient and Gauss-Newton Hessian J'J, shapes (size,) and (size, size)
     lower, upper : bounds of v, shape (size,)
     scale : typical size of the cost, by which it is divided
     start : first point, shape (size,); None: zero
     progress : called with iteration number and cost
-    settled : whether a point at which convergence is slow is the optimum
+    settled : v -> whether v, at which convergence is slow, is the optimum; None: no such test
 
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
@@ -286,7 +290,8 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
     The active set method fixes variables at bounds that they would violate and releases those that
     the cost draws back (Portugal, Judice and Vicente 1994).
 
-    g, H : gradient and Hessian of the cost; lower, upper : bounds of the step
+    g, H : gradient (size,) and Hessian (size, size) of the cost
+    lower, upper : bounds of the step, shape (size,)
     at_bounds : mask of the variables at a bound; moves : mask of those that may move, all by
         default
     """
@@ -321,9 +326,9 @@ class Sums:
 
     cost : half the sum of squares through the loss; gradient : of the cost, shape (size,)
     information : J'WJ with the loss weights W, shape (size, size)
-    square : sum of the squared residuals, without the loss
-    residuals : of every set; None if they are too many to be cached
-    triangle : triangular factor of J, without the loss, where it was requested
+    square : sum of the squared residuals, without the loss [sigma^2]
+    residuals : of every set, shape (n, m) [sigma]; None if they are too many to be cached
+    triangle : triangular factor of J, without the loss, shape (size, size); None if not requested
     """
 
     cost: float
@@ -334,13 +339,19 @@ class Sums:
     triangle: Array | None = None
 
     def for_variables(self, columns: Sequence[int]) -> "Sums":
-        """Return the sums over all residuals for some of the variables, by their indices."""
+        """Return the same sums for some of the variables only.
+
+        columns : indices of these variables
+        """
         at = np.array(columns, dtype=int)
         return Sums(self.cost, self.gradient[at], self.information[np.ix_(at, at)], self.square, self.residuals)
 
 
 class LastValueCache:
-    """Cache of a function's value at the last point, shape (size,), and that point."""
+    """Cache of the value of one function at the last point at which it was evaluated.
+
+    point : this point, shape (size,), None before the first; answer : the value there
+    """
 
     point: Array | None = None
     answer: Any = None
@@ -351,11 +362,11 @@ class LastValueCache:
 
     @property
     def at_zero(self) -> Any:
-        """The cached value if its point is zero; else None."""
+        """The cached value if its point is the origin (all variables zero); else None."""
         return None if self.point is None or self.point.any() else self.answer
 
     def __call__(self, v: Array, compute: Callable[[Array], Any]) -> Any:
-        """Return the function's value at v, computed unless it is cached."""
+        """Return the function's value at v, from the cache or by `compute(v)`, which it caches."""
         return self.answer if self.holds(v) else self.keep(v, compute(v))
 
     def keep(self, v: Array, answer: Any) -> Any:
@@ -379,7 +390,7 @@ class ProblemCache:
         self.redundancies = LastValueCache()
 
     def once(self, name: str, compute: Callable[[], T]) -> T:
-        """Return the cached value of this name, computed the first time."""
+        """Return the cached value of this name; the first time it is computed by `compute()`."""
         if name not in self.made:
             self.made[name] = compute()
         answer: T = self.made[name]

@@ -14,9 +14,7 @@ from casadical.robot.robot import Robot
 
 
 def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> Iterator[str]:
-    """Yield what these sets cannot determine, each as the end of a sentence.
-
-    The sentence begins "these data cannot ...".
+    """Yield what sets of these kinds cannot determine, each as the end of "these data cannot ...".
 
     where : "set number/point name" -> unknown point, as of `Identification.unknown_points`, shape
         (3,) [m]
