@@ -24,7 +24,7 @@ from casadical.identification.departure import departure_of
 from casadical.identification.fit_statistics import redundancies, variance
 from casadical.identification.least_squares import LeastSquares, initial_sigmas
 from casadical.identification.placement import place_frames
-from casadical.identification.plausibility import check_against
+from casadical.identification.plausibility import check_against, gross_errors
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
@@ -393,6 +393,13 @@ def calibrated(
         raise InputError(
             f"free={list(wanted)} chooses no parameter of {robot.name}; groups: {', '.join(start.parameters.groups)}"
         )
+    if screen and loss != "linear" and (far := gross_errors(robot, sets)):
+        rest = replace(prepared, sets=without_poses(sets, far))
+        options: Any = {"loss": loss, "priors": "auto" if by_departure else priors, "weighed": weighed}
+        result = calibrated(rest, free, progress=progress, **options)
+        kept = [[i for i in range(len(m)) if (k, i) not in far] for k, m in enumerate(sets)]
+        outliers = tuple(sorted((*far, *((k, kept[k][i]) for k, i in result.outliers))))
+        return replace(result, measurements=sets, outliers=outliers)
     plain: Loss = "linear" if loss == "auto" else loss
     problem = LeastSquares(start, sets, names, plain, priors, initial_sigmas(sets), known=prior.known, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers

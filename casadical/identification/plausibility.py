@@ -7,7 +7,8 @@ import numpy as np
 
 from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.transforms import nearest_rotation
-from casadical.identification.accuracy import positions_at, predicted
+from casadical.effects import Session
+from casadical.identification.accuracy import errors, positions_at, predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.residuals import MAX_CACHED_DATA_POSES
 from casadical.measurements.columns import MAX_TURNS
@@ -39,6 +40,8 @@ MAX_FRAME_ERROR_RAD = np.deg2rad(2.0)
 MAX_POSES_COMPARED = 200
 # Number of iterations of a fit of frames in which poses with large errors are excluded.
 EXCLUSION_ROUNDS = 3
+# A pose that is further off than this share of the reach, and than ten times the median, is wrong.
+MAX_GROSS_ERROR_OF_REACH = 0.02
 # Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
 LIMIT_ALLOWANCE = 2e-3
 # Maximum logged payload as a multiple of the mass of the arm's links.
@@ -147,6 +150,36 @@ def _refuse_implausible(robot: Robot, m: Measurements) -> None:
         if fault := _unit_fault(robot, some, p):
             raise InputError(f"{m.source}: {fault}")
         _refuse_another_unit_midway(robot, m, some, p)
+
+
+def gross_errors(robot: Robot, sets: Sequence[Measurements]) -> tuple[tuple[int, int], ...]:
+    """Return (set, pose) indices of poses that no fit of base and tool to the others explains.
+
+    Base and tool are placed by random samples of a few poses; the sample with the least median
+    error over all poses decides (least median of squares, Rousseeuw 1984). A pose is far off by ten
+    times that median and by `MAX_GROSS_ERROR_OF_REACH`, which no nominal robot reaches. Nothing is
+    judged of several targets or sessions, of other kinds than positions and poses, of too few
+    poses, or where more than 40 % would be far off.
+    """
+    far: list[tuple[int, int]] = []
+    several = bool(robot.targets) or any(isinstance(e, Session) for e in robot.effects)
+    if several or robot.base.unknown != "pose":
+        return ()
+    for k, m in enumerate(sets):
+        if m.position is None or len(m) < 2 * MIN_POSES_PER_PART:
+            continue
+        limit, rng = MAX_GROSS_ERROR_OF_REACH * robot.reach, np.random.default_rng(0)
+        e = errors(place_frames(robot, m), m)
+        # 60 samples of six hold one without any of 30 % wrong poses with a probability of 99.9 %.
+        for _ in range(60 if e.max() > limit else 0):
+            some = rng.choice(len(m), MIN_POSES_PER_PART, replace=False)
+            other = errors(place_frames(robot, m[some]), m)
+            e = other if np.median(other) < np.median(e) else e
+        for _ in range(EXCLUSION_ROUNDS if e.max() > limit else 0):
+            e = errors(place_frames(robot, m[e <= 5.0 * np.median(e)]), m)
+        bad = np.flatnonzero(e > max(limit, 10.0 * float(np.median(e))))
+        far += [(k, int(i)) for i in bad] if len(bad) <= 0.4 * len(m) else []
+    return tuple(far)
 
 
 def fault_of_orientations(robot: Robot, m: Measurements) -> str:

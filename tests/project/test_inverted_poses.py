@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from casadical import InputError, Measurements, calibrate, read_problem
+from casadical import InputError, Measurements, calibrate, identify, read_problem
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.project.check import precheck
@@ -117,6 +117,19 @@ def test_a_declared_reading_is_taken_as_it_is(tmp_path: Path) -> None:
     assert not any(m.inverted for _, m in read_problem(folder).parts())
     with pytest.raises(InputError, match="orientations are"):
         calibrate(folder)
+
+
+@pytest.mark.parametrize(("poses", "bad"), [(15, [4]), (30, [1, 5, 9, 14, 20, 27])])
+def test_grossly_wrong_rows_are_left_out_before_they_distort_the_frames(poses: int, bad: list[int]) -> None:
+    """A board that was seen elsewhere: one row of 15, a fifth of 30; the rest calibrates as without them."""
+    m, rng = seen(False, poses=poses), np.random.default_rng(3)
+    position, orientation = m.position.copy(), m.orientation.copy()
+    position[bad] += rng.uniform(-1.5, 1.5, (len(bad), 3))
+    orientation[bad] = Rotation.random(len(bad), random_state=1).as_matrix()
+    found = identify(ur5e(), replace(m, position=position, orientation=orientation), method="KM")
+    assert [i for _, i in found.outliers] == bad
+    clean = identify(ur5e(), m[np.setdiff1d(np.arange(poses), bad)], method="KM")
+    np.testing.assert_allclose(found.robot.tool.T, clean.robot.tool.T, atol=1e-4)
 
 
 def test_inverted_needs_orientations() -> None:
