@@ -16,8 +16,9 @@ from casadical.measurements.measurements import Noise
 
 
 def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
-    """Return the most probable noise of a log likelihood, shape (rhos, sigmas, ...).
+    """Return the noise (sigma [m], repeatability [rad]) at the maximum of a grid.
 
+    log_grid : log likelihood, shape (rhos, sigmas, ...), maximised over further axes
     sigmas : the grid's standard deviations of the instrument [m]
     """
     grid = log_grid.reshape(len(RHO_GRID), len(sigmas), -1).max(axis=2)
@@ -26,16 +27,16 @@ def likely_noise(log_grid: Array, sigmas: Array = SIGMA_GRID_M) -> Noise:
 
 
 def new_fit(e: Evidence, columns: Array, noise: Noise, *, combined: bool = True) -> Fit:
-    """Return the fit of base model and causes together.
+    """Return the joint fit of base model and causes to all poses of the model.
 
-    columns : of the causes, in rising order, shape (k,); noise : at which the fit is made
+    columns : indices of the causes' columns, in rising order, shape (k,); noise : that of the fit
     combined : whether parts of effects are fitted in their observable combinations
     """
     return Fit(e, columns, noise.sigma, {REPEATABILITY: noise.repeatability / noise.sigma}, combined=combined)
 
 
 def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
-    """Return the fit of base model and causes from the model's cache (see `new_fit`)."""
+    """Return the result of `new_fit`, from the model's cache if it is there; a new one is added."""
     fits, key = e.cache.setdefault("fits", {}), (columns.tobytes(), noise)
     if key not in fits:
         # At most three fits are cached with a model.
@@ -47,15 +48,16 @@ def fit_of(e: Evidence, columns: Array, noise: Noise) -> Fit:
 
 
 def lengths(e: Evidence, residual: Array, poses: Array | slice = WHOLE_AXIS) -> Array:
-    """Return the reported error, the norm of the length residuals, shape (poses,) [m].
+    """Return the reported error of poses, the norm of their length residuals, shape (poses,) [m].
 
-    residual : residuals at these poses, shape (poses, numbers)
+    residual : residuals at these poses, scaled to equal noise, shape (poses, numbers)
+    poses : indices of these poses
     """
     return np.asarray(np.linalg.norm(residual if e.size is None else residual * e.size[poses], axis=1))
 
 
 def noise_mean_square(e: Evidence, noise: Noise) -> Array:
-    """Return the mean square of each pose's reported error by noise alone, shape (n,) [m^2]."""
+    """Return the expected square of each pose's reported error by noise alone, shape (n,) [m^2]."""
     C = e.covariance(noise)
     if e.size is None:
         return np.asarray(np.trace(C, axis1=1, axis2=2))
@@ -63,15 +65,20 @@ def noise_mean_square(e: Evidence, noise: Noise) -> Array:
 
 
 def held_out_errors(e: Evidence, columns: Array, noise: Noise, folds: Array) -> Array:
-    """Return the error of each pose under a fit to the other folds, shape (n,) [m].
+    """Return the reported error of each pose under a fit to the other folds, shape (n,) [m].
 
-    columns : of the causes in the model, shape (k,); folds : index of each pose's fold, shape (n,)
+    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    folds : index of each pose's fold, shape (n,)
     """
     return fold_errors(e, fit_of(e, columns, noise), folds)
 
 
 def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
-    """Return the held-out error of each pose for a given fit to all poses, shape (n,) [m]."""
+    """Return the reported error of each pose under a fit to the other folds, shape (n,) [m].
+
+    fit : fit to all poses, from which those without a fold follow
+    folds : index of each pose's fold, shape (n,)
+    """
     if len(np.unique(folds)) == len(folds):
         return lengths(e, fit.leave_one_out_residuals())
     errors = np.empty(len(folds))
@@ -82,22 +89,29 @@ def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
 
 
 def partitions(e: Evidence, seed: int) -> list[Array]:
-    """Return several partitions of the poses into folds, shape (n,) each."""
+    """Return random partitions, each the fold of every pose, shape (n,).
+
+    There are `Settings.partitions` of them, and one from 400 poses on.
+    """
     n = len(e.r)
     # From 400 poses on the mean hardly depends on the partition, and one is enough.
     return [random_folds(n, seed + k, alike=e.alike) for k in range(SETTINGS.partitions if n < 400 else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
-    """Return the held-out error of each pose averaged over partitions, shape (n,) [m]."""
+    """Return each pose's held-out reported error, averaged over `partitions`, shape (n,) [m].
+
+    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    """
     fit = fit_of(e, columns, noise)
     runs = [fold_errors(e, fit, folds) for folds in partitions(e, seed)]
     return np.asarray(np.mean(runs, axis=0))
 
 
 def residual_of_fit_without(e: Evidence, columns: Array, noise: Noise, test: Array) -> Array:
-    """Return the residual at every pose of a fit to the poses outside of a mask, shape (n, 3) [m].
+    """Return the residual at every pose of a fit to some of them, shape (n, 3) [m].
 
+    columns : indices of the causes' columns, shape (k,)
     test : mask of the poses that are not fitted, shape (n,)
     """
     fit = fit_of(e, columns, noise)
@@ -105,11 +119,12 @@ def residual_of_fit_without(e: Evidence, columns: Array, noise: Noise, test: Arr
 
 
 def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Array) -> tuple[Array, Array]:
-    """Return error [m] and squared Mahalanobis distance of every pose, shapes (n,).
+    """Return reported error [m] and squared Mahalanobis distance of every pose, shapes (n,).
 
     The fit is to the inliers. The distance of an inlier is from a fit without it, relative to the
-    covariance of that prediction: a flexible model
-    would follow an outlier to which it was fitted. inliers : mask of the inliers, shape (n,)
+    covariance of that prediction: a flexible model would follow an outlier to which it was fitted.
+
+    columns : indices of the causes' columns, shape (k,); inliers : mask of the inliers, shape (n,)
     """
     fit = new_fit(e, columns, noise)
     x, pull = fit.estimate_from(np.flatnonzero(inliers)), fit.leverage(np.flatnonzero(inliers))
@@ -118,10 +133,12 @@ def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Arr
 
 
 def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
-    """Return the index of a random fold for each pose, shape (n,); sizes differ by at most one.
+    """Return the index of a random fold for each of n poses, shape (n,).
+
+    There are `Settings.folds` folds, whose sizes differ by at most one.
 
     alike : index of the unknown point of each pose, shape (n,); poses with the same point are
-        spread over the folds
+        distributed over the folds
     """
     folds = np.random.default_rng(seed).permutation(np.arange(n) % SETTINGS.folds)
     if alike is None:
@@ -132,16 +149,20 @@ def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
 
 
 def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -> tuple[float, float]:
-    """Return the 95 % interval of 1 - mean(after) / mean(before) by bootstrap over poses."""
+    """Return (low, high), the 95 % interval of 1 - mean(after) / mean(before), by bootstrap.
+
+    before, after : errors at the same poses, shape (n,); poses are drawn together
+    draws : number of bootstrap samples
+    """
     means = resampled_means(np.stack([before, after]), seed, draws)
     low, high = np.quantile(1 - means[1] / means[0], [0.025, 0.975])
     return float(low), float(high)
 
 
 def resampled_means(values: Array, seed: int, draws: int) -> Array:
-    """Return means over poses drawn with replacement, shape (k, draws).
+    """Return the means over bootstrap samples of poses of each row of values, shape (k, draws).
 
-    values : shape (k, n); every row uses the same draws
+    values : shape (k, n) for n poses; every row uses the same samples
     """
     rng, n, means = np.random.default_rng(seed), values.shape[1], np.empty((len(values), draws))
     # Indices are drawn in blocks of about a million, which bounds memory.

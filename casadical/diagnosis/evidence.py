@@ -23,22 +23,21 @@ from casadical.core.linear_gaussian.model import LinearModel, Projection
 from casadical.core.linear_gaussian.noise import NoiseModel, SerialNoise
 from casadical.measurements.measurements import Noise
 
-# Noise standard deviations of one coordinate at which likelihoods are evaluated [m].
+# Grid of the instrument's standard deviation of one coordinate for likelihoods [m].
 SIGMA_GRID_M = np.geomspace(3e-6, 300e-6, 33)
-# Noise standard deviations from 1 um to 11 mm in the same steps [m], for finer or coarser
-# instruments.
+# The same grid extended from 1 um to 11 mm [m], for finer or coarser instruments.
 WIDE_SIGMA_GRID_M = SIGMA_GRID_M[0] * (SIGMA_GRID_M[-1] / SIGMA_GRID_M[0]) ** (
     np.arange(-8, 58) / (len(SIGMA_GRID_M) - 1)
 )
-# Ratios of joint repeatability to the instrument's sigma at which likelihoods are evaluated
+# Grid of the ratio of joint repeatability to the instrument's standard deviation for likelihoods
 # [rad/m].
 RHO_GRID = np.array([0.0, 0.1, 0.2, 0.4, 0.8, 1.6])
-# Grid of kappa, the ratio of the standard deviation of an effect's parameters to their typical
-# size.
+# Grid of kappa, the prior standard deviation of an effect's parameters divided by their typical
+# size, over which the likelihood of a candidate is averaged.
 KAPPA_GRID = np.array([0.35, 0.7, 1.4, 2.8, 5.6])
 # Prior probability of each point of `KAPPA_GRID`.
 KAPPA_WEIGHTS = np.array([0.15, 0.25, 0.3, 0.2, 0.1])
-# Name of the noise component that the joints add (see `NoiseModel`).
+# Name of joint repeatability as a noise component (see `NoiseModel`).
 REPEATABILITY = "repeatability"
 
 
@@ -47,9 +46,9 @@ class NoisePrior:
     """Prior information on the noise of one coordinate, independent of the fit.
 
     declared : declared standard deviation of the instrument [m], zero if none
-    sheet : largest error that its data sheet states [m], zero if none
-    repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom, zero if
-        none
+    sheet : largest error that the instrument's data sheet states [m], zero if none
+    repeats : standard deviation over repeated poses, of instrument and joints together [m]
+    freedom : degrees of freedom of `repeats`, zero without repeated poses
     """
 
     declared: float = 0.0
@@ -59,7 +58,7 @@ class NoisePrior:
 
     @property
     def stated(self) -> float:
-        """Return the declared sigma of the instrument, else half its data sheet's limit [m]."""
+        """Return the instrument's declared sigma, else half its data sheet's limit, else 0 [m]."""
         return self.declared or self.sheet / 2
 
 
@@ -67,17 +66,18 @@ class NoisePrior:
 class Evidence(LinearModel):
     """Linear-Gaussian model of a measurement campaign; see `LinearModel` for the other fields.
 
-    Blocks are poses; r is measured minus modelled position [m]; E is in m per unit of size. For
-    other kinds of measurement than positions, 3 stands for the numbers of a pose (see
-    `observations`).
+    Blocks are poses; r is measured minus modelled position [m]; E is in m per typical size of each
+    parameter. For other kinds of measurement than positions, 3 stands for the numbers of a pose
+    (see `observations`). Grids have the axes rhos (`RHO_GRID`), sigmas and kappas (`KAPPA_GRID`).
 
     log_noise : log prior of the noise on the grid, shape (rhos, sigmas)
-    reference : sigma at which the priors are as given [m]; they scale with the noise
+    reference : noise standard deviation at which the prior standard deviations hold [m]; they are
+        proportional to the noise
     Jq : Jacobian by the joint variables, shape (n, 3, joints) [m per rad or m]
     noise_prior : prior information on the noise
     sigmas : grid of the instrument's standard deviation [m]
-    size : factors from the residuals' units to the reported error, shape (n, 3); one by default,
-        zero for angles
+    size : factors from the residuals' units to the reported error, shape (n, 3), zero for angles;
+        None: one
     alike : index of the unknown points at which each pose was measured, shape (n,); None without
         such points
     unsure : masks, shape (n, 3), of the numbers of small tables (two at most) whose noise relative
@@ -107,7 +107,10 @@ class Evidence(LinearModel):
         object.__setattr__(self, "log_noise", log_noise_prior(self, self.Jq))
 
     def covariance(self, noise: Noise) -> Array:
-        """Return the noise covariance of the numbers of each pose, shape (n, 3, 3) [m^2]."""
+        """Return the noise covariance of each pose's numbers, shape (n, 3, 3) [m^2].
+
+        It includes the instrument's noise and joint repeatability.
+        """
         return self.noise.covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
     def projected(self, rho: float) -> Projection:
@@ -118,26 +121,29 @@ class Evidence(LinearModel):
         return self.projection({REPEATABILITY: rho})
 
     def at(self, blocks: Array) -> Self:
-        """Return the model of the poses with these indices."""
+        """Return the model restricted to the poses with these indices."""
         return replace(super().at(blocks), unsure=tuple(mask[blocks] for mask in self.unsure))
 
     def with_causes_alone(self, columns: Array) -> Self:
-        """Return the model with these columns in the base, no candidates and noise as assumed."""
+        """Return the model with these columns in the base and without candidates.
+
+        The noise ratios of the tables are those assumed (`unsure` is empty).
+        """
         alone = self.with_base(columns)
         return replace(alone, E=array_columns(np.zeros((*self.r.shape, 1))), cause_prior=None, unsure=())
 
     def forget(self) -> None:
-        """Drop the large cached results, which are computed again when they are needed."""
+        """Delete the large cached results, which are computed again when they are needed."""
         self.cache.pop("marginals", None)
         self.__dict__.pop("at_other_ratios", None)
 
     @cached_property
     def at_other_ratios(self) -> tuple[tuple[float, Evidence], ...]:
-        """Return log weight and model at the outer nodes of each uncertain table's noise ratio.
+        """Return (log weight, model) at the outer Gauss-Hermite nodes of uncertain noise ratios.
 
-        The log of the ratio is spread about its assumed value by the error of a standard deviation
-        that is estimated from the table alone. The weights undo this normal density, so that
-        `averaged` is the Gauss-Hermite integral of the likelihood over the ratio.
+        The log of a small table's noise ratio has a normal density about its assumed value, whose
+        standard deviation is the relative error of a sigma estimated from the table alone. The
+        weights undo this density, so that `averaged` is the integral of the likelihood over it.
         """
         more = []
         for mask in self.unsure:
@@ -163,17 +169,19 @@ class Evidence(LinearModel):
         return np.asarray(np.logaddexp.reduce([own + np.log(1 - len(self.unsure) / 3), *weighed]))
 
     def log_base(self, also: Array | None = None) -> Array:
-        """Return the log likelihood without an additional cause, shape (rhos, sigmas).
+        """Return the log likelihood times noise prior without an additional cause, (rhos, sigmas).
 
-        also : columns that are in the model already
+        also : columns of causes that are in the model already; they are marginalised
         """
         own = self.marginals.log_base(NO_COLUMNS if also is None else also)
         return self.averaged(own, (other.log_base(also) for _, other in self.at_other_ratios))
 
     def log_grids(self, groups: Sequence[Array], also: Array | None = None) -> Array:
-        """Return the log likelihood of each group as a cause, shape (groups, rhos, sigmas, kappas).
+        """Return the log likelihood with each group of columns as an additional cause.
 
-        groups : the columns of each group
+        Its shape is (groups, rhos, sigmas, kappas); the noise prior is included.
+
+        groups : indices of the columns of each group
         also : columns of causes that are in the model already; they are marginalised like the base
             model
         """
@@ -181,22 +189,22 @@ class Evidence(LinearModel):
         return self.averaged(own, (other.log_grids(groups, also) for _, other in self.at_other_ratios))
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
-        """Precompute the products that `log_grids` needs for the groups given each chosen group."""
+        """Cache the products that `log_grids` needs for all groups given each chosen group."""
         for e in (self, *(other for _, other in self.at_other_ratios)):
             e.marginals.look_ahead(chosen, groups)
 
 
 @dataclass(frozen=True, eq=False)
 class BaseParameters:
-    """The base model's parameters and the combinations of them that an `Evidence` contains.
+    """The base model's P parameters and the k combinations of them that an `Evidence` contains.
 
     J : Jacobian of the measured numbers by the parameters, shape (n, 3, P)
     delta0 : prior mean minus present value of the parameters, shape (P,) [SI]
     prior : prior standard deviation of the parameters, shape (P,) [SI]
-    units : parameters = units @ combinations, each combination of prior standard deviation one,
-        shape (P, k)
-    still : combinations that move nothing at these poses and are left out, shape (P, P - k): their
-        posterior is their prior
+    units : parameters = units @ combinations, shape (P, k); each combination has the prior standard
+        deviation one
+    still : directions of the parameters that change no measured number and are excluded, shape (P,
+        P - k); their posterior is their prior
     """
 
     J: Array
@@ -206,9 +214,9 @@ class BaseParameters:
     still: Array
 
     def with_all_combinations(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
-        """Return the model with all combinations, for use at other poses, and their units.
+        """Return the model with all P combinations, for use at other poses, and their units (P, P).
 
-        poses : the poses of e among those of J; units : shape (P, P)
+        poses : indices of the poses of e among those of J
         """
         still = self.J[poses] @ self.still
         k = self.units.shape[1]
@@ -218,13 +226,16 @@ class BaseParameters:
         return replace(e, J=J, delta0=delta0, prior=prior), np.concatenate([self.units, self.still], axis=1)
 
     def _mean(self, units: Array) -> Array:
-        """Return the prior mean of combinations orthogonal in units of the priors, shape (k,)."""
+        """Return the prior mean of combinations given by the columns of `units`, shape (k,).
+
+        The columns are orthogonal after division by the parameters' prior standard deviations.
+        """
         own = units / self.prior[:, None]
         return np.asarray(own.T @ (self.delta0 / self.prior) / (own**2).sum(axis=0))
 
     @classmethod
     def restricted(cls, e: Evidence) -> tuple[Evidence, BaseParameters]:
-        """Return the restricted-likelihood (REML) model and its base parameters.
+        """Return the restricted-likelihood (REML) form of a model, and its base parameters.
 
         Degrees of freedom that the base model absorbs carry no information on the noise. Directions
         of the parameters that the data determine get a wider prior, because priors scale with the
@@ -261,8 +272,10 @@ def joint_noise(Jq: Array) -> NoiseModel:
 def log_noise_prior(e: Evidence, Jq: Array) -> Array:
     """Return the log prior density of the noise, up to a constant, shape (rhos, sigmas).
 
-    A declared sigma or data sheet concerns the instrument alone; repeated poses scatter by the
-    instrument and by the joints through Jq, shape (n, 3, joints).
+    A declared sigma or data sheet concerns the instrument alone; the standard deviation over
+    repeated poses that of the instrument and the joints together.
+
+    Jq : Jacobian by the joint variables, shape (n, 3, joints)
     """
     scatter, freedom = e.noise_prior.repeats, e.noise_prior.freedom
     noise = joint_noise(Jq)

@@ -30,13 +30,16 @@ from casadical.robot.kinematics import deflections, gravity_torques
 
 @lru_cache(maxsize=4096)
 def formula_of(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """Return the formula of `composed` from the cache on disk where possible."""
+    """Return the result of `composed` for the same arguments, from the disk cache if possible."""
     cache = cached_formulas(s)
     return cache.formula(template, settings) if cache.is_cacheable(template) else composed(s, template, settings)
 
 
 def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-    """Compose an effect's formula with these settings as inputs; None if it needs their values."""
+    """Return an effect's composed formula, or None if it cannot be composed for symbolic settings.
+
+    template : the effect; settings : names of its settings that are inputs of the formula
+    """
     symbols: dict[str, Any] = {name: ca.SX.sym(name) for name in settings}
     conditions = tuple(dict.fromkeys((*s.exact.conditions, *template.conditions)))
     q, own, phi, constants = s.inputs
@@ -56,10 +59,9 @@ def composed(s: Seams, template: Effect, settings: tuple[str, ...]) -> Formula |
 
 
 def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.SX:
-    """Return the derivative of the seam variables by the effect's parameters.
+    """Return the derivative of the seam variables by the effect's parameters at zero, symbolic.
 
-    Its shape is (seams, parameters); it is taken at zero of the parameters.
-    logged : symbols of the logged columns by name
+    Its shape is (seams, parameters) [SI]. logged : symbols of logged and derived columns by name
     """
     parameters = effect.parameters()
     theta = ca.SX.sym("theta", len(parameters))
@@ -79,7 +81,7 @@ def _seam_derivative(effect: Effect, s: Seams, logged: dict[str, ca.SX]) -> ca.S
 
 
 def _acts(effect: Effect, seam: str) -> bool:
-    """Return whether the effect's class overrides a seam.
+    """Return whether the effect's class overrides the method of a seam: link, base, tool, ...
 
     Composing seams that it does not override would cost a fifth of all formulas' time.
     """
@@ -87,7 +89,7 @@ def _acts(effect: Effect, seam: str) -> bool:
 
 
 def screw(T: ca.SX) -> ca.SX:
-    """Return translation and rotation vector of a near-identity transform, shape (6,)."""
+    """Return translation [m] and rotation vector [rad] of a near-identity transform, shape (6,)."""
     T = ca.SX(T)
     turn = 0.5 * ca.vertcat(T[2, 1] - T[1, 2], T[0, 2] - T[2, 0], T[1, 0] - T[0, 1])
     return ca.vertcat(T[:3, 3], turn)
@@ -99,7 +101,8 @@ class Part:
 
     formula : derivative of the seam variables by an effect's parameters
     settings : values of each setting that is an input of the formula, shape (effects,) each
-    starts : first column of each effect, shape (effects,); width : number of columns of an effect
+    starts : index of the first column of each effect, shape (effects,)
+    width : number of columns of one effect, that of its parameters
     """
 
     formula: Formula
@@ -110,7 +113,10 @@ class Part:
 
 @lru_cache(maxsize=32)
 def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
-    """Return the formulas that make the columns of effects, with the effects that share each."""
+    """Return groups of effects that share a formula; the columns follow the order of `effects`.
+
+    New formulas are written to the cache on disk.
+    """
     starts = np.cumsum([0, *(len(e.sizes()) for e in effects)])
     parts = []
     for (template, names), which in _templates(effects).items():
@@ -128,9 +134,10 @@ def plan(s: Seams, effects: tuple[Effect, ...]) -> tuple[Part, ...]:
 
 
 def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]], list[int]]:
-    """Return the indices of the effects by (template, names of settings).
+    """Return the indices of the effects that share a template, by (template, names of settings).
 
-    Effects with one template differ only in settings on which their conditions do not depend.
+    They differ only in the values of these settings, which are floats and on which neither their
+    conditions nor the names of their parameters depend.
     """
     first: dict[Any, tuple[Effect, tuple[str, ...]]] = {}
     templates: dict[tuple[Effect, tuple[str, ...]], list[int]] = {}
@@ -145,7 +152,7 @@ def _templates(effects: Sequence[Effect]) -> dict[tuple[Effect, tuple[str, ...]]
     return templates
 
 
-# Folder of the package, whose code is hashed.
+# Folder of the package casadical, whose code is hashed.
 PACKAGE_FOLDER = Path(__file__).parents[1]
 
 
@@ -153,8 +160,8 @@ PACKAGE_FOLDER = Path(__file__).parents[1]
 class Formula:
     """Derivative of the seam variables by one effect's parameters, with its settings as inputs.
 
-    function : instructions that evaluate the nonzeros
-    conditions : logged columns in the order of the formula's input w
+    function : instructions that evaluate the nonzeros, from q, w, phi, constants, seen and settings
+    conditions : names of logged and derived columns in the order of the formula's input w
     rows, columns : indices of seam variable and parameter of each nonzero, shape (nonzeros,)
     """
 
@@ -199,9 +206,10 @@ class FormulaCache:
                     self._cached = json.loads(text)
 
     def is_cacheable(self, template: Effect) -> bool:
-        """Return whether formulas of an effect are cached.
+        """Return whether the formulas of an effect may be stored in the file.
 
-        They are for effects of the package's own code that are on a list and have the usual sizes.
+        They may for effects of the package's own code that are on a list of candidates and, if they
+        have parts, have the prior sizes of a candidate.
         """
         own = all(kind.__module__.startswith("casadical.") for kind in type(template).__mro__[:-1])
         if not (own and template.on_list):
@@ -209,7 +217,7 @@ class FormulaCache:
         return not template.parts or template in type(template).candidates(self._seams.exact.arm)
 
     def formula(self, template: Effect, settings: tuple[str, ...]) -> Formula | None:
-        """Return the formula of `composed`, which is composed only if it is not cached."""
+        """Return the result of `composed`, from the cache if it is there; a new one is added."""
         key = repr((template, settings))
         if key not in self._cached:
             made = composed(self._seams, template, settings)
@@ -218,7 +226,7 @@ class FormulaCache:
         return data and Formula.from_data(data)
 
     def write(self) -> None:
-        """Write the file if there are new formulas; the write is atomic."""
+        """Write the file, atomically, if there are new formulas; a failure is ignored."""
         if not self._new or self.path is None:
             return
         self._new = False
@@ -229,13 +237,13 @@ class FormulaCache:
 
 @lru_cache(maxsize=16)
 def cached_formulas(s: Seams) -> FormulaCache:
-    """Return the cache of one structure's formulas for the code that runs."""
+    """Return the formula cache of one robot structure for the package's present code."""
     return FormulaCache(s, code_hash(PACKAGE_FOLDER))
 
 
 @lru_cache(maxsize=1)
 def code_hash(package: Path) -> str:
-    """Return the hash of a package's code that composes formulas; package : its folder."""
+    """Return the SHA-256 hash [hex] of the code that composes formulas; package : its folder."""
     # A formula depends on the code of these subpackages.
     files = sorted(
         path

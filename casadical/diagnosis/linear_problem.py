@@ -41,14 +41,14 @@ class Case:
     candidates : candidate causes whose columns were logged
     missing : columns that were not logged, by label of the candidate that needs them
     whole : linear model of all poses; base : the base model's parameters in it
-    kept : mask of the inlier poses, shape (n,)
-    columns : indices of each effect's columns in the linear model
+    kept : mask of the inlier poses among all n poses, shape (n,)
+    columns : indices of each effect's columns in the linear model, by effect
     observations : residuals and Jacobians of the measurement sets
     free : labels of effects of the given robot that are free in the base model, with their own
         priors
-    prior : prior knowledge from another campaign
-    units : parameters correlated by this prior as combinations of independent ones of standard
-        deviation one, shape (P, P), or None
+    prior : prior of parameters from another campaign
+    units : base parameters = units @ independent ones, shape (P, P), where this prior correlates
+        them; None without such a prior
     assumed : assumptions made for the user, as sentences
     form : form of noise under which causes are compared
     selected : cached linear model of the inlier poses, at most one item
@@ -79,21 +79,28 @@ class Case:
 
     @property
     def rows(self) -> Array:
-        """Return the index of the inlier pose of each inlier row of the sets, shape (rows,)."""
+        """Return the index among the inlier poses of each row at an inlier pose, shape (rows,).
+
+        Rows are those of the concatenated table of all sets.
+        """
         return self.observations.stops.indices_among(self.kept)
 
     @cached_property
     def positions(self) -> Array:
-        """Return the measured (else predicted) points in the measuring frame, shape (n, 3) [m]."""
+        """Return the point of each pose in the measuring frame, shape (n, 3) [m].
+
+        It is the measured one if there is a single set with positions, else the predicted one.
+        """
         if len(self.observations.sets) == 1 and self.m.position is not None:
             return self.m.position
         return predicted(self.robot, self.m)[0]
 
     @property
     def vectors(self) -> Array | None:
-        """Return the position residuals of the inlier poses, shape (n_inliers, 3) [m], else None.
+        """Return measured minus modelled positions of the inlier poses, shape (n_inliers, 3) [m].
 
-        Residuals are None unless the campaign is one set of positions (not with covariances).
+        They are in the measuring frame; None unless the campaign is one set with positions (not
+        with covariances).
         """
         several = len(self.observations.sets) > 1 or self.m.position is None or self.m.kind == PositionCovariance.name
         return None if several else self.evidence.r[:, :3]
@@ -110,19 +117,22 @@ class Case:
 
     @property
     def evidence(self) -> Evidence:
-        """Return the linear model of the inlier poses."""
+        """Return the linear model of the inlier poses, for white noise."""
         if not self.selected:
             self.selected.append(self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept)))
         return self.selected[0]
 
     @cached_property
     def progress(self) -> Array:
-        """Return the position of each pose in the order of measuring, from 0 to 1, shape (n,)."""
+        """Return each pose's place in the order of measuring, 0 first to 1 last, shape (n,)."""
         return derive(self.m, ["progress"])[0].conditions["progress"]
 
     @property
     def order(self) -> Array:
-        """Return the indices of the inlier poses in the order of measuring, shape (n_inliers,)."""
+        """Return the inlier poses' indices among the inliers in the order of measuring.
+
+        Their shape is (n_inliers,).
+        """
         return np.argsort(self.progress[self.kept], kind="stable")
 
     @cached_property
@@ -134,7 +144,7 @@ class Case:
         return self.evidence if self.form is WHITE_FORM else prewhitened(self.evidence, self.form, self.order)
 
     def torques(self, m: Measurements) -> Array:
-        """Return the gravity torque of each joint at some poses, shape (len(m), joints) [N m]."""
+        """Return each joint's gravity torque at the poses of m, (len(m), joints) [N m or N]."""
         w = m.condition_matrix(self.given.conditions, self.given.declared)
         tau = self.given.model.function("torque", ("tau",)).map(len(m))(m.q.T, w.T, self.values)
         return np.asarray(tau.full().T)
@@ -144,21 +154,23 @@ class Case:
         return replace(self, form=form)._with_evidence(self.evidence)
 
     def with_scatter(self, joint: int, times: float) -> Case:
-        """Return the case with a joint's (1-based) repeatability error multiplied by a factor."""
+        """Return the case with a joint's (1-based) repeatability error multiplied by `times`."""
         own = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, times, 1.0)
         return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * own))
 
     def _with_evidence(self, known: Evidence) -> Case:
-        """Cache the linear model of the inlier poses, made before, and return the case."""
+        """Store `known` as the linear model of the inlier poses, and return the case itself."""
         self.selected[:] = [known]
         return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
-        """Return mean, standard deviation and correlated blocks of the base parameters' prior.
+        """Return mean, sigma and correlated blocks of the base parameters' prior.
 
-        mean : prior mean minus present value, shape (P,) [SI]; sigma : standard deviation, shape
-            (P,) [SI]
-        The blocks are (indices, covariance) of the prior's effects with correlated parameters.
+        The mean is that of the prior minus the present value, mean and sigma have the shape (P,)
+        [SI]. A block holds the indices, shape (k,), and the covariance, shape (k, k) [SI], of
+        effects' parameters.
+
+        prior : prior of parameters from another campaign; others have the prior of the base model
         """
         mean, sigma = self.base.delta0.copy(), self.base.prior.copy()
         places = {name: k for k, name in enumerate(self.given.parameters.names)}
@@ -172,7 +184,7 @@ class Case:
         return mean, sigma, known
 
     def with_prior(self, prior: Prior, reference: float) -> Case:
-        """Return the case with prior knowledge from another campaign in its base model.
+        """Return the case with the prior of another campaign on its base parameters.
 
         reference : noise standard deviation at which the priors hold [m]
         """
@@ -186,10 +198,10 @@ class Case:
         return replace(self, whole=whole, base=base, prior=prior, units=units)
 
     def with_all_sigmas(self) -> Case:
-        """Return the case with the widest noise grid.
+        """Return the case with the noise grid `WIDE_SIGMA_GRID_M`.
 
-        Where the rms residual of the base model exceeds the usual grid, the base priors hold at
-        this noise and the sizes of effects grow in the same proportion.
+        Where the rms residual of the base model exceeds the previous grid, the base priors hold at
+        this noise, and the typical sizes of effects grow in proportion.
         """
         residual_sd, most = (
             float(np.sqrt(np.sum(self.evidence.r**2) / self.evidence.count)),
@@ -207,11 +219,14 @@ class Case:
 
     @property
     def growth(self) -> float:
-        """Return the factor on the usual sizes of effects."""
+        """Return the factor on the typical sizes of all effects (see `with_all_sigmas`)."""
         return self.whole.E.growth if isinstance(self.whole.E, EffectColumns) else 1.0
 
     def screened(self, kept: Array) -> Case:
-        """Return the case with these inliers. Raises InputError if most poses are outliers."""
+        """Return the case with other inliers. Raises InputError if most poses are outliers.
+
+        kept : mask of the inliers, shape (n,)
+        """
         if 2 * kept.sum() < len(kept):
             raise InputError(
                 f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
@@ -220,7 +235,10 @@ class Case:
         return self.with_inliers(kept)
 
     def with_inliers(self, kept: Array) -> Case:
-        """Return the case with other inliers; cached sums are updated if few poses change."""
+        """Return the case with other inliers; cached sums are updated if few poses change.
+
+        kept : mask of the inliers, shape (n,)
+        """
         if np.array_equal(kept, self.kept):
             return self
         more = replace(self, kept=kept)
@@ -237,9 +255,9 @@ class Case:
 
     @property
     def _successions(self) -> Array:
-        """Return each inlier pose and its predecessor or -1, shape (n_inliers, 2).
+        """Return the indices of each inlier pose and the inlier before it, shape (n_inliers, 2).
 
-        Poses are in the order of measuring.
+        Rows are in the order of measuring; the first one has no predecessor, -1.
         """
         poses = np.flatnonzero(self.kept)[self.order]
         return np.column_stack([poses, np.append(-1, poses[:-1])])
@@ -251,18 +269,18 @@ class Case:
 
     @cached_property
     def groups(self) -> tuple[Array, ...]:
-        """Return the columns of every variant of every candidate, in the order of `variants`."""
+        """Return the indices of the columns of each variant of each candidate, as `variants`."""
         return tuple(self.group(self.candidates[c].variants[v]) for c, v in self.variants)
 
     def group(self, effects: Sequence[Effect]) -> Array:
-        """Return the columns of effects that act together, shape (k,); empty for no effects."""
+        """Return the indices of the columns of some effects, shape (k,); empty for no effects."""
         return np.concatenate([NO_COLUMNS, *(self.columns[e] for e in effects)])
 
     def with_sizes(self, effect: Effect, factors: Mapping[int, float], noise: Noise) -> tuple[Case, Effect]:
-        """Return the case and the effect with learnt prior sizes of the effect's parts.
+        """Return the case and the effect with other prior sizes of the effect's parts.
 
-        factors : factor on the size of each part
-        noise : remaining noise, at which the priors hold from now on
+        factors : factor on the prior size of each part
+        noise : noise at which the priors hold from now on
         """
         learnt = effect.with_sizes({part: self.growth * factor for part, factor in factors.items()})
         columns = self.columns[effect]
@@ -283,14 +301,17 @@ class Case:
         return more, learnt
 
     def sizes(self, columns: Array) -> Array:
-        """Return the size that counts as one of these columns' parameters, shape (k,) [SI]."""
+        """Return the typical sizes of the parameters of these columns, shape (k,) [SI].
+
+        They include the factor `growth`.
+        """
         assert isinstance(self.whole.E, EffectColumns)
         return self.whole.E.sizes[columns]
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
-        """Return the case with additional variants (settings) of one candidate.
+        """Return the case with additional variants (settings) of the candidate of a label.
 
-        label : of the candidate; variants : effects of each new variant
+        variants : effects of each new variant
         """
         candidates = tuple(
             replace(c, variants=(*c.variants, *variants)) if c.label == label else c for c in self.candidates
@@ -317,10 +338,10 @@ class Case:
 
 
 def _changed_rows(case: Case, other: Case) -> Array:
-    """Return the inlier poses of a case whose predecessor is another one in the other case.
+    """Return the indices of the inlier poses whose prewhitened rows differ between two cases.
 
-    Poses that are no inliers of the other case count, too: these rows of the prewhitened models
-    differ. Indices are in the order of measuring.
+    They are the inliers of `case`, in the order of measuring, that have another predecessor in
+    `other` or are no inliers there.
     """
     known = set(map(tuple, other._successions.tolist()))
     return np.array(
@@ -336,9 +357,9 @@ def make_case(
 ) -> Case:
     """Return the case of an identification on its own measurements.
 
-    candidates : effects to consider; those whose columns were not logged are listed as missing
+    candidates : possible causes; those whose columns were not logged are listed in `Case.missing`
     free : see `Case`
-    ratios : noise of the sets and of their angles, by default as in the base fit
+    ratios : noise of the sets' lengths and angles, by default that of the base fit
     """
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
@@ -365,7 +386,7 @@ def _problem(
     values: Array,
     free: tuple[str, ...],
 ) -> tuple[Array, Evidence, BaseParameters]:
-    """Return the mask of poses without gross errors, the linear model and its base parameters.
+    """Return the mask of poses without gross errors (n,), the linear model and its base parameters.
 
     The priors hold at the usual noise of a laser tracker if only positions were measured, else at
     the robust standard deviation of the base model's residuals.
@@ -409,10 +430,10 @@ def _problem(
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:
-    """Return the masks of `Evidence.unsure`: small tables without a declared sigma.
+    """Return masks (n, numbers) for `Evidence.unsure`: small tables without a declared sigma.
 
-    The lengths and the angles of a set are a table each.
-    One table stays out as the reference where no table declares its sigma.
+    The lengths and the angles of a set are a table each. Where no table declares its sigma, the
+    largest one is the reference and excluded.
     """
     masks, declared = [], False
     for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):
@@ -433,9 +454,10 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
 
 
 def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
-    """Return the noise of each set that a fit with causes leaves; None if as assumed.
+    """Return the noise of each set estimated from a fit with causes; None if it hardly changes.
 
-    columns : of the causes, shape (k,); noise : at which the fit is made
+    columns : indices of the causes' columns, shape (k,); noise : that of the fit
+    Declared sigmas are unchanged.
     """
     seen = case.observations
     if seen.plain:
@@ -465,12 +487,12 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
 
 
 def widths(effects: Sequence[Effect]) -> Array:
-    """Return the typical size (SI) of every parameter of the effects, shape (parameters,)."""
+    """Return the typical size of every parameter of the effects, shape (parameters,) [SI]."""
     return np.array([size for e in effects for size, _ in e.sizes().values()])
 
 
 def column_indices(effects: Sequence[Effect], first: int) -> dict[Effect, Array]:
-    """Return the indices of every effect's columns, consecutive from the index first."""
+    """Return the indices of each effect's columns, by effect; they are consecutive from `first`."""
     edges = first + np.cumsum([0, *(len(e.sizes()) for e in effects)])
     return {e: np.arange(a, b) for e, a, b in zip(effects, edges[:-1], edges[1:], strict=True)}
 
@@ -478,7 +500,7 @@ def column_indices(effects: Sequence[Effect], first: int) -> dict[Effect, Array]
 def base_prior_sigmas(robot: Robot, free: Collection[str] = ()) -> Array:
     """Return the prior standard deviation of every parameter of the base model, shape (P,) [SI].
 
-    Effects that the robot has already are fixed, except free, the labels of those that are not.
+    free : labels of the effects of the robot that are not fixed, unlike all its other effects
     """
     held = {e.label for e in robot.effects} - set(free)
 

@@ -26,14 +26,17 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Number of variables of the measured point, the last of the seam variables.
+# Number of seam variables of the measured point, x, y and z; they are the last ones of an end.
 POINT_VARIABLES = 3
-# Separates a condition's name from the index of an additional reading at the same pose.
+# Character between a condition's name and the index of an additional reading at the same pose.
 READING_MARK = "#"
 
 
 def condition_of_reading(condition: str, turn: int) -> str:
-    """Return the name of a condition of the reading with this index (0 for the first) at a pose."""
+    """Return the name under which a condition is stored for one of several readings at a pose.
+
+    turn : index of the reading, 0 for the first, whose name is unchanged
+    """
     return f"{condition}{READING_MARK}{turn}" if turn else condition
 
 
@@ -46,11 +49,11 @@ class Linearisation:
     phi : parameters of the robot, shape (P,) [SI]
     q : joint readings of the poses, shape (n, joints) [rad or m]
     conditions : logged and derived columns by name, shape (n,) each
-    J : Jacobian by the base model's parameters, shape (n, 3, P)
-    S : Jacobian by all seam variables, shape (n, 3, seams)
+    J : Jacobian of the measured position by the base model's parameters, shape (n, 3, P)
+    S : Jacobian of the measured position by all seam variables, shape (n, 3, seams)
     seen : quantities that effects depend on (measured point, gravity torques, gravity, frames),
-        shape (n, numbers)
-    constants : of the model with effects in it
+        shape (n, quantities)
+    constants : constants of the model (see `constants_of`)
     far : q and seen at the other ends of measurements between two poses, whose seam variables
         follow those of the first ends in S; None for measurements with one end
     further : largest number of additional readings at a pose; each has its own variables of the
@@ -75,7 +78,7 @@ class Linearisation:
 
     @property
     def Jq(self) -> Array:
-        """Return the Jacobian by the joint variables, shape (n, 3, joints)."""
+        """Return the Jacobian of the measured position by the joint variables, (n, 3, joints)."""
         return self.S[:, :, : self.robot.n]
 
     def at(self, poses: Array | slice) -> Linearisation:
@@ -86,17 +89,17 @@ class Linearisation:
         return replace(self, conditions=conditions, far=far, **each)
 
     def columns(self, effects: Sequence[Effect]) -> Array:
-        """Return the columns of all effects' parameters, shape (n, 3, parameters) [m per SI unit].
+        """Return the Jacobian by all effects' parameters, shape (n, 3, parameters) [m per SI unit].
 
-        Raises KeyError for a condition that is missing (see `derived_columns.derive`).
+        Raises KeyError for a missing condition (see `derived_columns.derive`).
         """
         return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
     def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
-        """Return the columns of effects as derivatives of the seam variables at which they act.
+        """Return the derivatives of each seam variable by the effects' parameters.
 
-        parts : of `plan`; sizes : parameter values that count as one, shape (columns,); SI units by
-            default
+        parts : formulas and effects as `plan` returns them
+        sizes : units of the parameters, shape (columns,) [SI]; None: SI units
         """
         n, by_seam = len(self.q), dict[int, list[tuple[Array, Array | float]]]()
         for numbers, first, least, turn in self._places():
@@ -124,11 +127,10 @@ class Linearisation:
         return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
-        """Yield where effects act: at each end of a measurement, and at each additional reading.
+        """Yield ((q, seen), first, least, turn) for each end and each additional reading.
 
-        Each item is q and seen there, the index of the first seam variable in S, the first seam
-        variable that is used, and the index of the reading. An additional reading at a pose has
-        variables of the measured point only.
+        Seam variable k of it has the index first + k in S; only those with k >= least exist, for an
+        additional reading those of the measured point. turn is the index of the reading.
         """
         ends = [(self.q, self.seen)] if self.far is None else [(self.q, self.seen), self.far]
         seams = (self.S.shape[2] - POINT_VARIABLES * self.further) // len(ends)
@@ -138,7 +140,10 @@ class Linearisation:
             yield ends[0], len(ends) * seams + POINT_VARIABLES * turn - seams, seams - POINT_VARIABLES, turn
 
     def _condition(self, name: str, turn: int) -> Array:
-        """Return a condition at a reading, shape (n,): logged, else the robot's declared value."""
+        """Return a column at the readings of index `turn`, shape (n,).
+
+        It is that of the reading, else that of the pose, else the robot's declared value.
+        """
         for own in (condition_of_reading(name, turn), name):
             if own in self.conditions:
                 return self.conditions[own]
@@ -161,8 +166,10 @@ def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
 def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values: Array) -> tuple[Array, Array, Array]:
     """Return Jacobians of the measured position by effects, base parameters and joint variables.
 
-    Shapes (n, 3, all effects' parameters), (n, 3, P) and (n, 3, joints).
-    m : with every condition that the effects need (see
+    Shapes are (n, 3, all effects' parameters), (n, 3, P) and (n, 3, joints) [m per SI unit], in the
+    measuring frame.
+
+    m : measurements with every condition that the effects need (see
         `casadical.measurements.derived_columns.derive`)
     values : the robot's parameters at which they are evaluated, shape (P,) [SI]
     """
@@ -172,12 +179,12 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns(Columns):
-    """Jacobian columns of effects in units of their parameters' sizes, made on demand.
+    """Jacobian columns of effects in units of their parameters' typical sizes, made on demand.
 
     linear : linearisation at all poses
     effects : effects whose columns follow one another
     growth : factor on all sizes, for a robot with larger residuals than the noise grid covers
-    first : columns of the first of the effects, made before
+    first : columns of the first effects, computed before; None without
     directions : observable directions of the effects' parts (see `core.linear_gaussian.columns`);
         empty until `with_directions`
     poses : indices of the linearisation's poses at which the columns are, shape (n,); None for all
@@ -194,7 +201,7 @@ class EffectColumns(Columns):
 
     @property
     def sizes(self) -> Array:
-        """Return the typical size of every parameter, shape (columns,) [SI]."""
+        """Return the typical size of every parameter times `growth`, shape (columns,) [SI]."""
         if "sizes" not in self.cached:
             earlier = np.zeros(0) if self.first is None else self.first.sizes
             own = [self.growth * size for e in self._own for size, _ in e.sizes().values()]
@@ -204,7 +211,7 @@ class EffectColumns(Columns):
 
     @cached_property
     def held(self) -> Array:
-        """Return each parameter's prior sd once it is in a model, in sizes, shape (columns,)."""
+        """Return each parameter's prior sigma as a cause, in typical sizes, shape (columns,)."""
         earlier = np.zeros(0) if self.first is None else self.first.held
         return np.concatenate([earlier, [e.held for e in self._own for _ in e.sizes()]])
 
@@ -219,7 +226,7 @@ class EffectColumns(Columns):
         return n if self.poses is None else len(self.poses), numbers, len(self.sizes)
 
     def _among_all(self, blocks: Array | slice) -> Array | slice:
-        """Return the indices of some poses among those of the linearisation."""
+        """Return the indices of some of these poses among those of the linearisation."""
         return blocks if self.poses is None else self.poses[blocks]
 
     @cached_property
@@ -252,7 +259,10 @@ class EffectColumns(Columns):
         return 8 * len(self.linear.q) * self.shape[2] <= 100_000_000
 
     def factors(self, blocks: Array | slice = WHOLE_AXIS, columns: Array | None = None) -> Factors:
-        """Return columns, all by default, at some poses as derivatives of the seam variables."""
+        """Return derivatives of the seam variables by the parameters, in units of their sizes.
+
+        blocks : indices of poses; columns : indices of parameters, None for all
+        """
         poses = self._among_all(blocks)
         if not self._cacheable:
             if columns is None:
@@ -262,11 +272,17 @@ class EffectColumns(Columns):
         return self._all.at(poses) if columns is None else self._all.only(columns).at(poses)
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
-        """Return the Jacobian by the seam variables at some poses, shape (poses, 3, seams)."""
+        """Return the Jacobian of the measured numbers by the seam variables, (poses, 3, seams).
+
+        blocks : indices of poses
+        """
         return self.linear.S[self._among_all(blocks)]
 
     def _owning(self, columns: Array) -> tuple[EffectColumns, Array]:
-        """Return the columns of the effects that own these, and the indices of these among them."""
+        """Return all columns of the effects to which some columns belong, and the latter's indices.
+
+        columns : indices of columns, in rising order
+        """
         owners = np.searchsorted(self._edges, columns, side="right") - 1
         used = np.unique(owners)
         some = EffectColumns(self.linear, tuple(self.effects[k] for k in used), self.growth, poses=self.poses)
@@ -274,7 +290,10 @@ class EffectColumns(Columns):
         return some, columns - starts[np.searchsorted(used, owners)]
 
     def only(self, columns: Array) -> EffectColumns:
-        """Return some of the columns, in rising order, either all or none of each effect."""
+        """Return some of the columns, either all or none of each effect.
+
+        columns : their indices, in rising order
+        """
         some, _ = self._owning(columns)
         some.cached["sizes"] = self.sizes[columns]
         if self._cacheable:
@@ -282,7 +301,7 @@ class EffectColumns(Columns):
         return some
 
     def at(self, blocks: Array) -> EffectColumns:
-        """Return the same columns at some of the poses."""
+        """Return the same columns at the poses with these indices."""
         poses = blocks if self.poses is None else self.poses[blocks]
         if self._cacheable or 2 * len(poses) > len(self.linear.q):
             return replace(self, poses=poses)
@@ -303,9 +322,9 @@ class EffectColumns(Columns):
         return replace(self, directions=tuple(directions))
 
     def plus(self, effects: tuple[Effect, ...], conditions: Mapping[str, Array]) -> EffectColumns:
-        """Return the columns with those of additional effects behind them.
+        """Return the columns with those of additional effects appended.
 
-        conditions : all logged and derived columns of all poses, shape (n,) each
+        conditions : logged and derived columns of all poses by name, shape (n,) each
         """
         linear = replace(self.linear, conditions=dict(conditions))
         return EffectColumns(linear, (*self.effects, *effects), self.growth, self, self.directions, self.poses)

@@ -32,7 +32,10 @@ from casadical.robot.robot import Robot
 
 @dataclass(frozen=True, eq=False)
 class Stops:
-    """Assignment of the rows of several measurement sets to the stops at which they were read.
+    """Assignment of the rows of all measurement sets to the stops at which they were read.
+
+    A stop is a pose at which the robot stood while one or more rows were measured; rows are those
+    of the concatenated table of all sets.
 
     of : index of each row's stop, shape (rows,)
     turn : number of rows of the same stop before each row, shape (rows,)
@@ -49,7 +52,10 @@ class Stops:
         return int(self.turn.max()) + 1
 
     def indices_among(self, mask: Array) -> Array:
-        """Return, for each row at a stop in the mask, the stop's index among these, shape (k,)."""
+        """Return, for each row at a selected stop, the stop's index among the selected, shape (k,).
+
+        mask : selected stops, shape (stops,)
+        """
         return np.asarray((np.cumsum(mask) - 1)[self.of[mask[self.of]]])
 
 
@@ -57,13 +63,16 @@ class Stops:
 class Ratios:
     """Noise standard deviations of every set, of which only the ratios matter.
 
-    sigmas : of a length [m] and of an angle [rad], for each set
+    sigmas : for each set those of a length [m] and of an angle [rad]
     """
 
     sigmas: tuple[tuple[float, float], ...]
 
     def of_set(self, k: int) -> tuple[float, float]:
-        """Return the factors that scale a set's lengths and angles to the first set's noise."""
+        """Return the factors that scale the lengths and the angles of set k to equal noise.
+
+        The scaled noise is that of a length of the first set; units are 1 and m/rad.
+        """
         length, angle = self.sigmas[k]
         return self.sigmas[0][0] / length, self.sigmas[0][0] / angle
 
@@ -72,12 +81,16 @@ class Ratios:
 class Observations:
     """Residuals and Jacobians of measurement sets at the base model that was calibrated on them.
 
-    m : all poses as one table; sets : as given, with the conditions of m; ratios : of their noise
+    m : all n poses as one table; sets : the measurement sets, with the conditions of m
+    ratios : noise of the sets by which r and all Jacobians are scaled
     layout : positions of the sets' rows among the numbers of the poses
-    r : measured minus modelled, shape (n, numbers); linear : its derivatives
+    r : measured minus modelled numbers, shape (n, numbers) [m, angles scaled to m]
+    linear : derivatives of the modelled numbers
     U : Jacobian by the unknown points in units of their prior, shape (n, numbers, 3 points)
     mean : prior mean of these points minus their estimate, in the same units, shape (3 points,)
-    measured, size, alike : see `Evidence`
+    measured : mask of the numbers that were measured, shape (n, numbers)
+    size : factors from r to the reported error, zero for angles, shape (n, numbers)
+    alike : index of the unknown points at which each pose was measured; None without such points
     apart : index of the target of each pose, for the comparison of repeated poses, shape (n,)
     Jq : Jacobian by the joint variables through which joint repeatability acts, shape (n, numbers,
         joints)
@@ -99,17 +112,17 @@ class Observations:
 
     @property
     def plain(self) -> bool:
-        """Return whether there is only one set, of positions."""
+        """Return whether there is a single set, and its kind of measurement is positions."""
         return len(self.sets) == 1 and self.sets[0].kind == Position.name
 
     @property
     def stops(self) -> Stops:
-        """Return the stops at which the sets' rows were read: these are the poses."""
+        """Return the assignment of the sets' rows to stops; the stops are the n poses."""
         return self.layout.stops
 
 
 def combined_table(sets: Sequence[Measurements], robot: Robot, stops: Stops) -> Measurements:
-    """Return all poses as one table with the columns that every set has.
+    """Return one table with a row for each stop and the logged columns that every set has.
 
     Conditions that the robot's model needs take the declared value where a set lacks them. With
     several sets the table's positions are zeros, not measurements.
@@ -165,15 +178,15 @@ def stops_in(sets: Sequence[Measurements]) -> Stops:
 
 
 def row_slices(sets: Sequence[Measurements]) -> list[slice]:
-    """Return the rows of each set in the concatenated table of all sets."""
+    """Return, for each set, the slice of its rows in the concatenated table of all sets."""
     ends = np.cumsum([0, *(len(m) for m in sets)]).tolist()
     return [slice(a, b) for a, b in pairwise(ends)]
 
 
 def with_combined_conditions(sets: Sequence[Measurements], m: Measurements, stops: Stops) -> tuple[Measurements, ...]:
-    """Return the sets with the conditions of the combined table m.
+    """Return copies of the sets whose conditions are those of the combined table m at their stops.
 
-    An additional reading at a stop has its own condition where there is one (see
+    An additional reading at a stop has a condition of its own where m has one (see
     `condition_of_reading`).
     """
     own = [name for name in m.conditions if READING_MARK not in name]
@@ -193,10 +206,10 @@ def with_combined_conditions(sets: Sequence[Measurements], m: Measurements, stop
 class Layout:
     """Positions of the sets' rows in an array of poses by numbers.
 
-    stops : the poses
-    rows : rows of each set in the concatenated table of all sets
-    poses : index of the pose of each row, for each set, shape (rows, 1)
-    places : indices of the row's numbers at this pose, for each set, shape (rows, numbers)
+    stops : assignment of the rows to poses
+    rows : slice of each set's rows in the concatenated table of all sets
+    poses : for each set the index of the pose of each row, shape (rows, 1)
+    places : for each set the second indices of each row's numbers, shape (rows, numbers)
     """
 
     stops: Stops
@@ -206,7 +219,7 @@ class Layout:
 
     @property
     def alone(self) -> bool:
-        """Return whether there is one set whose rows are the poses."""
+        """Return whether there is a single set, and its rows in order are the poses."""
         return len(self.rows) == 1 and np.array_equal(self.stops.of, np.arange(len(self.stops.rows)))
 
     @property
@@ -215,10 +228,10 @@ class Layout:
         return len(self.stops.rows), max(int(places.max()) + 1 for places in self.places)
 
     def together(self, parts: Sequence[Array]) -> Array:
-        """Return the sets' arrays merged by pose, shape (poses, numbers, ...).
+        """Return one array with the sets' numbers by pose, shape (poses, numbers, ...).
 
         Numbers that were not measured are zero.
-        parts : of each set, shape (rows, numbers, ...)
+        parts : array of each set, shape (rows, numbers, ...)
         """
         if self.alone:
             return parts[0]
@@ -248,10 +261,11 @@ def observe(
     ratios: Ratios,
     stops: Stops,
 ) -> Observations:
-    """Return residuals and Jacobians of the sets at the base model's parameters.
+    """Return residuals and Jacobians of the sets at given parameters of the base model.
 
     m : table of `combined_table` with every condition that the effects need
     values : parameters of the base model, shape (P,) [SI]
+    ratios : noise of the sets, for scaling; stops : see `stops_in`
     """
     robot, where = identification.given, identification.unknown_points
     sets = with_combined_conditions(sets, m, stops)
@@ -286,10 +300,12 @@ def observe(
 
 
 def _seam_jacobian(parts: Sequence[_SetObservations], layout: Layout, ends: int) -> Array:
-    """Return the Jacobian by all seam variables, shape (poses, numbers, seams).
+    """Return the poses' Jacobian by all seam variables, shape (poses, numbers, seams).
 
     An instrument's effect on its own reading leaves the other readings at the stop unchanged: each
     additional reading has its own variables of the measured point, after all other seam variables.
+
+    ends : largest number of poses that a measurement involves, one or two
     """
     stops, seams = layout.stops, parts[0].S.shape[2] // parts[0].ends
     if layout.alone:
@@ -306,9 +322,12 @@ def _seam_jacobian(parts: Sequence[_SetObservations], layout: Layout, ends: int)
 
 
 def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
-    """Return the Jacobian of joint repeatability, shape (poses, numbers, joints).
+    """Return the Jacobian by the joints' repeatability errors, shape (poses, numbers, joints).
 
-    The repeatability errors at the two ends of a distance between poses are independent.
+    Those at the two ends of a distance between poses are independent, so that its row is the root
+    of the sum of squares over both ends.
+
+    S : Jacobian by all seam variables; ends : number of ends; seams : seam variables of one end
     """
     arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, :joints]
     return np.asarray(arms[:, :, 0] if ends == 1 else np.sqrt((arms**2).sum(axis=2)))
@@ -317,7 +336,7 @@ def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
 def _point_jacobian(
     identification: Identification, parts: Sequence[_SetObservations], layout: Layout
 ) -> tuple[Array, Array]:
-    """Return U and mean of the unknown points (see `Observations`)."""
+    """Return the fields U and mean of `Observations`, for the unknown points."""
     where = identification.unknown_points
     U = np.zeros((*layout.shape, 3 * len(where)))
     for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):
@@ -329,19 +348,22 @@ def _point_jacobian(
 
 
 def _by_stop(stops: Stops, numbers: Array) -> Array:
-    """Return one number of each row, arranged by stop, shape (stops, turns); -1 without a row."""
+    """Return an integer of each row arranged by stop, shape (stops, turns); -1 where no row is.
+
+    numbers : the integers, shape (rows,); turns : largest number of rows at one stop
+    """
     out = np.full((len(stops.rows), stops.most), -1)
     out[stops.of, stops.turn] = numbers
     return out
 
 
 def _distinct_indices(keys: Array) -> Array:
-    """Return the index of each row among the distinct rows of keys, shape (n,)."""
+    """Return the index of each row of `keys` among its sorted distinct rows, shape (n,)."""
     return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1].ravel())
 
 
 def _equal_rows_before(keys: Array) -> Array:
-    """Return how many equal rows precede each row of keys, shape (n,)."""
+    """Return the number of earlier rows of `keys` that are equal to each row, shape (n,)."""
     number = _distinct_indices(keys)
     order = np.argsort(number, kind="stable")
     places = np.empty(len(number), dtype=np.int64)
@@ -352,12 +374,14 @@ def _equal_rows_before(keys: Array) -> Array:
 class _SetObservations(NamedTuple):
     """Residuals and Jacobians of one measurement set, scaled to equal noise of all sets.
 
-    r : measured minus modelled, shape (rows, numbers)
-    J, S, U : Jacobians by base parameters, seam variables of all ends, and the unknown point,
-        shapes (rows, numbers, P), (rows, numbers, seams) and (rows, numbers, 3 or 0)
-    seen, q : what effects depend on and joint readings, one array for each end, shape (rows, ...)
-    measured : mask of the numbers that count, shape (rows, numbers)
-    size : factors to the reported error, zero for angles, shape (rows, numbers)
+    r : measured minus modelled numbers, shape (rows, numbers)
+    J, S, U : Jacobians of the modelled numbers by base parameters, seam variables of all ends, and
+        the unknown point, shapes (rows, numbers, P), (rows, numbers, seams), (rows, numbers, 3 or
+        0)
+    seen : at each end, the quantities that effects depend on, shape (rows, quantities)
+    q : at each end, the joint readings, shape (rows, joints) [rad or m]
+    measured : mask of the numbers of rows with positive weight, shape (rows, numbers)
+    size : factors from r to the reported error, zero for angles, shape (rows, numbers)
     point : index of each row's unknown point, -1 without one, shape (rows,)
     ends : number of poses that a measurement involves, one or two
     """
@@ -377,9 +401,10 @@ class _SetObservations(NamedTuple):
 def _observe_set(
     robot: Robot, m: Measurements, k: int, values: Array, where: Mapping[str, Array], ratios: Ratios
 ) -> _SetObservations:
-    """Return residuals and Jacobians of set k at the base model, scaled to equal noise.
+    """Return residuals and Jacobians of set m, of index k, scaled to equal noise of all sets.
 
-    where : estimate of each unknown point by name, shape (3,) [m]
+    values : parameters of the base model, shape (P,) [SI]
+    where : estimate of each unknown point in the measuring frame, by name, shape (3,) [m]
     """
     kind, n = find_kind(m.kind), len(m)
     names = [f"{k}/{name}" for name in kind.point_names(m.arrays)]
@@ -401,9 +426,12 @@ def _observe_set(
 
 
 def _point_prior(identification: Identification, where: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return a root of the prior covariance of the unknown points, and the prior mean in its units.
+    """Return a root of the unknown points' prior covariance [m], and the prior mean in its units.
 
-    The prior is centred at the estimates of the base fit; given distances between points narrow it.
+    Shapes are (3 points, 3 points) and (3 points,); the mean is relative to the estimates of the
+    base fit, at which the prior is centred. Given distances between points narrow and move it.
+
+    where : estimate of each point in the measuring frame, by name, shape (3,) [m]
     """
     number, p = {name: i for i, name in enumerate(where)}, np.array([*where.values()]).reshape(-1, 3)
     # The prior standard deviation of an unknown point about its estimate is 0.1 m: wide compared

@@ -20,13 +20,13 @@ from casadical.robot.kinematics import gravity_torques
 from casadical.robot.model import Structure, expressions, rigid_context
 from casadical.robot.robot import Robot
 
-# Number of poses that are evaluated in one call.
+# Largest number of poses at which a mapped CasADi function is evaluated in one call.
 POSES_PER_CALL = 512
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class _Probe(Effect):
-    """Probe effect whose parameters are all variables of all seams."""
+    """Effect whose parameters are the variables of all seams, for derivatives by them."""
 
     name: ClassVar[str] = "probe"
 
@@ -38,43 +38,47 @@ class _Probe(Effect):
         object.__setattr__(self, "names", (*names, "point_x", "point_y", "point_z"))
 
     def sizes(self) -> dict[str, tuple[float, str]]:
-        """Return size one for every variable."""
+        """Return size 1 and an empty unit for every seam variable, by name."""
         return dict.fromkeys(self.names, (1.0, ""))  # type: ignore[attr-defined]
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the variables of the joints, which are added to their angles."""
+        """Return the seam variables of the joints, shape (n,) [rad or m]."""
         return ca.vertcat(*(self.value(context, f"q{i}") for i in range(1, context.arm.n + 1)))
 
     def _frame(self, context: Context, seam: str) -> Symbolic:
         return small_frame(*(self.value(context, f"{seam}_{c}") for c in _TWIST))
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the transform by the twist behind a link (1-based)."""
+        """Return the transform (4, 4) [m] by the seam variables of link `number` (1-based)."""
         return self._frame(context, f"link{number}")
 
     def base(self, context: Context) -> Symbolic:
-        """Return the transform by the twist at the base."""
+        """Return the transform (4, 4) [m] by the seam variables of the base."""
         return self._frame(context, "base")
 
     def tool(self, context: Context) -> Symbolic:
-        """Return the transform by the twist in the tool."""
+        """Return the transform (4, 4) [m] by the seam variables of the tool."""
         return self._frame(context, "tool")
 
     def measurement(self, point: Symbolic, context: Context) -> Symbolic:
-        """Return the measured point displaced by its variables."""
+        """Return `point` displaced by its seam variables, (3,) [m], both in the measuring frame."""
         return point + ca.vertcat(*(self.value(context, f"point_{c}") for c in "xyz"))
 
 
 @dataclass(frozen=True, eq=False)
 class Seams:
-    """Derivatives at the seams of robots of one structure, without candidate effects.
+    """Derivatives of the measured position at the seams of robots of one structure.
 
-    key : identifies the structure, in words
-    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen); seen are the numbers that
-        effects depend on
-    exact : context of the model's own expressions; free : the same with `seen` as symbols
-    inputs : symbols q, w, phi and constants; seen : symbols of what effects depend on
-    point : the measured point among these, in the measuring frame
+    Candidate effects are zero.
+
+    key : text that identifies the structure
+    function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen): derivatives by the parameters
+        and by the seam variables, and the quantities that effects depend on: measured point,
+        gravity torques, gravity and frames
+    exact : context of the model's own expressions; free : the same, with the symbols `seen` in it
+    inputs : symbols q, w, phi and constants; seen : symbols of the quantities that effects depend
+        on
+    point : symbols of the measured point among these, in the measuring frame [m]
     """
 
     key: str
@@ -87,7 +91,7 @@ class Seams:
 
 
 def seams_of(robot: Robot) -> Seams:
-    """Return the derivatives at a robot's seams, composed once for all robots of its structure."""
+    """Return the derivatives at a robot's seams, cached for all robots of its structure."""
     return _seams(robot.with_effect(_Probe(robot)).structure, len(robot.parameters))
 
 
@@ -96,8 +100,8 @@ class Observed:
     """Residual and derivatives of one kind of measurement at the seams of robots of one structure.
 
     function : (q, w, phi, constants, data)->(r, J[numbers, P], S[numbers, seams of each end],
-        U[numbers, 3 or 0], seen and q of each end); r is model minus measurement, U its derivative
-        by the unknown point
+        U[numbers, 3 or 0], seen and q of each end); r is model minus measurement; J, S and U are
+        its derivatives by parameters, seam variables and the unknown point; see `Seams` for seen
     data : names of the observed quantities in the order of the function's data
     ends : number of poses that a measurement involves, one or two
     """
@@ -108,14 +112,19 @@ class Observed:
 
 
 def observed_at_seams(robot: Robot, kind: MeasurementKind, point: bool) -> Observed:
-    """Return a kind of measurement at the seams; point : whether its target is unknown."""
+    """Return residual and derivatives of a kind of measurement at a robot's seams.
+
+    point : whether the measured target is an unknown point
+    """
     return _observed(robot.with_effect(_Probe(robot)).structure, len(robot.parameters), kind, point)
 
 
 def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *data: Array) -> list[Array]:
-    """Return the outputs of a function at all poses, shape (n, rows, columns) each.
+    """Return each output of a function of one pose at all n poses, shape (n, rows, columns) each.
 
-    q, w, data : shape (n, numbers) each; shared : parameters and constants, equal at all poses
+    f : function of q, w, parameters, constants and data
+    q, w, data : joint readings, conditions and additional inputs, shape (n, numbers) each
+    shared : parameters and constants, equal at all poses
     """
     parts = []
     for first in range(0, len(q), POSES_PER_CALL):
@@ -128,20 +137,27 @@ def over_poses(f: ca.Function, q: Array, w: Array, shared: Sequence[Array], *dat
 
 @lru_cache(maxsize=128)
 def _mapped(f: ca.Function, n: int) -> ca.Function:
-    """Return a function mapped over n poses, with shared parameters and constants."""
+    """Return a function mapped over n poses; its inputs 2 and 3, counted from 0, are shared."""
     return f.map("poses", "serial", n, [2, 3], [])
 
 
 @lru_cache(maxsize=16)
 def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bool) -> Observed:
-    """Compose a kind's residual and derivatives; count : number of base parameters."""
+    """Return the composed residual and derivatives of a kind of measurement.
+
+    structure : includes the probe; count : number of base parameters, P
+    point : whether the measured target is an unknown point
+    """
     model, own = expressions(structure), _seams(structure, count)
     phi, probes = model.phi[:count], model.phi.numel() - count
     position = model.function("p", "R")
     ends: list[tuple[ca.SX, ca.SX]] = []
 
     def at(q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """Return position and rotation at joint readings, with seam variables of their own."""
+        """Return position (3,) [m] and rotation (3, 3) in the measuring frame at joint readings.
+
+        Each call is an end of the measurement and gets seam variables of its own.
+        """
         ends.append((ca.SX(q), ca.SX.sym(f"end{len(ends)}", probes)))
         whole = ca.vertcat(phi, ends[-1][1])
         p, R = position(q, model.w, whole, model.constants, whole)
@@ -164,9 +180,11 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
 
 @lru_cache(maxsize=16)
 def _seams(structure: Structure, count: int) -> Seams:
-    """Compose the position's derivatives by the first `count` parameters and by the seam variables.
+    """Return the composed derivatives of the position by parameters and by the seam variables.
 
     They are taken at zero of the seam variables.
+
+    structure : includes the probe, whose parameters are last; count : number of the others, P
     """
     model, arm = expressions(structure), structure.arm
     phi, seams = model.phi[:count], model.phi[count:]

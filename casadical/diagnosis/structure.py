@@ -35,7 +35,7 @@ from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Driver of consecutive poses.
+# Name of the driver that stands for a correlation of consecutive poses.
 PREVIOUS_POSE = "the pose before"
 
 
@@ -43,10 +43,12 @@ PREVIOUS_POSE = "the pose before"
 class Structure:
     """A dependence of the residual on a driver.
 
-    along : direction of the error; over : driver; share : explained share of the squared residual
-    log_chance : log of the probability of so large a share in pure noise, among all tests
+    along : name of the direction of the error; over : name of the driver
+    share : fraction of the squared whitened residual that it explains, 0 to 1; for neighbouring
+        poses their correlation
+    log_chance : natural log of the probability of so large a share in pure noise, among all tests
     line : joint (1-based) and cycles per turn of a sine of its own angle along its motion; None for
-        others
+        other drivers
     """
 
     derived: ClassVar[tuple[Key, ...]] = (Key("log10_chance", lambda found: found.log_chance / log(10), digits=1),)
@@ -71,9 +73,10 @@ class Remainder:
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
-    """Return the structure of the residual of a fit with causes.
+    """Return the result of the tests of the residual of a fit with causes.
 
-    columns : of the causes, shape (k,); noise, form : noise by which the residual is whitened
+    columns : indices of the causes' columns, shape (k,)
+    noise, form : noise by which the residual is whitened; None: white
     """
     return _WhitenedResidual(case, columns, noise, form or Form()).judged()
 
@@ -91,8 +94,9 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
 
     A joint that errs at few places makes such outliers. For unrelated outliers the cosine between
     error and any direction is uniform from -1 to 1; the chances are combined by Fisher's sum of
-    logarithms, with a
-    Bonferroni correction over the joints. columns : of the causes, shape (k,)
+    logarithms, with a Bonferroni correction over the joints.
+
+    columns : indices of the causes' columns, shape (k,)
     """
     out = ~case.kept
     if out.sum() < 2 or case.vectors is None:
@@ -115,7 +119,10 @@ _Group = tuple[str, Array, _Functions, Mapping[str, tuple[int, float]]]
 
 
 class _WhitenedResidual:
-    """Whitened residuals of poses in the order of measuring, with tests against drivers."""
+    """Whitened residuals of a fit, at poses in the order of measuring, and their tests.
+
+    The arguments are those of `remainder_of`.
+    """
 
     def __init__(self, case: Case, columns: Array, noise: Noise, form: Form) -> None:
         self.case = case
@@ -142,23 +149,30 @@ class _WhitenedResidual:
         self.squares = (self.y.reshape(len(e.r), -1) ** 2).sum(axis=1)
 
     def rows(self, X: Array) -> Array:
-        """Return numbers (n, numbers, k) at the poses as whitened rows (n numbers, k)."""
+        """Return k columns of numbers at the poses as whitened rows, shape (n numbers, k).
+
+        X : shape (n, numbers, k)
+        """
         white = self._W @ self._form.serial(len(X)).whiten(X)
         return np.asarray(white.reshape(-1, X.shape[2]))
 
     def _without_fit(self, rows: Array) -> Array:
-        """Return whitened rows minus what the fit absorbs of them, shape (rows, k)."""
+        """Return whitened rows minus the part of them that the fit absorbs, shape (rows, k)."""
         return np.asarray(rows - self._Q @ (self._Q.T @ rows))
 
     @cached_property
     def freedom(self) -> float:
-        """Return the degrees of freedom by the scatter of the squares (Satterthwaite)."""
+        """Return the residual's degrees of freedom, from the scatter of the poses' squares.
+
+        It is Satterthwaite's estimate, at most the count of measured numbers, reduced by the
+        fraction that the fit absorbs.
+        """
         n, numbers = len(self.squares), self.e.count
         scatter = n * float((self.squares**2).sum()) / float(self.squares.sum()) ** 2 - 1
         return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._absorbed / max(numbers, 1))
 
     def judged(self) -> Remainder:
-        """Return the significant dependences, and whether the residual is noise-like otherwise."""
+        """Return at most three significant dependences, and whether the rest is like noise."""
         if not self._has_residual:
             return Remainder((), like_noise=True)
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
@@ -171,7 +185,7 @@ class _WhitenedResidual:
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
     def lines(self) -> tuple[tuple[int, float], ...]:
-        """Return (joint, cycles per turn) of the most significant line of each joint."""
+        """Return (joint, cycles per turn) of each joint's most significant line, if it has one."""
         if not self._has_residual:
             return ()
         groups = [*self._groups()]
@@ -188,7 +202,7 @@ class _WhitenedResidual:
 
     @cached_property
     def _places(self) -> Array:
-        """Return the inlier poses' predicted points in the order of measuring, (n_inliers, 3) [m].
+        """Return the inliers' predicted points in the order of measuring, (n_inliers, 3) [m].
 
         Predictions are used, averaged over repeated touches of a point, so that noise changes
         neither the order nor the neighbours of the points.
@@ -200,7 +214,7 @@ class _WhitenedResidual:
         return np.asarray(np.stack([np.bincount(which, c) for c in p.T], axis=1) / np.bincount(which)[:, None])[which]
 
     def _groups(self) -> Iterator[_Group]:
-        """Yield the tests in groups: along one direction, drivers of equal numbers of functions."""
+        """Yield groups of tests: one direction, and drivers with equal numbers of functions."""
         functions: dict[int, tuple[tuple[str, Array], ...]] = {}
         for name, values in _drivers(self.case.robot, self._m, self._places):
             g = values[self.pick]
@@ -217,7 +231,10 @@ class _WhitenedResidual:
     def _tests(
         self, along: str, v: Array, some: _Functions, cycles: Mapping[str, tuple[int, float]]
     ) -> Iterator[Structure]:
-        """Yield the dependence along a direction on each driver of a group."""
+        """Yield the dependence along a direction on each driver, its chance for a single test.
+
+        The arguments are the items of a `_Group`.
+        """
         width = some[0][1].shape[1]
         G = np.stack([g for _, g in some], axis=1)
         F = self._without_fit(self.rows(v[:, :, None] * G.reshape(len(v), 1, -1)))
@@ -226,9 +243,9 @@ class _WhitenedResidual:
             yield Structure(along, over, share, log_chance_of(share, k, self.freedom), cycles.get(over))
 
     def _shares(self, F: Array) -> Iterator[tuple[float, int]]:
-        """Return explained share of the square and rank of each group of columns.
+        """Return, for each group of columns, the explained fraction of the square, and their rank.
 
-        F : whitened columns without what the fit absorbs, shape (groups, rows, width)
+        F : whitened columns minus the part that the fit absorbs, shape (groups, rows, width)
         """
         normal, right = F.transpose(0, 2, 1) @ F, np.einsum("gri,r->gi", F, self.y)
         scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
@@ -240,7 +257,10 @@ class _WhitenedResidual:
         return zip(part.tolist(), seen.sum(axis=1).tolist(), strict=True)
 
     def _neighbours(self) -> Iterator[Structure]:
-        """Yield the correlation of neighbours: in joint space, in position and in sequence."""
+        """Yield the correlation of residuals at neighbouring poses, its chance for a single test.
+
+        Neighbours are the nearest pose in joint space, the nearest point, and the previous pose.
+        """
         y = self.y.reshape(len(self.squares), -1)
         q = np.concatenate([np.sin(self.case.m.q[self.at]), np.cos(self.case.m.q[self.at])], axis=1)
         pairs = {
@@ -255,7 +275,7 @@ class _WhitenedResidual:
             yield Structure("any direction", over, max(alike, 0.0), float(log_ndtr(-z)))
 
     def _directions(self) -> Iterator[tuple[str, Array]]:
-        """Yield name and vectors, shape (n, numbers), of each direction of an error."""
+        """Yield the name and the vectors at the poses, shape (n, numbers), of each direction."""
         for name, axes in self._frames.items():
             yield from zip(name.split(", "), axes.transpose(2, 0, 1), strict=True)
         for j in range(self.e.Jq.shape[2]):
@@ -263,7 +283,10 @@ class _WhitenedResidual:
 
     @cached_property
     def _frames(self) -> Mapping[str, Array]:
-        """Return each frame's axes as columns, shape (n, numbers, 3); empty for other kinds."""
+        """Return axes in the measuring frame as columns at the poses, shape (n, numbers, 3).
+
+        Keys are the axes' names, separated by ", "; empty for other measurements than positions.
+        """
         if self.case.vectors is None:
             return {}
         p, n = self.case.positions[self.at], len(self.at)
@@ -277,7 +300,10 @@ class _WhitenedResidual:
         return {name: np.concatenate([F, np.zeros((n, more, 3))], axis=1) for name, F in frames.items()}
 
     def _isotropic(self) -> bool:
-        """Return whether noise is equal along the axes of every frame (Mauchly's test)."""
+        """Return whether the residual is equally large along all axes of every frame.
+
+        It is Mauchly's test of sphericity; True where there are no positions to test.
+        """
         n = len(self.squares)
         y = self.y.reshape(n, -1)[:, :3]
         if y.shape[1] < 3 or not self._frames or self._form.stays:
@@ -294,7 +320,7 @@ class _WhitenedResidual:
 
 
 def _nearest(q: Array) -> Array:
-    """Return the index of the row nearest to each row, shape (n,); the first among equals."""
+    """Return the index of the nearest other row of q for each row, shape (n,); ties: the first."""
     square, nearest = (q**2).sum(axis=1), np.empty(len(q), dtype=np.int64)
     for first in range(0, len(q), 512):  # some rows at once, which bounds memory
         some = slice(first, first + 512)
@@ -307,20 +333,23 @@ def _nearest(q: Array) -> Array:
 
 
 def _pairs(nearest: Array) -> Array:
-    """Return the pairs of each row and its nearest one, each pair once, shape (pairs, 2)."""
+    """Return the pairs (row, its nearest row) as indices, each pair once, shape (pairs, 2)."""
     return np.unique(np.sort(np.column_stack([np.arange(len(nearest)), nearest]), axis=1), axis=0)
 
 
 def _significant(found: Sequence[Structure], tried: int) -> list[Structure]:
-    """Return the dependences significant among this many tests, the most significant first."""
+    """Return the dependences that are significant among `tried` tests, the most significant first.
+
+    Their chance is that among all tests (Bonferroni correction).
+    """
     among = [replace(s, log_chance=s.log_chance + log(tried)) for s in found]
     return sorted((s for s in among if s.log_chance < log(SETTINGS.max_structure_chance)), key=lambda s: s.log_chance)
 
 
 def about_vertical(p: Array) -> Array:
-    """Return cylindrical axes at points as columns (radial, azimuthal, up), shape (n, 3, 3).
+    """Return the axes radial, azimuthal and up at points as columns, shape (n, 3, 3).
 
-    p : points in a frame with vertical z, shape (n, 3) [m]
+    p : points in a frame with vertical z, shape (n, 3) [m]; the axes are in the same frame
     """
     a = np.arctan2(p[:, 1], p[:, 0])
     zero, one = np.zeros(len(a)), np.ones(len(a))
@@ -329,9 +358,9 @@ def about_vertical(p: Array) -> Array:
 
 
 def log_chance_of(share: float, width: int, freedom: float) -> float:
-    """Return the log probability that columns explain at least this share of pure noise.
+    """Return the log probability that columns explain at least a fraction of pure noise's square.
 
-    width : number of columns; freedom : degrees of freedom of the noise
+    share : the fraction; width : number of columns; freedom : degrees of freedom of the noise
     An odd number of columns counts as one more: the tail of the share's beta distribution is then a
     finite sum. It is summed in logarithms because scipy's tail underflows below 1e-308.
     """
@@ -344,7 +373,7 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
 
 
 def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
-    """Yield every driver's name and its functions at the poses, shape (n, functions).
+    """Yield the name of every driver and its functions at the poses, shape (n, functions).
 
     m : poses in the order of measuring; p : measured points, shape (n, 3) [m]
     """
@@ -372,10 +401,12 @@ def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Arr
 
 
 def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:
-    """Return the lines of a joint's own angle, and (joint, cycles per turn) of each by name.
+    """Return candidate lines of a joint's own angle, and (joint, cycles per turn) of each by name.
 
-    angle : readings of the joint [rad]. The spacing of the frequencies is what the range of
-        readings resolves.
+    A line is its name with its sine and cosine at the poses, shape (n, 2). The spacing of the
+    frequencies is that which the range of the readings resolves.
+
+    angle : readings of the joint, shape (n,) [rad]; joint : its number, 1-based
     """
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
     # The lines of a joint's own angle are tested one by one up to 140 cycles per turn.
@@ -385,12 +416,15 @@ def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dic
 
 
 def sines(angle: Array, cycles: range | list[float]) -> Array:
-    """Return sine and cosine of multiples of an angle [rad], in turn, shape (n, 2 cycles)."""
+    """Return sin and cos of each multiple of an angle [rad], alternating, shape (n, 2 multiples).
+
+    cycles : the multiples [cycles per turn]
+    """
     return np.stack([f(h * angle) for h in cycles for f in (np.sin, np.cos)], axis=1)
 
 
 def _cosines(values: Array) -> Array:
-    """Return the first four cosines of the rank of the values, shape (n, 4).
+    """Return cos(k pi rank) of each value's rank among all, for k from 1 to 4, shape (n, 4).
 
     Ranks, from zero to one, make quantities that are no angles comparable.
     """
