@@ -32,6 +32,7 @@ from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.motion import Cause
 from casadical.effects.plugins import known_effects
 from casadical.identification.prior import Prior
+from casadical.measurements.logs.findings import found_in
 from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import is_log, read_log
 from casadical.measurements.measurements import Measurements
@@ -290,6 +291,8 @@ class LogCampaign:
         Raises InputError.
         """
         logs = joined([self.log(path) for path in self.logs])
+        if len(self.logs) > 1:
+            logs = replace(logs, findings=tuple(found_in(logs)))
         return diagnose_log(self.robot, logs, self.healthy, show, own=self.own)
 
     def replayed(self, show: Show = silent, against: Sequence[Path] = ()) -> Replay | None:

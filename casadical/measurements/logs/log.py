@@ -141,7 +141,8 @@ class JointLog(Shown):
 def joined(logs: Sequence[JointLog]) -> JointLog:
     """Return several logs of one arm as one, each run with a number of its own.
 
-    Only channels that every log has are there. Raises InputError: logs of other joints.
+    Only channels that every log has are there, and no findings, which are of single logs.
+    Raises InputError: logs of other joints.
     """
     first, *others = logs
     if other := next((log for log in others if log.joints != first.joints), None):
@@ -157,7 +158,7 @@ def joined(logs: Sequence[JointLog]) -> JointLog:
     shared |= {name: np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "row")}
     shared["run"] = np.concatenate([log.run + before for log, before in zip(logs, counts, strict=False)])
     shared["signs_lost"] = max(log.signs_lost for log in logs)
-    shared["findings"] = tuple(dict.fromkeys(finding for log in logs for finding in log.findings))
+    shared["findings"] = ()
     shared["current_unsigned"] = any(log.current_unsigned for log in logs)
     return replace(first, **shared, source=", ".join(log.source for log in logs))
 
