@@ -30,6 +30,7 @@ TOP_ENTRIES = {
 FOREIGN_OPTIONS = {
     *("--dist", "--help", "--keep-going", "--version", "--rm", "--user", "--memory", "--durations"),
     *("--install-completion", "--show-completion"),
+    *("--qx", "--qy", "--qz", "--qw", "--frame-id", "--child-frame-id"),  # static_transform_publisher of ROS 2
 }
 # Names of other programs and of data that are described, not used.
 FOREIGN_NAMES = {
