@@ -54,7 +54,7 @@ def picture(found: Replay, path: str) -> None:
     run, joint = next(k for k, r in enumerate(found.runs) if "random" in r.source), 1
     t, each = found.runs[run].time, np.arange(5)
     for before, colour, label in ((True, "0.65", "position = command"), (False, "C0", "with the response")):
-        left.plot(t, 1e3 * found.left(run, before=before)[:, joint], colour, label=label)
+        left.plot(t, 1e3 * found.residual(run, before=before)[:, joint], colour, label=label)
         rms = found.before if before else found.after
         right.bar(each + (-0.2 if before else 0.2), 1e3 * rms[:5], 0.4, color=colour)
     left.set(xlabel="time [s]", ylabel="mrad", title=f"random_waypoints, {found.runs[run].joints[joint]}: reading less")
