@@ -21,7 +21,8 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, Ranking, prior_weights
 class Group:
     """Columns of one setting of a cause, decomposed at one repeatability ratio.
 
-    columns : indices, shape (k,); log_weight : log prior of the setting
+    columns : indices of the columns, shape (k,)
+    log_weight : log prior probability of the cause with this setting
     value, vector : eigenvalues and eigenvectors of the columns' Gram matrix, shapes (k,) and (k, k)
     """
 
@@ -32,10 +33,12 @@ class Group:
 
 
 def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> float:
-    """Return the p-value: share of draws of pure noise with odds of a cause as high as the data's.
+    """Return the p-value of no cause: how often pure noise has odds of a cause as high as the data.
 
-    The data count as one more draw. ranking : of the data, without a cause in the model
-    draws : number of draws; show : called with a line of progress
+    It is a fraction of the draws, 0 to 1; the data count as one more draw.
+
+    ranking : that of the data, without a cause in the model
+    draws : number of draws of noise; show : called with a line of progress
     """
     ranking = ranking.restricted_to({c.label for c in case.candidates})
     seen = float(np.log1p(-ranking.none) - np.log(max(ranking.none, 1e-300)))
@@ -49,7 +52,10 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> 
 
 
 def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Array]:
-    """Yield the log odds of any cause against none for draws of pure noise, batch by batch."""
+    """Yield the log odds of any cause against none for draws of pure noise, in batches.
+
+    draws : number of draws; an item has the shape (draws of the batch,)
+    """
     e = case.evidence
     share = np.exp(e.log_base() - np.logaddexp.reduce(e.log_base(), axis=None))
     # Grid points of the noise with a posterior below 0.01 are not drawn and not summed over.
@@ -71,9 +77,10 @@ def noise_odds(case: Case, draws: int, rng: np.random.Generator) -> Iterator[Arr
 
 
 def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator) -> Array:
-    """Return draws of pure noise, shape (n, 3, count) [m].
+    """Return draws of the noise of instrument and joints at all poses, shape (n, 3, count) [m].
 
-    share : posterior of the noise, shape (rhos, sigmas), from which its size is drawn
+    share : posterior probability of each point of the noise grid, shape (rhos, sigmas), from which
+        the size of the noise is drawn; count : number of draws
     """
     rho, sigma = np.unravel_index(rng.choice(share.size, count, p=share.ravel()), share.shape)
     joints = RHO_GRID[rho] * rng.standard_normal((len(e.r), e.Jq.shape[2], count))
@@ -84,9 +91,12 @@ def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator)
 
 
 def _groups(case: Case, white: Array) -> list[Group]:
-    """Return the decomposed columns of every variant of every candidate; variants share the prior.
+    """Return the decomposed columns of every variant of every candidate.
 
-    white : columns of all candidates, white and orthogonal to the base model, shape (rows, columns)
+    The prior of a candidate is divided equally among its variants.
+
+    white : columns of all candidates, whitened and orthogonal to the base model, shape (rows,
+        columns)
     """
     weights = prior_weights(case, PRIOR_FIRST, frozenset())
     groups = []
@@ -102,12 +112,14 @@ def _groups(case: Case, white: Array) -> list[Group]:
 def log_likelihoods(
     E: Array, Y: Array, groups: list[Group], sigma: Array, log_norm: float, numbers: float
 ) -> tuple[Array, Array]:
-    """Return the log likelihoods of each draw without and with a cause, shapes (draws,).
+    """Return the log likelihoods of each draw without a cause and with any, shapes (draws,).
 
-    E : columns of all candidates, white and orthogonal to the base model, shape (rows, columns)
+    They are summed over the grids of the noise and of the causes' sizes.
+
+    E : columns of all candidates, whitened and orthogonal to the base model, shape (rows, columns)
     Y : draws, treated likewise, shape (rows, draws); sigma : grid of the noise, shape (sigmas,) [m]
-    log_norm : term that does not depend on sigma or cause; numbers : degrees of freedom of the
-        noise
+    log_norm : term that does not depend on sigma or cause
+    numbers : degrees of freedom of the noise
     """
     base = log_norm - numbers * np.log(sigma)[:, None] - 0.5 * (Y**2).sum(axis=0) / sigma[:, None] ** 2
     b = E.T @ Y

@@ -17,8 +17,9 @@ from casadical.robot.robot import Robot
 class Candidate:
     """One possible cause.
 
-    label : name, or name@joint; name : name of the effect in answers; joint : 1-based or None
-    variants : grid of settings; each variant is one or more effects that act together
+    label : name, or name@joint; name : name under which the effect is reported
+    joint : its joint, 1-based, or None
+    variants : its possible settings; each variant is one or more effects that act together
     listed : whether it may be named as a cause; False for unlisted forms
     """
 
@@ -30,26 +31,27 @@ class Candidate:
 
     @property
     def together(self) -> bool:
-        """Return whether it is an effect of several joints at once, each with a size of its own."""
+        """Return whether it is a listed effect of several joints, each with a size of its own."""
         return self.listed and len(_joints(self.variants[0])) > 1
 
     @property
     def covers(self) -> frozenset[str]:
-        """Return the names of the effects that are no candidates once this one is in the model.
+        """Return the names of the effects that this candidate includes.
 
-        This candidate includes them; one of several joints includes the effect at each joint.
+        They are no candidates once it is in the model. One of several joints includes the effect at
+        each joint.
         """
         first = self.variants[0][0]
         return first.covers | ({first.name} if self.together else frozenset())
 
 
 def standard_candidates(robot: Robot) -> list[Candidate]:
-    """Return the standard effects of a robot, with rarer effects and smooth forms as unlisted."""
+    """Return the standard effects as candidates; extended effects and smooth forms are unlisted."""
     return [*_of_list("standard", robot), *_unlisted(robot), *_smooth(robot)]
 
 
 def extended_candidates(robot: Robot) -> list[Candidate]:
-    """Return the standard and extended effects of a robot, with smooth forms as unlisted.
+    """Return the standard and extended effects as candidates, with smooth forms unlisted.
 
     Many effects of the extended list look like standard ones or like the base model.
     """
@@ -57,7 +59,7 @@ def extended_candidates(robot: Robot) -> list[Candidate]:
 
 
 def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effect]]) -> list[Candidate]:
-    """Return the candidates of a choice of effects.
+    """Return the candidates of a choice of effects, without those that the robot has already.
 
     effects : "standard", "extended", or names, labels, own effects and their classes
     Raises InputError for a name that is no effect, and where the robot has all of them already.
@@ -83,12 +85,13 @@ def candidates_of(robot: Robot, effects: str | Sequence[str | Effect | type[Effe
 def choose(
     candidates: Sequence[Candidate], m: Measurements, loads: Loads | None = None
 ) -> tuple[tuple[Candidate, ...], dict[str, tuple[str, ...]]]:
-    """Return the candidates whose columns were logged, and what is missing for the others.
+    """Return the candidates whose columns were logged, and the missing columns of the others.
 
-    loads : of the robot, see `derive`
-    Variants that replace others where a column is missing are left out if it was logged
-    (`Effect.only_without`).
-    Raises InputError where columns are missing for every effect of the list.
+    Missing columns are given by label. Variants that replace others where a column is missing are
+    excluded if it was logged (`Effect.only_without`).
+
+    loads : function that returns the joint loads of the robot, see `derive`
+    Raises InputError where columns are missing for every listed candidate.
     """
     _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions], loads)
     possible, without = [], {}
@@ -111,6 +114,8 @@ def choose(
 
 def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -> list[Candidate]:
     """Return candidates chosen by list (standard), name (backlash) or label (backlash@5).
+
+    Smooth forms are appended as unlisted candidates and, with the list standard, extended effects.
 
     extra : a user's own effects, which replace those of the lists with the same label
     Raises InputError for a name that is no effect, and for a user's own effect of joints that the
@@ -136,7 +141,7 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
 
 
 def _of_list(which: str, robot: Robot) -> list[Candidate]:
-    """Return the candidates of the effects on a list, in the order of the registry.
+    """Return the candidates of the effects on a list (`Effect.on_list`), ordered as registered.
 
     Neighbouring effects of single joints are ordered joint by joint.
     """
@@ -144,7 +149,7 @@ def _of_list(which: str, robot: Robot) -> list[Candidate]:
 
 
 def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
-    """Return the candidates of some classes of effects, their variants gathered by label."""
+    """Return the candidates of some classes of effects, one a label, with all its variants."""
     variants = [v for kind in kinds for v in kind.variants(robot)]
     runs = groupby(variants, key=lambda v: v[0].joint is None)
     by_label: dict[str, list[tuple[Effect, ...]]] = {}
@@ -167,10 +172,10 @@ def _joints(variant: tuple[Effect, ...]) -> set[int | None]:
 
 
 def _unlisted(robot: Robot) -> list[Candidate]:
-    """Return the rarer effects as unlisted rivals of the standard ones.
+    """Return the effects of the extended list as unlisted rivals of the standard ones.
 
-    If one of them explains the data better, the cause is unknown to the standard list. Effects with
-    a setting that only a user can give are left out.
+    If one of them explains the data better, the cause is not on the standard list. Effects with a
+    setting that only a user can know are excluded.
     """
     return [
         replace(c, listed=False)
@@ -180,15 +185,14 @@ def _unlisted(robot: Robot) -> list[Candidate]:
 
 
 def _smooth(robot: Robot) -> list[Candidate]:
-    """Return the smooth forms that stand for an unknown cause."""
+    """Return the smooth forms as unlisted candidates named "unknown"."""
     return [replace(c, name="unknown", joint=None, listed=False) for c in _of_list("unknown", robot)]
 
 
 def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str]) -> dict[str, tuple[str, ...]]:
     """Return the columns to log, as a table names them, by label of the effect that lacks them.
 
-    missing : label -> conditions that are lacking, some of which are derived (see
-        `derived_columns.derive`)
+    missing : missing conditions by label, some of which are derived (see `derived_columns.derive`)
     logged : names of the columns that were logged
     """
     warmth = ("temperature_degC",) if "time_s" in logged else ("temperature_degC", "time_s")
@@ -203,7 +207,10 @@ def columns_to_log(missing: Mapping[str, Sequence[str]], logged: Container[str])
 
 
 def gathered_by_columns(missing: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return the effects that lack columns, by these columns as one phrase."""
+    """Return the effects that lack columns as text, by a text of these columns.
+
+    missing : columns by label, as of `columns_to_log`
+    """
     labels_of: dict[str, list[str]] = {}
     for label, columns in missing.items():
         labels_of.setdefault(" with ".join(columns), []).append(label)

@@ -16,9 +16,9 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
 
-# Causes of a set by label, with their settings.
+# Causes of a set: the effects of each, with settings, by label.
 Chosen = Mapping[str, tuple[Effect, ...]]
-# Returns the ranking given each of some sets.
+# Function that returns, for each of some sets, the ranking of an additional cause given it.
 RankingsGiven = Callable[[Sequence[Chosen]], Sequence[Ranking]]
 
 
@@ -26,7 +26,8 @@ RankingsGiven = Callable[[Sequence[Chosen]], Sequence[Ranking]]
 class _Set:
     """A set of causes with its ranking of an additional one.
 
-    chosen : settings by label, in the order of choice; log_mass : log of prior times evidence
+    chosen : effects of each cause by label, in the order of choice
+    log_mass : log of the set's prior times evidence
     ranking : posterior over an additional cause given the set
     """
 
@@ -35,7 +36,7 @@ class _Set:
     ranking: Ranking
 
     def more(self) -> Iterable[tuple[frozenset[str], str, float]]:
-        """Yield each set with one more cause: its labels, the new label, its log mass."""
+        """Yield (labels, new label, log mass) of each set with one more cause than this."""
         for label, mass in self.ranking.log_mass.items():
             yield frozenset((*self.chosen, label)), label, self.log_mass + mass
 
@@ -44,10 +45,11 @@ class _Set:
 class _Search:
     """State of the beam search over sets.
 
-    rankings_given : returns rankings given sets; variants : settings of each candidate
-    listed : labels that may be named; mass : log mass of each set seen, by its labels
-    reached : for each set, the set from which it was reached and the label that was added
-    expanded : sets whose ranking was computed
+    rankings_given : function that returns the rankings given sets
+    variants : effects of each variant of each candidate, by label
+    listed : labels that may be named; mass : log mass of each set found so far, by its labels
+    reached : for each set, the smaller set from which it was reached and the label that was added
+    expanded : labels of the sets whose ranking was computed
     """
 
     rankings_given: RankingsGiven
@@ -58,7 +60,7 @@ class _Search:
     expanded: set[frozenset[str]] = field(default_factory=set)
 
     def take(self, found: _Set) -> _Set:
-        """Record a ranked set and all sets with one more cause; return it."""
+        """Return a ranked set after adding it and all sets with one more cause to the state."""
         self.expanded.add(frozenset(found.chosen))
         for labels, label, mass in found.more():
             if mass > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
@@ -66,7 +68,7 @@ class _Search:
         return found
 
     def expand(self, sets: Sequence[frozenset[str]]) -> list[_Set]:
-        """Compute and record the rankings given the sets of these labels; return these sets."""
+        """Return the sets of these labels with their rankings, and add them to the state."""
         chosen = []
         for before, label in (self.reached[labels] for labels in sets):
             chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})
@@ -75,12 +77,15 @@ class _Search:
         return [self.take(_Set(*one)) for one in zip(chosen, masses, rankings, strict=True)]
 
     def best(self, of: Iterable[frozenset[str]], count: int) -> list[frozenset[str]]:
-        """Return the `count` sets of largest mass that are not expanded yet."""
+        """Return the labels of the `count` sets of largest mass that are not expanded yet."""
         unexpanded = [k for k in of if k not in self.expanded]
         return [unexpanded[k] for k in ranked([self.mass[k] for k in unexpanded], logs=True)[:count]]
 
     def gaining(self, sets: Iterable[_Set]) -> set[frozenset[str]]:
-        """Return the listed sets with one more cause than these, if it gains enough evidence."""
+        """Return the labels of the sets with one more cause, if it gains enough evidence.
+
+        All causes are listed ones; the gain is at least `Settings.min_set_log_gain`.
+        """
         return {
             labels
             for s in sets
@@ -96,14 +101,15 @@ def most_probable_set(
     listed: frozenset[str],
     steps: int = 0,
 ) -> tuple[tuple[str, ...], frozenset[str]]:
-    """Return the labels of the most probable set of listed causes, and those of them in doubt.
+    """Return the labels of the most probable set of additional causes, and those not certain.
 
-    The set is empty if a single cause is more probable. A cause is in doubt if sets without it are
-    probable; if all are in doubt, there is no set.
+    All are listed ones. The set is empty if a single cause is more probable. A cause of it is not
+    certain if sets without it are probable; if none is certain, the set is empty, too.
 
-    first : ranking given the causes in the model, of which there are `steps`
-    rankings_given : returns the rankings given sets of additional causes
-    variants : settings of each candidate; listed : labels of those that may be named
+    first : ranking given the causes in the model; steps : number of these causes
+    rankings_given : function that returns the rankings given sets of additional causes
+    variants : effects of each variant of each candidate, by label
+    listed : labels of the candidates that may be named
     """
     search = _Search(rankings_given, variants, listed)
     root = search.take(_Set({}, 0.0, first))

@@ -22,9 +22,12 @@ from casadical.measurements.measurements import Noise
 
 
 def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
-    """Return each part's probability of change, and the prior without the changed parts.
+    """Return each effect's or part's probability of change, and the prior without changed ones.
+
+    Parts with a probability of at least `Settings.min_change` count as changed.
 
     case : case whose linear model does not contain the prior yet
+    prior : prior from an earlier campaign
     """
     parts = _parts(case, prior)
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
@@ -48,9 +51,10 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
 
 
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:
-    """Return the prior sizes of each part's parameters for a new effect [SI].
+    """Return the prior sigma [SI] of each part's parameters, by name, if the part has changed.
 
-    They are the larger of the usual size and the earlier value. Keys are (label, joint or None).
+    It is the larger of the typical size and the earlier value. Keys are (label of the effect, joint
+    or None).
     """
     sizes: dict[tuple[str, int | None], dict[str, float]] = {}
     for effect in case.given.effects:
@@ -69,8 +73,10 @@ def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, f
 def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
     """Return the log marginal likelihood of the residual under a prior, up to a constant.
 
-    As in `Evidence`, prior standard deviations scale with the noise.
-    fit : of the base model at noise of this sigma [m]
+    It is summed over the grid of the noise. As in `Evidence`, prior standard deviations are
+    proportional to the noise.
+
+    fit : fit of the base model; sigma : noise of that fit [m]
     """
     mean, widths, covariances = case.prior_parts(prior)
     precision = np.diag(widths**-2.0)

@@ -15,14 +15,16 @@ from casadical.measurements.measurements import Noise
 
 
 def named(state: State, end: End, seed: int) -> tuple[State, End]:
-    """Return the state with only the causes that are certain, and why the search ended.
+    """Return the state with only the causes that may be claimed, and why the search ended.
 
     A cause is certain if its probability against every alternative and none reaches
     `Settings.min_claim` and the gap on held-out poses shrinks with it. A cause with two or three
     labels that the data do not distinguish is certain if they reach the same probability together.
-    A detected cause that is not certain is kept, as the first one, if it has more evidence than
-    each certain one and is probable together with the causes that cannot be distinguished from it.
-    All other doubtful causes are removed.
+    One detected cause that is not certain is kept, as the first one, if it has more evidence than
+    each certain one and, together with the causes that cannot be distinguished from it, at least
+    the probability `Settings.min_doubtful`. All other causes that are not certain are removed.
+
+    end : why the search ended before this; seed : of the partitions into held-out poses
     """
     if not state.steps:
         return state, end
@@ -56,7 +58,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
 
 
 def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
-    """Return the state without unlisted effects that have no alternative; None if there are none.
+    """Return the state without unlisted causes that have one label only; None if there are none.
 
     Such effects are never claimed. If one cause remains, it is judged anew: an unlisted effect in
     the model took probability from a listed cause that the data cannot distinguish from it.
@@ -69,9 +71,9 @@ def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
 
 
 def _given_others(state: State, k: int, *, first: bool = False) -> Step:
-    """Return step k with ranking and indistinguishable labels given all other causes.
+    """Return step k with its ranking and indistinguishable labels given all other causes.
 
-    first : whether a single cause is judged again, too
+    first : whether they are computed again, too, if there is no other cause
     """
     step, others = state.steps[k], (*state.steps[:k], *state.steps[k + 1 :])
     if not others and not first:
@@ -84,17 +86,20 @@ def _given_others(state: State, k: int, *, first: bool = False) -> Step:
 
 
 def _is_listed(state: State, step: Step) -> bool:
-    """Return whether a step's cause is probably listed and itself the most probable listed one."""
+    """Return whether a step's cause is the most probable listed one and probably a listed one.
+
+    The latter holds if listed causes have half of the probability that there is a cause.
+    """
     ranking, listed = step.ranking, state.listed(step.ranking)
     share = sum(ranking.probability[k] for k in listed)
     return listed[0] == step.labels[0] and share >= 0.5 * (1 - ranking.none)
 
 
 def _is_certain(state: State, step: Step) -> bool:
-    """Return whether a step has one label, or confusable ones of which one is certainly right.
+    """Return whether a step has one label, or several that reach `Settings.min_claim` together.
 
-    Labels of effects that are not listed as confusable indicate a flaw in another cause's equation
-    instead.
+    The several must be of effects that name each other in `Effect.confused_with`; others indicate a
+    flaw in another cause's equation instead.
     """
     each = [step.ranking.probability[k] for k in step.labels]
     own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
@@ -105,12 +110,15 @@ def _is_certain(state: State, step: Step) -> bool:
 
 
 def _evidence(step: Step) -> float:
-    """Return the log Bayes factor of a step's cause against none."""
+    """Return the log Bayes factor of a step's cause against no additional cause [nats]."""
     return step.ranking.log_factor[step.labels[0]]
 
 
 def _shrinks(state: State, k: int, seed: int) -> bool:
-    """Return whether held-out errors shrink with cause k, alone or added to all others."""
+    """Return whether the mean held-out error shrinks with cause k, alone or added to all others.
+
+    It does if the 95 % interval of the shrink is above zero.
+    """
     steps, own = state.steps, state.steps[k]
 
     def errors(model: Sequence[Step], noise: Noise) -> Array:
@@ -128,7 +136,11 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
 
 
 def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> CauseSet | None:
-    """Return the set with the labels of one additional cause, if one is detected."""
+    """Return the set with the labels of one additional cause, if a listed one is detected.
+
+    They are the most probable listed labels that no cause has, and are probable together (see
+    `Settings.min_doubtful`); else the set is returned unchanged.
+    """
     last = state.rankings[-1]
     named_labels = {k for step in state.steps for k in step.labels}
     unsaid = [k for k in state.listed(last) if k not in named_labels]
@@ -143,10 +155,10 @@ def with_additional_cause(found: CauseSet | None, state: State, seed: int) -> Ca
 
 
 def cause_set(state: State) -> CauseSet | None:
-    """Return the named set's probability among all sets that differ by one cause, else None.
+    """Return the causes' probabilities as a set, among all sets that differ by one cause.
 
     These are the sets with one more cause (the last ranking), and those without one of its causes
-    or with another one in its place (the ranking given the others).
+    or with another one in its place (the ranking given the others). None without causes.
     """
     if not state.steps:
         return None

@@ -24,10 +24,13 @@ def with_far_ends(
 ) -> Measurements:
     """Return the combined table with columns of the distance instruments, if there are any.
 
-    far_x_m .. : anchor in the measuring frame, given or as estimated by the base fit (see
-    `Identification.unknown_points`); wire1 .. : 1 where the first such instrument was read, else 0.
-    Each distinct anchor of a table counts as one instrument, up to MAX_DISTANCE_INSTRUMENTS in all.
-    Additional rows at a stop have columns of their own (see `linearisation.condition_of_reading`).
+    far_x_m, far_y_m, far_z_m are the anchor in the measuring frame [m], given or estimated by the
+    base fit; wire1 is 1 where the first such instrument was read, else 0, and so on. Each distinct
+    anchor of a table counts as one instrument; with more than MAX_DISTANCE_INSTRUMENTS in all no
+    columns are added. Additional rows at a stop have columns of their own (see
+    `linearisation.condition_of_reading`).
+
+    where : estimate of each unknown point in the measuring frame, by name, shape (3,) [m]
     """
     rows = len(stops.of)
     far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
@@ -48,9 +51,10 @@ def with_far_ends(
 
 
 def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops) -> Measurements:
-    """Return the combined table with columns that are given by row.
+    """Return the combined table with columns whose values are given by row of the sets.
 
-    of_row : values by name, shape (rows,) each; additional rows at a stop get names of their own
+    of_row : values by name, shape (rows,) each; for an additional row at a stop the column has a
+        name of its own (see `linearisation.condition_of_reading`)
     """
     columns = dict(m.conditions)
     for turn in range(stops.most):
@@ -62,7 +66,10 @@ def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops
 
 
 def with_camera_columns(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
-    """Return the combined table with columns for effects of cameras, if orientations exist."""
+    """Return the combined table with the columns that effects of cameras need.
+
+    It is returned unchanged if no set has orientations. Columns : see `camera_displacements`
+    """
     if not any(part.orientation is not None for part in sets):
         return m
     names = [c for side in ("fixed", "carried") for what in ("depth", "radial") for c in image_columns(side, what)]
@@ -75,12 +82,15 @@ def with_camera_columns(m: Measurements, sets: Sequence[Measurements], stops: St
 
 
 def camera_displacements(p: Array, R: Array) -> Mapping[str, Array]:
-    """Return displacements by depth and radial errors of cameras, shape (n,) each, by name.
+    """Return the columns of `image_columns` for both mountings, shape (n,) each [m], by name.
+
+    They are the components, in the measuring frame, of the vector from lens to target: along the
+    optical axis (depth), and across it multiplied by the squared slope (radial). A fixed camera has
+    its lens at the measuring frame's origin; a carried one has it at the tool frame's origin and
+    sees the measuring frame's origin.
 
     p, R : measured position and orientation of the tool in the measuring frame, shapes (n, 3) [m]
         and (n, 3, 3)
-    A fixed camera has its lens at the measuring frame; a carried one has it at the tool frame and
-    sees the measuring frame's origin. Displacements are in the measuring frame.
     """
     seen = {"fixed": (p, np.tile(np.eye(3), (len(p), 1, 1))), "carried": (-np.einsum("nji,nj->ni", R, p), -R)}
     images: dict[str, Array] = {}

@@ -37,7 +37,7 @@ from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
-# Explanation of the table's columns.
+# Explanation of the columns of an isolability table, which is printed below it.
 NOTES = (
     "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
@@ -49,12 +49,13 @@ NOTES = (
 class Isolability(Result):
     """Isolability of the candidates in a set of poses, at the effects' realistic sizes.
 
-    effects : a row per candidate (index: label): size_mm, its rms over the poses; absorbed, the
-        share of that signal's energy that the base model absorbs; visible_mm, the rms of the rest;
-        visible_to_noise, per coordinate in units of the noise; findable_from, the multiple of its
-        realistic size from which it is found nine times in ten
-    alike : share of the visible signal of each candidate (row) that another one (column)
-        reproduces, 0 to 1
+    effects : a row per candidate (index: label): size_mm, rms displacement over the poses by the
+        effect at its realistic size; absorbed, the fraction of that signal's energy that the base
+        model absorbs; visible_mm, the rms of the rest; visible_to_noise, its rms per coordinate in
+        units of the noise; findable_from, the multiple of its realistic size from which it is found
+        nine times in ten
+    alike : fraction, 0 to 1, of the energy of the visible signal of each candidate (row) that
+        another one (column) reproduces
     missing : columns that would have to be logged, by label of the effect
     """
 
@@ -65,10 +66,11 @@ class Isolability(Result):
     missing: dict[str, tuple[str, ...]]
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
-        """Return the candidates that reproduce more than a share of a candidate's visible signal.
+        """Return the candidates that reproduce a large part of a candidate's visible signal.
 
-        label : of the candidate; above : the share, 0 to 1. Values are the shares, the largest
-            first.
+        Keys are their labels, values the fractions of its energy, the largest first.
+
+        label : of the candidate; above : fraction, 0 to 1, that must be exceeded
         """
         names, shares = self.alike.columns, self.alike.loc[label].to_numpy(dtype=float)
         return {str(names[k]): float(shares[k]) for k in ranked(shares) if shares[k] > above and names[k] != label}
@@ -98,7 +100,8 @@ class Isolability(Result):
     def to_json(self, campaign: str = "") -> dict[str, Any]:
         """Return plain data for JSON; campaign : name of the poses.
 
-        Shares of at most 0.1 are left out; a multiple at which an effect is never found is None.
+        Keys are campaign, effects, alike and missing. Fractions of at most 0.1 are omitted; an
+        infinite multiple, at which an effect is never found, is None.
         """
         rows = {
             str(k): {c: (float(f"{v:.5g}") if np.isfinite(v) else None) for c, v in row.items()}
@@ -162,7 +165,10 @@ def isolability(
 
 
 def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolability:
-    """Return the isolability at a case's inlier poses; also : effects added to the base model."""
+    """Return the isolability of a case's listed candidates at its inlier poses.
+
+    also : effects that are in the base model in addition
+    """
     listed = [c for c in case.candidates if c.listed]
     groups = {c.label: [case.group(v) for v in c.variants] for c in listed}
     evidence = case.evidence.with_base(np.unique(case.group(also))) if also else case.evidence
@@ -170,7 +176,10 @@ def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolabilit
 
 
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:
-    """Return each effect, by name, as one cause in all joints with the middle settings."""
+    """Return each effect, by name, as one cause in all its joints, at the middle of its settings.
+
+    An effect's value is a single variant.
+    """
     causes: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
     for c in candidates:
         by_parameters: dict[tuple[str, ...], list[tuple[Effect, ...]]] = {}
@@ -184,7 +193,10 @@ def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...
 def _judged(
     evidence: Evidence, groups: dict[str, list[Array]], noise: Noise, missing: dict[str, tuple[str, ...]]
 ) -> Isolability:
-    """Return the isolability of candidates; groups : columns of each setting, by label."""
+    """Return the isolability of candidates at the poses of a linear model.
+
+    groups : indices of the columns of each setting, by label; missing : see `Isolability`
+    """
     n, rho = len(evidence.r), noise.repeatability / noise.sigma
     owner = [label for label, variants in groups.items() for _ in variants]
     columns = [c for variants in groups.values() for c in variants]
@@ -213,9 +225,9 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     """Return three sums of squares of each column, shape (3, columns).
 
     They are of the column itself, of its part orthogonal to the base model, and of this part in the
-    metric of the noise.
-    rho : ratio of joint repeatability to the instrument's sigma. Columns are processed in blocks,
-        because there may be many poses.
+    metric of the noise [m^2].
+
+    rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     """
     # The columns that are processed at once take 16 MB.
     step = max(1, 16_000_000 // (24 * len(evidence.r)))
@@ -229,10 +241,12 @@ def _squares(evidence: Evidence, rho: float) -> Array:
 
 
 def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
-    """Return the share of each candidate's visible energy in the span of another's columns.
+    """Return the fraction of a candidate's visible energy (row) in another's span (column).
 
-    It is the mean over the candidate's settings and the best of the other's.
-    E : visible columns, shape (rows, columns); columns : of each setting; owner : its label
+    It is the mean over the candidate's settings and the maximum over the other's.
+
+    E : visible columns, whitened, shape (rows, columns)
+    columns : indices of the columns of each setting; owner : label of each setting
     """
     which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
     by_rival = np.empty((len(columns), len(which)))
@@ -257,12 +271,20 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
 
 
 def cannot_tell(d: Diagnosis) -> tuple[str, ...]:
-    """Return what these kinds of readings cannot determine, as ends of "these data cannot ..."."""
+    """Return phrases of quantities that the kinds of measurement cannot determine.
+
+    Each completes the sentence "these data cannot ...".
+    """
     return tuple(undetermined(d.identification.measurements, d.identification.unknown_points))
 
 
 def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
-    """Return, by cause, the labels that these data cannot distinguish from it."""
+    """Return, by label of a cause, a text of the labels that the data cannot distinguish from it.
+
+    The text has the percentage of similarity; causes without such labels are omitted.
+
+    poses : isolability at these poses; None: without percentages
+    """
     table = poses.alike if poses else pd.DataFrame()
     return {
         c.label: ", ".join(
@@ -277,7 +299,10 @@ def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]
 
 
 def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
-    """Return the effects that these poses cannot show, by reason; claimed causes are left out."""
+    """Return, by reason in words, the labels of the effects that these poses cannot show.
+
+    Claimed causes are omitted. poses : isolability at these poses; None: {} is returned
+    """
     if poses is None:
         return {}
     seen = poses.effects.drop(index=[c.label for c in d.causes], errors="ignore")
@@ -296,10 +321,10 @@ def invisible(d: Diagnosis, poses: Isolability | None) -> dict[str, str]:
 def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
     """Return the labels of listed causes that are ruled out, by multiple of their usual size.
 
-    From this multiple on, they would be found nine times in ten in these poses, given the named
-    causes and the description of the unlisted one; and the evidence is against each of them. A
-    cause that the description absorbs, as a curve of a joint absorbs its gear's errors, is not
-    ruled out.
+    Keys are "1", "2" and "5". From this multiple on, they would be found nine times in ten in these
+    poses, given the named causes and the description of the unlisted one; and the evidence is
+    against each of them. A cause that the description absorbs, as a curve of a joint absorbs its
+    gear's errors, is not ruled out.
     """
     if unlisted is None or unlisted.beside is None:
         return {}

@@ -37,14 +37,17 @@ from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Noise
 
-# Grid of a part's variance, relative to the variance that would explain an equal part of the whole.
+# Grid of the variance of a part's errors, divided by the variance at which this part would explain
+# an equal fraction of the residual (see `_even_variances`).
 VARIANCE_FACTORS = np.geomspace(1e-4, 1e2, 61)
 
 
 def components(case: Case, noise: Noise, columns: Array, seed: int, remains: float) -> dict[str, Array]:
-    """Return draws of each part's mean square in the residual, shape (draws,) [m^2].
+    """Return posterior draws of each part's mean square in the residual, shape (draws,) [m^2].
 
-    columns : of the named causes, shape (k,)
+    Keys are the parts: "joint 1", "link 1", "base", "tool", "loop", "instrument".
+
+    columns : indices of the named causes' columns, shape (k,)
     remains : probability that the named causes leave more than noise
     """
     rng = np.random.default_rng(seed)
@@ -91,14 +94,17 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
 
 
 def _sample(indices: Array, most: int, rng: np.random.Generator) -> Array:
-    """Return at most this many of the indices, drawn without replacement, in order."""
+    """Return at most `most` of the indices, drawn without replacement, in rising order."""
     return indices if len(indices) <= most else np.sort(rng.choice(indices, most, replace=False))
 
 
 def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generator) -> tuple[dict[str, Array], Evidence]:
-    """Return draws of the mean square that causes explain by part, and the model of the residual.
+    """Return draws of the mean square that causes explain, by part, and the remaining model.
 
-    The residual is that of the causes' posterior mean. columns : of the causes, shape (k,)
+    The draws have the shape (draws,) [m^2]. The remaining model is that of the residual after the
+    causes' posterior mean.
+
+    columns : indices of the causes' columns, shape (k,)
     """
     e = case.evidence
     if not len(columns):
@@ -131,9 +137,9 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
 
 
 def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generator) -> list[Array]:
-    """Return the mean square of each signal in every draw, at poses drawn with replacement.
+    """Return each signal's mean square in every draw, (draws,) [m^2], over bootstrapped poses.
 
-    signals : shape (rows, draws) each
+    signals : whitened rows, shape (rows, draws) each
     """
     n, numbers = e.r.shape[:2]
     times = np.repeat(rng.multinomial(n, np.full(n, 1 / n), SETTINGS.posterior_draws).T, numbers, axis=0)
@@ -142,15 +148,21 @@ def _mean_squares(signals: Sequence[Array], e: Evidence, rng: np.random.Generato
 
 
 def _products(lever: Array, functions: Array) -> Array:
-    """Return the products of every lever and every function, shape (n, 3, levers * functions).
+    """Return the Jacobian by the coefficients of parameters that vary as linear in functions.
 
-    lever : Jacobian columns, shape (n, 3, levers); functions : shape (n, functions)
+    Its shape is (n, 3, levers * functions): the product of every lever and every function.
+
+    lever : Jacobian by the parameters, shape (n, 3, levers)
+    functions : values of the functions at the poses, shape (n, functions)
     """
     return np.asarray((lever[:, :, :, None] * functions[:, None, None, :]).reshape(*lever.shape[:2], -1))
 
 
 def _part_jacobians(case: Case) -> dict[str, Array]:
-    """Return the displacement by a unit error of each part, shape (n, 3, parameters) [m]."""
+    """Return the Jacobian by each part's parameters in `Settings.unit_error`, (n, 3, k) [m].
+
+    Keys are the parts: "joint 1", "base", "link 1", "loop", "tool".
+    """
     names = case.given.parameters.names
     columns: dict[str, list[int]] = {}
     for k, name in enumerate(names):
@@ -171,7 +183,10 @@ def _part_jacobians(case: Case) -> dict[str, Array]:
 
 
 def _smooth_functions(case: Case) -> Array:
-    """Return smooth functions of pose and circumstances of order one, shape (n, functions)."""
+    """Return the values at all poses of smooth functions, of order one, shape (n, functions).
+
+    They are functions of readings, loads, time, approach, temperature and payload, as logged.
+    """
     robot, q = case.given, case.m.q
     parts = []
     for j, joint in enumerate(robot.joints):
@@ -191,11 +206,11 @@ def _smooth_functions(case: Case) -> Array:
 
 
 def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]:
-    """Return the maximum-likelihood variance of each group of columns, and the noise.
+    """Return the maximum-likelihood variance of each group's coefficients, and the noise.
 
     The variances have the shape (groups,); the noise is a standard deviation [m].
-    y : whitened residual, shape (n,); K : see `products_of_rows`
-    sigma : lower bound of the noise, which grows where no group explains the residual
+    y : whitened residual, shape (n,); K : Gram matrices of the groups (see `products_of_rows`)
+    sigma : lower bound of the noise [m], which is larger where no group explains the residual
     """
     size, variance = _even_variances(y, K), sigma**2
     for _ in range(40):
@@ -209,7 +224,10 @@ def variances_of_groups(y: Array, K: Array, sigma: float) -> tuple[Array, float]
 
 
 def _even_variances(y: Array, K: Array) -> Array:
-    """Return the variance at which each group of columns explains an equal part, (groups,)."""
+    """Return the variance at which each group alone explains 1 / groups of y's square, (groups,).
+
+    y, K : see `variances_of_groups`
+    """
     return np.asarray(float(y @ y) / len(K) / np.maximum(K[:, :: len(y) + 1].sum(axis=1), 1e-30))
 
 
@@ -218,7 +236,10 @@ def _drawn_variances(
 ) -> Array:
     """Return draws of the groups' variances, shape (draws, groups).
 
-    Each is drawn from its likelihood given the maximum-likelihood variances of the others.
+    Each is drawn from its posterior given the maximum-likelihood variances of the others.
+
+    y, K : see `variances_of_groups`; groups : columns, shape (n, columns) each
+    size : maximum-likelihood variances, shape (groups,); sigma : noise [m]
     """
     sizes = []
     for k, (g, even) in enumerate(zip(groups, _even_variances(y, K), strict=True)):
@@ -239,20 +260,28 @@ def _drawn_variances(
 
 
 def products_of_rows(groups: list[Array]) -> Array:
-    """Return the Gram matrix of the rows of each group, flattened, shape (groups, n * n)."""
+    """Return each group's g @ g.T, flattened, shape (groups, n * n).
+
+    groups : columns g of each group, shape (n, columns)
+    """
     return np.stack([(g @ g.T).ravel() for g in groups])
 
 
 def _total(K: Array, size: Array, variance: float) -> Array:
-    """Return the covariance of all groups and the noise, shape (n, n)."""
+    """Return the covariance of the rows by all groups and the noise, shape (n, n).
+
+    K : see `products_of_rows`; size : variance of each group; variance : that of the noise [m^2]
+    """
     n = math.isqrt(K.shape[1])
     return (size @ K).reshape(n, n) + variance * np.eye(n)
 
 
 def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.random.Generator) -> list[Array]:
-    """Return posterior draws of each group's coefficients, shape (columns, draws).
+    """Return posterior draws of each group's coefficients, shape (columns, draws) each.
 
     Draws follow Matheron's rule.
+    y : whitened residual, shape (n,); groups : whitened columns, shape (n, columns) each
+    sigma : lower bound of the noise [m]
     axes : directions of the base's parameters, as columns, whose priors are the last rows. Noise is
         drawn for the parameters instead of the directions, because round-off decides between
         directions that the data determine equally and how many of them move a pose.
@@ -270,7 +299,7 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 
 
-# Columns of the tables (see `Localisation`).
+# Columns of the tables of parts, directions, and regions or circumstances (see `Localisation`).
 PART_COLUMNS = ("part", "share", "low", "high", "rms_mm")
 DIRECTION_COLUMNS = ("frame", *PART_COLUMNS)
 BIN_COLUMNS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "rms_high_mm")
@@ -280,18 +309,18 @@ BIN_COLUMNS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low
 class Localisation:
     """Shares of the base model's residual, one table for each kind; empty without its column.
 
-    joints : columns part, share, low, high, rms_mm: what named causes explain through each joint
-        plus smooth errors of this joint; the rest as "elsewhere"; shares sum to one, intervals are
-        those of the fit
-    links : the same for base, links and tool, and for the instrument if a cause acts there
+    joints : columns part, share, low, high, rms_mm: fraction, 0 to 1, of the squared gap by named
+        causes that act through each joint and by smooth errors of this joint; all else as
+        "elsewhere"; shares sum to one, low and high bound the 95 % interval of the fit
+    links : the same for base, links, loop and tool, and for the instrument if a cause acts there
     directions : the same with column frame: base (x, y, z), axis (radial, tangential, vertical
         about joint 1), tool (x, y, z); each frame sums to one, noise included; intervals by
         bootstrap over poses, as in all tables that follow
-    regions : columns by, part, poses, share (of the squared error), low, high, rms_mm (of the
-        distance), rms_low_mm, rms_high_mm, for the poses in each part of the range of a joint, of
-        radius and of height
+    regions : columns by, part, poses (their number), share (of the squared error), low, high,
+        rms_mm (of the distance), rms_low_mm, rms_high_mm, for the poses in each third of the
+        values of a joint's reading, of radius and of height
     payload, temperature, time : the same by these; approach : by the direction from which a joint
-        came
+        approached
     """
 
     joints: pd.DataFrame
@@ -312,10 +341,10 @@ class Localisation:
 
     @property
     def worst(self) -> pd.DataFrame:
-        """Return the parts of the data with significantly more than their share of the error.
+        """Return the rows of regions and circumstances with significantly larger squared errors.
 
-        The worst part comes first; its excess is the share of the error over the share of the
-        poses.
+        The additional column `excess` is the fraction of the squared error divided by the fraction
+        of the poses, the largest first.
         """
         every = pd.concat([t for name, t in self.tables() if "poses" in t], ignore_index=True)
         even = every["poses"] / every.groupby("by")["poses"].transform("sum")
@@ -324,15 +353,16 @@ class Localisation:
 
 
 def localise(found: Diagnosis) -> Localisation:
-    """Return the shares of a diagnosis' gap by joint, link, direction, region and circumstances."""
+    """Return the fractions of a diagnosis' gap by part, direction, region and circumstances."""
     return localise_residual(found.case, found.noise, found.columns, found.seed, remains=found.remains)
 
 
 def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *, remains: float = 1.0) -> Localisation:
-    """Return the shares of a case's residual by joint, link, direction, region and circumstances.
+    """Return the fractions of a case's residual by part, direction, region and circumstances.
 
-    noise : excluded from the shares of joints and links; causes : columns of the named causes,
-        shape (k,)
+    noise : noise that is excluded from the fractions of joints and links
+    causes : indices of the columns of the named causes, shape (k,)
+    seed : seed of the draws and of the bootstrap
     remains : probability that the named causes leave more than noise
     """
     # The error of a distance between two poses cannot be assigned to the parts at one of them.
@@ -351,9 +381,9 @@ def localise_residual(case: Case, noise: Noise, causes: Array, seed: int = 0, *,
 
 
 def _parts(energy: dict[str, Array], *kinds: str) -> pd.DataFrame:
-    """Return the shares of the parts of some kinds, with all others summed up as "elsewhere".
+    """Return the table of the parts of some kinds, with all others summed up as "elsewhere".
 
-    energy : draws of each part's mean square, of `components`
+    energy : draws of each part's mean square, as of `components`; kinds : first words of the parts
     """
     mine = {part: drawn for part, drawn in energy.items() if part.startswith(kinds)}
     if energy:
@@ -367,12 +397,12 @@ def _parts(energy: dict[str, Array], *kinds: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(PART_COLUMNS))
 
 
-# Each (quantity, range of it, mask over all poses).
+# Masks over all poses, each as (quantity, value or range of it in words, mask of shape (n,)).
 Masks = list[tuple[str, str, Array]]
 
 
 class _BootstrapShares:
-    """Shares of the squared residual in parts of the data, by bootstrap over the inlier poses."""
+    """Fractions of the inlier poses' squared residual, with intervals by bootstrap over poses."""
 
     def __init__(self, case: Case, seed: int) -> None:
         self.kept = case.kept
@@ -381,9 +411,9 @@ class _BootstrapShares:
         self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), 500).astype(float)
 
     def shares(self, squares: Array) -> tuple[Array, Array, Array]:
-        """Return share, low and high of each column of squares, shape (parts,) each.
+        """Return fraction of the total, low and high of each column of squares, (parts,) each.
 
-        squares : shape (n, parts); their total counts as one
+        low and high bound the 95 % interval. squares : shape (n_inliers, parts) [m^2]
         """
         total = squares.sum()
         drawn = self.times @ squares
@@ -392,7 +422,10 @@ class _BootstrapShares:
         return squares.sum(axis=0) / max(total, 1e-30), low, high
 
     def table(self, *masks: tuple[str, str, Array]) -> pd.DataFrame:
-        """Return a table with a row for each (by, part, mask) that contains inlier poses."""
+        """Return a table (`BIN_COLUMNS`) with a row for each mask that contains inlier poses.
+
+        masks : (by, part, mask over all poses); those of one `by` sum to one
+        """
         rows = []
         size = (self.r**2).sum(axis=1)
         for by in dict.fromkeys(m[0] for m in masks):
@@ -409,7 +442,10 @@ class _BootstrapShares:
 
 
 def _directions(case: Case, split: _BootstrapShares) -> pd.DataFrame:
-    """Return the shares by the axes of base, joint 1 and tool; an empty table without positions."""
+    """Return the fractions of the squared residual along the axes of base, joint 1 and tool.
+
+    The table has `DIRECTION_COLUMNS` and is empty for other measurements than positions.
+    """
     r = case.vectors
     if r is None:
         return pd.DataFrame(columns=list(DIRECTION_COLUMNS))
@@ -428,7 +464,10 @@ def _directions(case: Case, split: _BootstrapShares) -> pd.DataFrame:
 
 
 def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
-    """Return the poses in each third of the values; nothing if the thirds coincide."""
+    """Return a mask of the poses for each third of the values by quantiles; [] if thirds coincide.
+
+    by : name of the quantity; values : shape (n,) [unit]; digits : decimals of the shown bounds
+    """
     which, edges = thirds(values)
     if not (np.diff(edges) > 0).all():
         return []
@@ -438,13 +477,16 @@ def _in_thirds(by: str, values: Array, unit: str, digits: int) -> Masks:
 
 
 def _in_base(case: Case) -> Array:
-    """Return the measured points in the robot's base frame, shape (n, 3) [m]."""
+    """Return the points of all poses in the robot's base frame, shape (n, 3) [m]."""
     T = case.robot.base.T
     return np.asarray((case.positions - T[:3, 3]) @ T[:3, :3])
 
 
 def _regions(case: Case) -> Masks:
-    """Return the poses in each third of every joint's readings, of radius and of height."""
+    """Return a mask of the poses for each third of every joint's readings, of radius and of height.
+
+    Radius and height are those of the point in the base frame, about joint 1.
+    """
     masks: Masks = []
     for (column, factor), q in zip(case.robot.reading_units.items(), case.m.q.T, strict=True):
         name, unit = column.split("_")
@@ -455,7 +497,10 @@ def _regions(case: Case) -> Masks:
 
 
 def _payload(case: Case) -> Masks:
-    """Return the poses with each payload, or in thirds of it if there are many."""
+    """Return a mask of the poses for each payload [kg], or for each third of more than six values.
+
+    The list is empty where the payload was not logged or is constant.
+    """
     mass = case.m.conditions.get("payload_kg")
     if mass is None or np.ptp(mass) == 0:
         return []
@@ -466,7 +511,10 @@ def _payload(case: Case) -> Masks:
 
 
 def thirds_of(case: Case, by: str, column: str, unit: str) -> Masks:
-    """Return the poses in each third of a logged column; nothing if it was not logged."""
+    """Return a mask of the poses for each third of a logged column by quantiles.
+
+    The list is empty where it was not logged. by : name of the quantity; unit : of the column
+    """
     logged = case.m.conditions.get(column)
     return [] if logged is None else _in_thirds(by, logged, unit, 1)
 
@@ -477,7 +525,10 @@ def _time(case: Case) -> Masks:
 
 
 def _approach(case: Case) -> Masks:
-    """Return the poses that each joint reached with rising and with falling readings."""
+    """Return a mask of the poses for each joint and direction of approach, rising or falling.
+
+    Joints that were approached from one side only are excluded.
+    """
     names = [f"approach{i}" for i in range(1, case.robot.n + 1)]
     m, _ = derive(case.m, names)
     sides = ((1, "rising"), (-1, "falling"))

@@ -20,7 +20,7 @@ from casadical.measurements.measurements import Noise
 
 
 class Rule(StrEnum):
-    """The source that determines how large the noise is."""
+    """Source of the figure that determines the size of the noise: FIT, or one independent of it."""
 
     REPEATS = "repeats"
     DECLARED = "declared"
@@ -32,19 +32,18 @@ class Rule(StrEnum):
 class NoiseAccount:
     """The noise that a diagnosis assumed and its independent references, for one coordinate.
 
-    taken : standard deviation that the fit leaves [m], instrument and joints together
-    sigma : the instrument's share of it [m]; repeatability : joint repeatability [rad]
+    taken : standard deviation estimated by the fit [m], instrument and joints together
+    sigma : that of the instrument alone [m]; repeatability : joint repeatability [rad]
     declared : declared sigma of the instrument [m], zero if none
     sheet : largest error by the data sheet [m], zero if none
     repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom; zero if
         none
-    rules : the source that determines how large the noise is
-    excess : root of the difference of the squares of taken and of that source [m]; zero where they
-        agree
+    rules : source that determines how large the noise is
+    excess : root of the difference of the squares of `taken` and of that source's figure [m]; zero
+        where they agree
     form : label of the form of noise if it is not white; else empty
     structures : dependences found in the residual
-    like_noise : whether the residual is noise-like otherwise: Gaussian tails, equal in all
-        directions
+    like_noise : whether the residual otherwise has Gaussian tails and is isotropic
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -75,24 +74,30 @@ class NoiseAccount:
 
     @property
     def is_structure(self) -> bool:
-        """Return whether what was taken as noise contains unmodelled structure."""
+        """Return whether the noise estimated by the fit contains unmodelled structure."""
         return self.excess > 0 or bool(self.structures)
 
     @property
     def anchor(self) -> float:
-        """Return a coordinate's noise sd as known independently of the fit [m], else zero."""
+        """Return the noise sigma of a coordinate independent of the fit [m].
+
+        It is that over repeated poses, or the one exceeded by `excess`; else zero.
+        """
         if self.rules == Rule.REPEATS:
             return self.repeats
         return float(np.sqrt(self.taken**2 - self.excess**2)) if self.excess else 0.0
 
     @property
     def structure(self) -> float:
-        """Return the rms structure of a coordinate [m]: excess or part that follows a driver."""
+        """Return the rms of the structure in a coordinate [m].
+
+        It is the larger of the excess and the part that depends on a driver; zero without both.
+        """
         share = max((s.share for s in self.structures), default=0.0)
         return max(self.excess, self.taken * float(np.sqrt(share)))
 
     def in_words(self) -> str:
-        """Return in words the noise taken, declared and over repeats, and which one rules."""
+        """Return a text of all figures of the noise, and which source determines its size."""
         joints = f" and joints that repeat to {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
         said = [f"taken as noise: {mm(self.taken)} mm a coordinate (instrument {mm(self.sigma)}{joints})"]
         said += [self.form] * bool(self.form)
@@ -123,7 +128,7 @@ class NoiseAccount:
         return "; ".join(said)
 
     def structure_in_words(self) -> str:
-        """Return in words which structure the residual has; empty without any."""
+        """Return a text of the residual's structure: excess and dependences; empty without any."""
         said = []
         if self.excess:
             anchors = {Rule.REPEATS: "repeated poses say", Rule.SHEET: "the data sheet allows"}
@@ -140,7 +145,7 @@ class NoiseAccount:
 def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:
     """Return the account of the noise that a fit with some causes leaves.
 
-    columns : of the causes in the model, shape (k,); noise : estimate of that fit
+    columns : indices of the causes' columns, shape (k,); noise : that estimated by the fit
     repeated : standard deviation over repeated poses
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
@@ -169,11 +174,12 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
 
 
 def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder) -> tuple[bool, Rule, float]:
-    """Return whether the noise exceeds its declaration, the source that rules, and its figure [m].
+    """Return whether the noise exceeds its declaration or data sheet, the source, and its figure.
 
-    The declaration is doubted only if the residual looks like noise in every other way: equal in
-    all directions, with Gaussian tails, and independent of every driver. Otherwise the model is
-    wrong. Less noise than a data sheet's limit is consistent with it.
+    The figure is the standard deviation of a coordinate [m] by the source that determines the size
+    of the noise. The declaration is overruled only if the residual is like noise in every other
+    way: equal in all directions, with Gaussian tails, and independent of every driver. Otherwise
+    the model is wrong. Less noise than a data sheet's limit is consistent with it.
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
     # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.
@@ -193,6 +199,8 @@ def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder
 
 def _exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
     """Return whether one standard deviation exceeds another significantly (F test at 0.1 %).
+
+    It must also exceed it by `Settings.min_noise_excess_factor`.
 
     above, below : degrees of freedom of the larger and of the smaller one
     """

@@ -24,10 +24,10 @@ class Form:
 
     stays : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
     joint : index (0-based) of a joint with larger repeatability error, or None
-    repeatability_factor : its repeatability error over that of the other joints
+    repeatability_factor : its repeatability error divided by that of the other joints
     times : factor on the noise of each pose, in the order of measuring, shape (n,); None for ones
-    log_weight : added to the log likelihood: log prior of the form and log determinant of its
-        transform
+    log_weight : term that is added to the log likelihood: log prior of the form and log determinant
+        of its prewhitening
     """
 
     stays: float = 0.0
@@ -37,12 +37,16 @@ class Form:
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
-        """Return the AR(1) coefficient and weights of the poses, in the order of measuring."""
+        """Return the prewhitening of this form for a number of poses in the order of measuring."""
         weight = 1.0 if self.times is None else 1 / self.times
         return serial_noise(self.stays, np.arange(poses) == 0, weight)
 
     def repeatability(self, Jq: Array) -> Array:
-        """Return the Jacobian of joint repeatability in prewhitened rows, shape (n, 3, joints)."""
+        """Return the Jacobian by the joints' repeatability errors in prewhitened rows.
+
+        Jq : that in the measured numbers, in the order of measuring, shape (n, 3, joints), as the
+            result
+        """
         if self.stays:
             both = np.sqrt((1 + self.stays**2) / (1 - self.stays**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
@@ -53,7 +57,7 @@ class Form:
         )
 
 
-# Independent, identically distributed noise.
+# Form of independent, identically distributed noise.
 WHITE_FORM = Form()
 
 
@@ -87,7 +91,7 @@ class Problem:
     def log_likelihood(self, form: Form) -> Array:
         """Return the log likelihood under a form of noise, shape (rhos, sigmas).
 
-        The form's log_weight is included; results are cached by form.
+        The form's log_weight and the prior of the noise are included; results are cached by form.
         """
         if form not in self._cache:
             own, *others = (prewhitened(e, form, self._order).log_base() for e in (self._own, *self._others))
@@ -95,7 +99,9 @@ class Problem:
         return self._cache[form]
 
     def residual(self, form: Form, rho: int) -> Array:
-        """Return the whitened residual of the fit, shape (n, 3) [m], in the order of measuring.
+        """Return the residual of the fit whitened for a form, shape (n, 3) [m].
+
+        It is in the order of measuring and scaled by the model's reference noise.
 
         rho : index of the repeatability ratio in `RHO_GRID`
         """

@@ -10,7 +10,7 @@ from casadical.diagnosis.cross_validation import held_out_errors, partitions
 from casadical.diagnosis.evidence import Evidence
 from casadical.measurements.measurements import Measurements, Noise
 
-# Equally probable factors by which an outlier's noise standard deviation is inflated.
+# Equally probable factors on the noise standard deviation of a pose that is an outlier.
 OUTLIER_NOISE_FACTORS = np.geomspace(3.0, 300.0, 9)
 
 
@@ -18,7 +18,8 @@ OUTLIER_NOISE_FACTORS = np.geomspace(3.0, 300.0, 9)
 class Replicates:
     """Standard deviation over repeated poses.
 
-    sigma : standard deviation of one coordinate [m], instrument and joint repeatability together
+    sigma : standard deviation of one coordinate [m], instrument and joint repeatability together;
+        0 without repeated poses
     poses : number of measurements at repeated poses; groups : number of distinct repeated poses
     freedom : degrees of freedom of sigma
     """
@@ -70,10 +71,10 @@ def replicates(
 
 
 def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
-    """Return the mean held-out error of simulated pure noise under the same fit [m].
+    """Return the mean held-out error of simulated pure noise, by a fit of the base model [m].
 
-    noise : noise estimated by the fit
-    anchor : standard deviation of a coordinate to which the noise is scaled [m]; zero to use it
+    e : linear model, at whose poses the noise is simulated; noise : that estimated by the fit
+    anchor : standard deviation of a coordinate to which the noise is scaled [m]; 0 to use it
         unchanged
     """
     if anchor:
@@ -92,10 +93,10 @@ def noise_floor(e: Evidence, noise: Noise, anchor: float, seed: int) -> float:
 def outlier_probability(distance: Array) -> float:
     """Return the probability that at least one of the poses is an outlier.
 
-    distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
-
-    With a prior probability of 1 % the noise of a pose is inflated by one of
+    A pose is one with a prior probability of 1 %; its noise is then larger by one of
     `OUTLIER_NOISE_FACTORS`.
+
+    distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
     """
     wide = (
         -3 * np.log(OUTLIER_NOISE_FACTORS)[:, None]
@@ -107,5 +108,5 @@ def outlier_probability(distance: Array) -> float:
 
 
 def scatter_of_coordinate(e: Evidence, noise: Noise) -> float:
-    """Return the noise standard deviation of a coordinate, instrument and joints together [m]."""
+    """Return the rms noise of a coordinate over all poses, instrument and joints together [m]."""
     return float(np.sqrt(np.trace(e.covariance(noise), axis1=1, axis2=2).mean() / e.r.shape[1]))

@@ -24,17 +24,17 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, R
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Labels of the instrument's forms of noise in rankings and reports.
+# Labels of the instrument's forms of noise in rankings and reports: autocorrelated, heavy-tailed.
 AR_NOISE = "noise that follows itself"
 HEAVY_TAILS = "noise with heavy tails"
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
-    """Return the ranking extended by the other forms of noise.
+    """Return the ranking with other forms of noise among its candidates, renormalised.
 
-    chosen : columns of causes that are in the model already
-    joints : joints (1-based) of these causes, whose poor repeatability counts as noise: it is the
-        remaining error of their equations
+    chosen : indices of the columns of causes that are in the model already
+    joints : joints (1-based) of these causes, whose poor repeatability counts as "no additional
+        cause": it is the remaining error of their equations
     """
     if case.form.stays:
         return replace(ranking, noise_form=AR_NOISE)
@@ -73,22 +73,27 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
 
 
 def noisy_joint(case: Case, ranking: Ranking) -> int | None:
-    """Return the joint (1-based) whose noise is the most probable cause in a ranking, else None."""
+    """Return the joint (1-based) whose poor repeatability is a ranking's most probable cause.
+
+    None if another cause is, or no cause is detected.
+    """
     labels = {noisy_joint_label(j): j for j in case.robot.numbers}
     return labels.get(ranking.order[0]) if ranking.none <= SETTINGS.max_p_nothing_further else None
 
 
 def noisy_joint_label(joint: int) -> str:
-    """Return the label of the noise of a joint (1-based)."""
+    """Return the label of a joint's (1-based) poor repeatability in rankings and reports."""
     return f"scatter of joint {joint}"
 
 
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
-    """Return each form as a rival, with its log evidence over white noise.
+    """Return each form of noise as a rival, with its log evidence over white noise.
 
-    The evidence is averaged over the form's settings; the three kinds share the prior equally.
-    chosen : columns of causes in the model; of_instrument : whether the instrument's forms are
-        included
+    The evidence is averaged over the form's settings; each of the three kinds has a third of the
+    prior.
+
+    chosen : indices of the columns of causes in the model
+    of_instrument : whether the instrument's forms are included
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
@@ -118,7 +123,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
 
 
 def ar_form(ar_coefficient: float, poses: int, numbers: float = 3.0) -> Form:
-    """Return autocorrelated (AR(1)) noise of this many poses.
+    """Return the form of autocorrelated (AR(1)) noise over a number of poses.
 
     numbers : mean count of measured numbers of a pose
     """
@@ -148,9 +153,10 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
 
 
 def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """Return the result of `best_ar_form`, or None where the case is to keep its own noise form.
+    """Return the result of `best_ar_form`, or None if the case's own form of noise is kept.
 
-    A better form is one with a different coefficient and enough evidence to judge causes again.
+    It is kept if the coefficient is the same within half a refinement step, or the log evidence
+    over white noise is below `Settings.min_ar_log_gain`.
     """
     form, noise, gain = best_ar_form(case, chosen)
     moved = abs(form.stays - case.form.stays) > SETTINGS.ar_coefficient_step / 2
@@ -158,7 +164,9 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
 
 
 def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
-    """Return the most probable alternative to the case's AR(1) noise and its log evidence over it.
+    """Return the label of the best alternative to the case's AR(1) noise, and its log evidence.
+
+    The evidence is relative to that of the case's form.
 
     The alternatives are another coefficient, heavy tails in addition to the same coefficient, and
     any form without autocorrelation.
@@ -179,7 +187,12 @@ def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
 
 
 def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | None:
-    """Return a form (default: white) with larger noise at poses that are far out; None without."""
+    """Return a form of noise that is larger at poses with large residuals; None without such poses.
+
+    The noise there is larger by `Settings.tail_noise_factor`.
+
+    usual : form of the noise at the other poses; None: white
+    """
     usual = usual or Form()
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor

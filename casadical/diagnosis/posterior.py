@@ -33,13 +33,13 @@ class Ranking:
     """Posterior over the next cause, given those already in the model.
 
     none : posterior probability that there is no additional cause
-    probability : posterior probability of each candidate, by label; they and none sum to one
-    log_factor : log Bayes factor of each candidate against no cause, by label
-    log_mass : log_factor plus the log of the candidate's prior, by label
+    probability : posterior probability of each candidate, by label; they and `none` sum to one
+    log_factor : log Bayes factor of each candidate against no additional cause, by label
+    log_mass : log_factor plus the log of the candidate's prior probability, by label
     variant : index of the most likely variant (settings) of each candidate, by label; a `Rival` has
         none
     noise : most likely noise without an additional cause (key "") and with each candidate, by label
-    log_noise : increase of the log mass of none by other forms of noise
+    log_noise : increase of the log mass of no additional cause by other forms of noise
     noise_form : the most probable form of noise, where it is more probable than white noise; else
         empty (see `noise_forms`)
     """
@@ -60,7 +60,7 @@ class Ranking:
         return tuple(labels[k] for k in ranked(list(self.probability.values())))
 
     def normalised(self, none: float) -> "Ranking":
-        """Return the ranking with probabilities normalised from its masses.
+        """Return the ranking with `none` and `probability` computed from its log masses.
 
         none : log mass of no additional cause
         """
@@ -71,7 +71,7 @@ class Ranking:
         )
 
     def restricted_to(self, labels: Collection[str]) -> "Ranking":
-        """Return the ranking renormalised over none and these candidates only."""
+        """Return the ranking of these candidates only; they and `none` are renormalised."""
         chosen = {k: p for k, p in self.probability.items() if k in labels}
         total = self.none + sum(chosen.values())
         return replace(self, none=self.none / total, probability={k: p / total for k, p in chosen.items()})
@@ -82,8 +82,8 @@ class Rival:
     """An unlisted alternative to the case's candidates, such as an expression found by a search.
 
     label : name that no candidate has
-    log_factor : log Bayes factor against no cause, averaged over its settings, plus the log of its
-        share of the prior of all rivals, which pays for the selection among them
+    log_factor : log Bayes factor against no cause, averaged over its settings, plus the log of the
+        fraction that it has of the prior of all rivals, which pays for the selection among them
     noise : most likely noise with this rival in the model
     """
 
@@ -95,10 +95,10 @@ class Rival:
 def rank(
     case: "Judged", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
 ) -> Ranking:
-    """Return the posterior over the next cause.
+    """Return the posterior over the next cause, each averaged over its settings and the noise.
 
-    chosen : columns of causes that are in the model already; skip : their labels, no longer
-        candidates
+    chosen : indices of the columns of causes that are in the model already
+    skip : labels of these causes, which are no longer candidates
     covered : labels of candidates that a cause in the model includes; these are no candidates
         either
     """
@@ -127,9 +127,11 @@ def prior_weights(
 ) -> dict[str, float]:
     """Return the prior probability of each candidate, by label.
 
-    Listed effects share their prior equally, and each effect's share is divided among its joints.
-    The prior of unlisted effects is divided in the same way, half among the rare effects and half
-    for the smooth forms named "unknown".
+    The prior of listed effects is divided equally among the effects, and that of each effect
+    equally among its joints. The prior of unlisted effects is divided in the same way, half among
+    the rare effects and half for the smooth forms named "unknown".
+
+    prior : one of PRIOR_FIRST and PRIOR_FURTHER; skip, covered : see `rank`
     """
     open_ = [c for c in case.candidates if c.label not in skip | covered]
     taken = {c.joint for c in case.candidates if c.label in skip and c.joint is not None}

@@ -25,8 +25,10 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     diagnosis found, priors of the base parameters centred at the given robot. It starts from the
     base model calibrated on all poses, whichever are used: loads on a joint are unobservable while
     its compliance is zero, and the optimum does not depend on the start.
-    effects : with fixed settings (knee, lag, cycles) and free parameters
-    use : mask over the inlier poses of those to identify from, all by default
+
+    effects : effects whose parameters are free and whose settings (knee, lag, cycles) are fixed
+    use : mask over the inlier poses of those from which it is identified, shape (n_inliers,); None:
+        all
     """
     sets = refit_measurements(case, effects, noise)
     sets = sets if use is None else selected_rows(sets, use[case.rows])
@@ -35,10 +37,10 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
 
 
 def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of the prior of each parameter by name [SI].
+    """Return mean and standard deviation [SI] of the priors of the refit, by name of the parameter.
 
-    They cover base parameters, except placement of the base and rotation of the tool, and effects
-    whose sizes exceed the usual ones.
+    They are those of base parameters, except placement of the base, rotation of the tool and
+    parameters with a prior from another campaign; and of the effects if `Case.growth` is not one.
     """
     base = case.given.parameters
     each = zip(base.names, base.values.tolist(), case.base.prior[: len(base.names)].tolist(), strict=True)
@@ -55,16 +57,19 @@ def _priors(case: Case, effects: Sequence[Effect]) -> dict[str, tuple[float, flo
 
 
 def selected_rows(sets: Sequence[Measurements], use: Array) -> tuple[Measurements, ...]:
-    """Return the sets' rows in a mask over all rows; sets without any are left out."""
+    """Return the sets restricted to selected rows; sets without any are omitted.
+
+    use : mask over the rows of all sets in order, shape (rows,)
+    """
     parts = [(m, use[at]) for m, at in zip(sets, row_slices(sets), strict=True)]
     return tuple(m[own] for m, own in parts if own.any())
 
 
 def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> tuple[Measurements, ...]:
-    """Return the inlier rows with the columns that the effects need and the estimated noise.
+    """Return the sets' inlier rows with the columns of the effects and the estimated noise.
 
-    For positions, instrument and joint repeatability together make a covariance at each pose; for
-    other kinds each set's sigma is the mean of both.
+    For a single set of positions, instrument and joint repeatability together give a covariance at
+    each pose; else each set has one sigma, the rms of both over its numbers.
     """
     m, _ = derive(case.m, [c for e in effects for c in e.conditions], case.robot.loads)
     seen = case.observations
@@ -78,9 +83,12 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
 
 
 def row_errors(found: Identification, sets: Sequence[Measurements], test: Array) -> Array:
-    """Return the error of each row in a mask over all sets under an identification, shape (k,) [m].
+    """Return the reported error of selected rows under an identification, shape (k,) [m].
 
-    Unknown points are at the identification's estimates, not refitted to these rows.
+    It is the norm of the length residuals. Unknown points are at the identification's estimates,
+    not refitted to these rows.
+
+    test : mask over the rows of all sets in order, shape (rows,)
     """
     where, errors = found.unknown_points, []
     for k, (every, at) in enumerate(zip(sets, row_slices(sets), strict=True)):
@@ -94,7 +102,11 @@ def row_errors(found: Identification, sets: Sequence[Measurements], test: Array)
 
 
 def _with_sigmas(case: Case, sets: Sequence[Measurements], noise: Noise) -> list[Measurements]:
-    """Return the sets with their sigmas set to the estimated noise."""
+    """Return copies of the sets whose sigmas are the rms of the estimated noise.
+
+    There is one `sigma` [m] and one `sigma_angle` [rad] for each set: the rms, over its measured
+    numbers, of the noise of instrument and joint repeatability together.
+    """
     seen = case.observations
     square = np.diagonal(case.whole.covariance(noise), axis1=1, axis2=2) * seen.measured
     given = []

@@ -33,7 +33,7 @@ End = Literal["none", "ambiguous", "unknown", "claimed"]
 class Step:
     """A cause in the model.
 
-    ranking : ranking from which it was taken
+    ranking : ranking from which the cause was taken
     labels : its own label, then those of causes that the data cannot distinguish from it
     effects : its effects with refined settings
     """
@@ -47,8 +47,8 @@ class Step:
 class State:
     """State of a search for causes.
 
-    case : with its present inliers; steps : causes in the model, in the order in which they were
-        added
+    case : case with the present inliers
+    steps : causes in the model, in the order in which they were added
     rankings : posterior over the next cause in each round
     doubted : labels of causes that are in the model so that others can be judged given them, but
         that are not named
@@ -65,7 +65,7 @@ class State:
         return {c.label: c for c in self.case.candidates}
 
     def columns(self, steps: Sequence[Step] | None = None) -> Array:
-        """Return the columns of the causes of some steps, by default of all, shape (k,)."""
+        """Return the indices of the columns of the causes of some steps, of all for None, (k,)."""
         parts = [self.case.group(s.effects) for s in (self.steps if steps is None else steps)]
         return np.unique(np.concatenate(parts)) if parts else np.zeros(0, dtype=np.int64)
 
@@ -78,8 +78,8 @@ class State:
     ) -> Ranking:
         """Return the posterior over one additional cause given those of some steps.
 
-        given : steps whose causes are in the model; also : additional causes in the model, by
-            label
+        given : steps whose causes are in the model
+        also : effects of further causes in the model, by label
         keep : label of an effect of several joints that stays a candidate even if few joints show
             it
         """
@@ -106,7 +106,10 @@ class State:
         return cache[key]
 
     def _without_single(self, ranking: Ranking, chosen: Array, keep: str) -> Ranking:
-        """Return the ranking without effects of several joints that too few joints show."""
+        """Return the ranking without effects of several joints that less than three joints show.
+
+        chosen : indices of the columns in the model; keep : see `rank`
+        """
         there = 1 - ranking.none
         likely = [self.by_label[k] for k, p in ranking.probability.items() if p > SETTINGS.min_ambiguous * there]
         # At least three joints must show an effect of several joints at once.
@@ -125,7 +128,10 @@ class State:
         return replace(ranking, log_mass=mass).normalised(float(np.log(prior["none"])))
 
     def _gains(self, effects: Sequence[Effect], chosen: Array) -> list[float]:
-        """Return each effect's log evidence given the other effects and chosen columns."""
+        """Return the log evidence of each effect given the other effects and chosen columns [nats].
+
+        chosen : indices of the columns in the model, shape (k,)
+        """
         judged, every = self.case.judged, [self.case.group((e,)) for e in effects]
         gains = []
         for own in every:
@@ -139,13 +145,17 @@ class State:
 
     @property
     def log_gain(self) -> float:
-        """Return the log evidence of all causes in the model over none."""
+        """Return the log evidence of all causes in the model together over none [nats].
+
+        Each was ranked given those before it.
+        """
         return sum(s.ranking.log_factor[s.labels[0]] for s in self.steps)
 
     def most_probable_set(self) -> tuple[tuple[str, ...], frozenset[str]]:
-        """Return the most probable set of additional listed causes, and those of them in doubt.
+        """Return the labels of the most probable set of additional listed causes.
 
-        A set may explain what the last ranking assigns to no single cause (see `cause_sets`).
+        The second item holds those of them that are not certain. A set may explain the data where
+        no single cause does (see `cause_sets.most_probable_set`).
         """
         return most_probable_set(
             self.rankings[-1],
@@ -156,17 +166,20 @@ class State:
         )
 
     def _rank_sets(self, sets: Sequence[Mapping[str, tuple[Effect, ...]]]) -> list[Ranking]:
-        """Return the ranking given each of some sets of additional causes."""
+        """Return, for each set of additional causes, the ranking given it and all steps."""
         effects = dict.fromkeys(e for also in sets for own in also.values() for e in own)
         self.case.judged.look_ahead([self.case.group((e,)) for e in effects], self.case.groups)
         return [self.rank(self.steps, also) for also in sets]
 
     def ranked(self) -> State:
-        """Return the state with the ranking of one more round."""
+        """Return the state with the ranking given all its causes appended to `rankings`."""
         return replace(self, rankings=(*self.rankings, self.rank(self.steps)))
 
     def refined(self, ranking: Ranking, labels: Sequence[str], given: Sequence[Step]) -> tuple[Case, Step]:
-        """Return case and step of a cause (the first label), its settings refined given others."""
+        """Return case and step of the cause of the first label, with refined settings.
+
+        ranking : ranking from which it is taken; given : steps of the other causes in the model
+        """
         label = labels[0]
         variant = self.by_label[label].variants[ranking.variant[label]]
         if self.by_label[label].together:
@@ -176,10 +189,11 @@ class State:
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
-        """Return the state with a cause of the last ranking in the model and outliers updated.
+        """Return the state with the cause of the first label added and the outliers updated.
 
-        The state itself is returned where no joint shows the cause: a set may name a cause that its
-        other causes explain completely.
+        labels : the cause's own, then those that the data cannot distinguish from it
+        The state is returned unchanged where no joint shows the cause: a set may name a cause that
+        its other causes explain completely.
         """
         ranking = self.rankings[-1]
         covers = self.by_label[labels[0]].covers
@@ -197,7 +211,10 @@ class State:
         return replace(state, case=screened)
 
     def revisited(self) -> State:
-        """Return the state with each cause replaced where another one is more probable."""
+        """Return the state with each cause replaced by the most probable one given the others.
+
+        That is done where the most probable one is listed.
+        """
         state = self
         for k in range(len(self.steps) if len(self.steps) > 1 else 0):
             others = (*state.steps[:k], *state.steps[k + 1 :])
@@ -226,7 +243,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     lines, lone = set[tuple[int, float]](), False
 
     def where_noise_follows(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
-        """Return the search under the best autocorrelated noise given the causes of a state.
+        """Return the result of a search under the best AR(1) noise given the causes of a state.
 
         Returns None if the noise is not autocorrelated or no cause is found under it.
         least : log evidence that noise and causes need together over white noise without causes
@@ -260,7 +277,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
 
 
 def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
-    """Return the case with ripple at these (joint, cycles per turn) among its candidates."""
+    """Return the case with transmission ripple at these (joint, cycles per turn) as candidates."""
     labels = {c.label for c in case.candidates}
     for joint, cycles in sorted(lines):
         ripple = TransmissionRipple(joint, cycles=cycles)
@@ -304,9 +321,11 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
 
 
 def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -> tuple[End, tuple[str, ...]]:
-    """Return "claimed" and the labels of the next cause, or why there is none and no label.
+    """Return "claimed" and the labels of the next cause, or another `End` and no label.
 
-    The labels of a cause include those of causes that the data cannot distinguish from it.
+    The labels are its own, then those of causes that the data cannot distinguish from it.
+
+    p_nothing : bootstrap p-value of no cause, None without a bootstrap
     """
     if not _detected(state, ranking, p_nothing):
         return "none", ()
@@ -330,7 +349,7 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
 
 
 def _detected(state: State, ranking: Ranking, p_nothing: float | None) -> bool:
-    """Return whether there is an (additional) cause, listed or not."""
+    """Return whether a cause that is not in the model yet is detected, listed or not."""
     if state.steps:
         return ranking.none <= SETTINGS.max_p_nothing_further
     if p_nothing is not None:

@@ -26,14 +26,16 @@ class Settings:
         above 0.5 5 of 49.
     min_further : an additional cause is accepted from this probability on, given that there is one
     max_causes : largest number of causes of a diagnosis
-    ambiguous_share : probability of all causes together that the data cannot distinguish
+    ambiguous_share : causes that the data cannot distinguish are counted until they reach this
+        probability together, given that there is a cause
     max_ambiguous : largest number of such causes; min_ambiguous : smallest probability of each
     partitions : number of partitions of the poses into fifths over which held-out errors are
         averaged
-    min_explained : the causes are no explanation if they close a smaller share of the gap above the
-        noise floor and an additional cause is detected, or the unexplained share of the gap exceeds
-        max_unexplained
-    max_flaw : evidence of the remaining error over that of the causes below which it may be a flaw
+    min_explained : the causes are no explanation if they close a smaller fraction of the gap above
+        the noise floor and an additional cause is detected, or the unexplained fraction of the gap
+        exceeds max_unexplained
+    max_flaw : log evidence of the best additional cause divided by that of the causes in the model,
+        up to which the remaining error may be a flaw
         of a listed effect's equation: none was larger in 44 right claims of mismatched truth; loose
         anchors and hoses leave 0.08 and 0.11 (seeds 77)
     max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
@@ -47,8 +49,9 @@ class Settings:
     min_set_log_gain : log evidence [nats] that each additional cause of a set must gain
     min_change : probability of a change from which the earlier campaign's prior of a part is
         dropped
-    min_doubtful : a doubtful cause is kept only if it is at least this probable, together with
-        the causes that the data cannot distinguish from it
+    min_doubtful : smallest probability at which a detected cause that is not certain (see
+        `claims.named`) may be kept, the sum over it and those that the data cannot distinguish from
+        it; also that of the labels listed for a possible additional cause
     same_joint_prior_factor : factor on the prior of an additional cause at a joint that has a
         cause already: it is more likely a flaw of the first cause's equation
     folds : number of folds of a partition of the poses
@@ -58,34 +61,35 @@ class Settings:
         of the previous pose
     ar_coefficient_step : the best coefficient is refined by this step to both sides before
         causes are searched under it
-    tail_share : prior share of the poses whose noise is larger, in the model of heavy tails
+    tail_share : prior probability that a pose's noise is larger, in the model of heavy tails
     tail_noise_factor : factor on the noise of the poses in the tails, in the model of heavy
         tails
-    noisy_joint_factor : repeatability error of a noisy joint over that of the other joints
+    noisy_joint_factor : repeatability error of a noisy joint divided by that of the other joints
     min_noise_excess_factor : ratio of the estimated noise to its independent figure from which
         it contains structure, if the excess is significant
-    max_law_poses : number of poses, spread over the campaign, on which laws are searched: the
-        time grows with it
+    max_law_poses : largest number of poses, evenly taken from the campaign, on which laws (see
+        `laws`) are searched: the time grows with it
     min_alias_correlation : a law is a listed effect under another name if their columns
         correlate by more than this
-    min_law_score : score that a law needs to be claimed
-    min_law_margin : margin over the best rival's score that a law needs to be claimed
-    indistinguishable_law_margin : laws with scores within this of the best one are reported as
-        indistinguishable
+    min_law_score : score [nats] (see `laws.search`) that a law needs to be claimed
+    min_law_margin : margin over the best rival's score [nats] that a law needs to be claimed
+    indistinguishable_law_margin : laws with scores within this of the best one [nats] are reported
+        as indistinguishable
     max_exact_laws : number of laws, the best by screening, whose evidence is computed exactly
     min_moved_laws : number of laws of an instrument's beam whose station is refined in any case
-    max_driver_value : a driver with a larger value is the rounding error of a load divided by
-        zero
+    max_driver_value : a driver of laws with a larger absolute value is excluded: it is the rounding
+        error of a load divided by zero
     max_slow_cycles : greatest frequency of slow waves over an angle [cycles per revolution]
-    max_absorbed_share : share of an effect's energy absorbed by the base model above which the
+    max_absorbed_share : fraction of an effect's energy absorbed by the base model above which the
         effect is invisible
     max_findable_multiple : multiple of its usual size, needed to find an effect, above which
         the effect is invisible
     min_size_mm : effects with a smaller rms displacement [mm] do not act at all
-    posterior_draws : draws from the posterior of the parts' errors
-    variance_draws : draws of each part's variance; each is shared by several draws from the
+    posterior_draws : number of draws from the posterior of the errors of the robot's parts (see
+        `localisation`)
+    variance_draws : number of draws of each part's variance; each serves several draws from the
         posterior
-    unit_error : error that counts as one in the columns of smooth errors [rad or m]
+    unit_error : error that counts as one in the columns of these smooth errors [rad or m]
     near_threshold_odds_ratio : a probability is reported as just above or below the threshold
         of a decision if their odds differ by at most this factor
     min_decision_gain : additional poses are suggested only if they raise the probability of the

@@ -23,10 +23,10 @@ from casadical.measurements.measurements import Noise
 
 
 def neighbours(effect: Effect, fineness: float) -> list[Effect]:
-    """Return copies of an effect with one setting moved, each setting in turn (see `Effect`).
+    """Return copies of an effect, each with one setting changed by one of four steps.
 
-    fineness : scale of the moves, 1 or less: shares of the grid's spacing, or changes of the
-        setting's logarithm
+    fineness : scale of the steps, 1 or less: in units of the grid's spacing for settings with
+        `steps`, else of the setting's natural logarithm
     """
     effects = []
     for f in fields(effect):
@@ -43,7 +43,7 @@ def neighbours(effect: Effect, fineness: float) -> list[Effect]:
 
 
 def _with(effect: Effect, **settings: Any) -> Effect:
-    """Return the effect with other settings."""
+    """Return the effect with other values of some settings."""
     return replace(effect, **settings)
 
 
@@ -52,9 +52,12 @@ def refined(
 ) -> tuple[Case, tuple[Effect, ...]]:
     """Return the case and the effects with the best settings found near a variant.
 
+    A variant of several effects is returned unchanged. The prior sizes of an effect's parts are
+    learnt in place of settings.
+
     label : of the candidate; variant : its effects with settings of the grid
-    chosen : columns of causes that are in the model already; noise : most likely noise with the
-        variant
+    chosen : indices of the columns of causes that are in the model already
+    noise : most likely noise with the variant
     """
     if len(variant) != 1:
         return case, variant
@@ -97,11 +100,13 @@ def _between_poses(case: Case, label: str, effect: Effect) -> tuple[Case, Effect
 
 
 def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Array) -> tuple[Case, tuple[Effect, ...]]:
-    """Return case and effects with a whole number for a fraction if hardly less probable.
+    """Return case and effects with an integer for a fractional setting if hardly less probable.
 
     A load that depends on the joint's angle shifts the apparent cycles per turn: in addition to
-    whole numbers, a phase that changes with the load is tried, too (`tried` of a setting), and
-    accepted if it gains enough evidence.
+    integers, a phase that changes with the load is evaluated, too (values `tried` of a setting),
+    and accepted if it gains enough evidence.
+
+    label : of the candidate; chosen : indices of the columns in the model
     """
     whole = [f.name for f in fields(effect) if f.metadata.get("whole")]
     tried = [(f.name, v) for f in fields(effect) for v in f.metadata.get("tried", ())]
@@ -132,7 +137,10 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
 
 
 def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array) -> int:
-    """Return the index of the best settings; ties are decided by the outliers, then by order."""
+    """Return the index of the most probable variant; ties are decided with the outliers included.
+
+    trial : variants; log : log evidence of each, shape (len(trial),); chosen : columns in the model
+    """
     equal = np.flatnonzero(log >= log.max() - 1e-6)  # settings between which the poses cannot tell
     if len(equal) > 1 and not case.kept.all():
         every = case.with_inliers(np.ones_like(case.kept))
@@ -142,7 +150,7 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
 
 
 def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Array) -> Array:
-    """Return the log evidence of each variant, shape (len(variants),)."""
+    """Return the log evidence of each variant given chosen columns, shape (len(variants),)."""
     grids = case.judged.log_grids([case.group(v) for v in variants], chosen)
     return np.asarray(np.logaddexp.reduce((grids + np.log(KAPPA_WEIGHTS)).reshape(len(variants), -1), axis=1))
 
@@ -150,11 +158,11 @@ def _log_evidence(case: Case, variants: Sequence[tuple[Effect, ...]], chosen: Ar
 def learnt_sizes(
     e: Evidence, group: Array, parts: Mapping[int, Array], given: Array, noise: Noise
 ) -> tuple[dict[int, float], Noise]:
-    """Return the learnt factor on the size of each part, and the remaining noise.
+    """Return the estimated factor on the prior size of each part, and the remaining noise.
 
-    e : linear model; group : columns of the effect, shape (k,); parts : indices into the group, by
-        part
-    given : columns of other causes in the model; noise : initial estimate
+    e : linear model; group : indices of the effect's columns, shape (k,)
+    parts : indices into the group, by part
+    given : indices of the columns of other causes in the model; noise : initial estimate
     """
     columns = np.union1d(given, group)
     fit = new_fit(e, columns, noise)

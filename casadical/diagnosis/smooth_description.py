@@ -32,7 +32,7 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     forms: dict[str, tuple[Effect, ...]] = {}
 
     def ranked(without: str = "") -> Ranking:
-        """Return the posterior over an additional form given the present ones, except `without`."""
+        """Return the posterior over an additional form given the chosen ones, except `without`."""
         others = [case.group(e) for label, e in forms.items() if label != without]
         return rank(case, np.unique(np.concatenate([found.columns, *others])), named | forms.keys() - {without})
 
