@@ -17,15 +17,15 @@ from casadical.core.basics import Array
 from casadical.core.parts import NEAR_PARALLEL_RAD, Joint
 from casadical.core.transforms import frame, rot_x, rot_y, rot_z, translate
 
-# Smaller values [m or rad] are rounding errors of products of sines.
+# Magnitude below which a DH parameter [m or rad] counts as zero: a rounding error.
 ROUNDING_TOLERANCE = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """A joint's axis at zero reading, in the frame of its chain.
+    """A joint's axis at zero readings of all joints, in a common frame of the chain.
 
-    point : on the axis, shape (3,) [m]; direction : unit vector, shape (3,)
+    point : any point on the axis, shape (3,) [m]; direction : unit vector, shape (3,)
     """
 
     point: Array
@@ -85,12 +85,12 @@ def rows_from_axes(axes: Sequence[Axis], tip: Array) -> Chain:
 
 
 def frames_at_zero(rows: Sequence[Joint]) -> list[Array]:
-    """Return the frames of all links at zero readings in the base frame, each (4, 4) [m]."""
+    """Return the frames of all links at zero readings in frame 0, each (4, 4) [m], from base on."""
     return list(accumulate(map(row_matrix, rows), operator.matmul))
 
 
 def row_matrix(row: Joint) -> Array:
-    """Return frame i in frame i-1 at zero reading, shape (4, 4) [m]."""
+    """Return frame i in frame i-1 by its modified DH row i at zero reading, shape (4, 4) [m]."""
     return np.array(
         rot_x(row.alpha)
         @ translate(row.a, 0, 0)
@@ -102,9 +102,9 @@ def row_matrix(row: Joint) -> Array:
 
 
 def _perpendicular_x(R: Array, z: Array) -> Array:
-    """Return the x axis of R made perpendicular to z, shape (3,).
+    """Return the unit vector along the x axis of R projected perpendicular to z, shape (3,).
 
-    It is the y axis where x is nearly along z.
+    Where x is within 30 deg of z, the y axis of R is projected instead.
     """
     x = R[:, 0] if abs(R[:, 0] @ z) < np.sqrt(0.75) else R[:, 1]
     x = x - (x @ z) * z
@@ -112,7 +112,10 @@ def _perpendicular_x(R: Array, z: Array) -> Array:
 
 
 def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """Return row and next row by the common normal of the z axis and the line p + t z."""
+    """Return row and next row by the common normal of the row's z axis and the next joint's axis.
+
+    p, z : point [m] and unit direction of that axis in the row's frame, shape (3,) each
+    """
     sine, cosine = np.hypot(z[0], z[1]), z[2]
     normal = np.array([-z[1], z[0], 0.0]) / sine
     a = p @ normal
@@ -128,9 +131,11 @@ def _craig(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
 
 
 def _hayati(row: Joint, p: Array, z: Array) -> tuple[Joint, Joint]:
-    """Return row and next row for a line p + t z nearly parallel to the z axis.
+    """Return row and next row for a next axis nearly parallel to the row's z axis (Hayati's form).
 
-    It uses the point where the line meets the x-y plane.
+    The next frame's origin is where that axis meets the x-y plane.
+
+    p, z : point [m] and unit direction of that axis in the row's frame, shape (3,) each
     """
     foot = p - (p[2] / z[2]) * z
     a = np.hypot(foot[0], foot[1])

@@ -20,9 +20,10 @@ from casadical.robot.kinematics import own_variables, row_factors
 from casadical.robot.model import Structure, base_frame, gravity_in_base
 from casadical.robot.robot import Robot
 
-# Coupling of each joint, None without; a model of poses has none, as all readings are given there.
+# Coupling of each joint to other joints, None for one that moves by itself. Only dynamics use it:
+# for poses all readings are given.
 Couplings = tuple[Coupling | None, ...]
-# Prior standard deviation of the logarithm of a declared link inertia.
+# Prior standard deviation of the logarithm of a link's declared moment of inertia.
 INERTIA_LOG_SIGMA = 0.3
 
 
@@ -47,7 +48,9 @@ class Dynamics:
 
         m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
         """
-        # Names of a link's ten inertial parameters.
+        # Names of a link's ten inertial parameters: mass [kg], first moments [kg m] and inertia
+        # about the
+        # origin of the link's frame [kg m^2].
         body_parameters = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
         links = tuple(f"{name}{i}" for i in self.robot.numbers for name in body_parameters)
         return (*links, *(f"Ia{i}" for i in self.robot.numbers))
@@ -62,9 +65,10 @@ class Dynamics:
 
     @cached_property
     def payload(self) -> Array:
-        """The ten numbers of the declared payload, shape (10,) [SI].
+        """Inertial parameters of the declared payload, shape (10,) [kg, kg m, kg m^2].
 
-        It acts through the last link's columns.
+        They are in the order of BODY_PARAMETERS and in the last link's frame, with inertias about
+        its origin, for the last link's columns of the regressor; zero without a payload.
         """
         return body_numbers(self.robot.payload) if self.robot.payload else np.zeros(10)
 
@@ -96,13 +100,17 @@ class Dynamics:
         return self._evaluated("torque", q, v, a, self.values if pi is None else pi, g)[0].T
 
     def _evaluated(self, what: str, q: Array, v: Array, a: Array, pi: Array, gravity: Array) -> list[Array]:
-        """Evaluate the dynamics' regressor or torque at many states."""
+        """Return the outputs of a mapped function at N states, which are the last axis.
+
+        what : "regressor" or "torque"; q, v, a : shape (N, n) each; pi : empty for the regressor
+        gravity : in the base frame, shape (3,) [m/s^2]
+        """
         shared = (pi, self.robot.parameters.values, gravity)
         return _mapped(self.robot.structure, self._couplings, what)(np.hstack([q, v, a]).T, np.concatenate(shared))
 
     @property
     def _couplings(self) -> Couplings:
-        """Coupling of each joint."""
+        """Coupling of each joint to others, None for a joint that moves by itself."""
         return tuple(joint.coupling for joint in self.robot.joints)
 
     @cached_property
@@ -118,7 +126,10 @@ class Dynamics:
 
     @cached_property
     def rotors(self) -> Array:
-        """Rotor inertias at the joints, declared or estimated, shape (n,) [kg m^2 or kg]."""
+        """Inertia of each drive's rotor seen at the joint, shape (n,) [kg m^2 or kg].
+
+        It is the declared one, or estimated from the links' inertias.
+        """
         drive = self.robot.drive
         if drive and (stated := drive.inertia_at_joint(self.robot.n)) is not None:
             return np.asarray(stated)
@@ -132,10 +143,13 @@ class Dynamics:
 
     @cached_property
     def sigma(self) -> Array:
-        """Prior sigma of each coordinate by the robot file, shape (11 n,) [1 or m]."""
+        """Prior standard deviation of each coordinate of `at`, shape (11 n,) [1 or m].
+
+        It follows from the robot file: whether inertias are declared, and its widths of bodies.
+        """
         width, drive = self.robot.body_width, self.robot.drive
         sigma = []
-        # Prior standard deviation of the logarithm of a link inertia that is estimated.
+        # Prior standard deviation of the logarithm of a link's estimated moment of inertia.
         estimated_inertia_log_sigma = 1.0
         for joint in self.robot.joints:
             shape = INERTIA_LOG_SIGMA if joint.body and joint.body.inertia is not None else estimated_inertia_log_sigma
@@ -143,14 +157,15 @@ class Dynamics:
         stated = drive is not None and drive.inertia_at_joint(self.robot.n) is not None
         # Prior standard deviation of the logarithm of a declared rotor inertia.
         rotor_log_sigma = 0.1
-        # Prior standard deviation of the logarithm of a rotor inertia that is estimated.
+        # Prior standard deviation of the logarithm of an estimated rotor inertia.
         estimated_rotor_log_sigma = 2.0
         return np.array([*sigma, *[rotor_log_sigma if stated else estimated_rotor_log_sigma] * self.robot.n])
 
     def at(self, coordinates: Array) -> Array:
-        """Return the parameters pi, shape (11 n,), for coordinates, shape (11 n,).
+        """Return physical parameters pi, shape (11 n,) [SI], for any coordinates, shape (11 n,).
 
-        Zero gives those of the robot file; all are physical.
+        Zero gives those of the robot file. The coordinates are ten for each link (see
+        `_deformed_numbers`), then the logarithm of each rotor inertia over its nominal value.
         """
         n = self.robot.n
         links = self._links(coordinates[: 10 * n])
@@ -158,7 +173,10 @@ class Dynamics:
         return np.concatenate([links, self.rotors * np.exp(coordinates[10 * n :])])
 
     def _links(self, coordinates: Array) -> Array:
-        """Return the parameters of the links, shape (10 n,), for their coordinates."""
+        """Return the inertial parameters of the links, shape (10 n,) [SI], without the payload.
+
+        coordinates : of the links as of `at`, shape (10 n,)
+        """
         none = Body(0.0, np.zeros(3))
         bodies = [joint.body or none for joint in self.robot.joints]
         return np.concatenate(
@@ -167,9 +185,9 @@ class Dynamics:
 
     @cached_property
     def tangent(self) -> Array:
-        """Derivatives of pi by the coordinates at zero, shape (11 n, 11 n).
+        """Derivatives of pi by the coordinates of `at`, at zero, shape (11 n, 11 n).
 
-        The columns of the coordinates are Y tangent.
+        With the regressor Y, Y @ tangent is the regressor by the coordinates.
         """
         step = 1e-6
         both = ([self.at(sign * step * unit) for unit in np.eye(len(self.names))] for sign in (1, -1))
@@ -178,9 +196,10 @@ class Dynamics:
 
 
 def body_numbers(body: Body) -> Array:
-    """Return the ten numbers of a body, shape (10,) [kg, kg m, kg m^2].
+    """Return the inertial parameters of a body, in the order of BODY_PARAMETERS, shape (10,).
 
-    An unknown inertia counts as zero.
+    They are [kg, kg m, kg m^2] in the frame of `body.com`, with inertias about its origin. An
+    unknown inertia about the mass centre counts as zero.
     """
     inertia = np.zeros((3, 3)) if body.inertia is None else body.inertia
     about = inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
@@ -188,12 +207,12 @@ def body_numbers(body: Body) -> Array:
 
 
 def _deformed_numbers(body: Body, coordinates: Array) -> Array:
-    """Return the ten numbers of a body deformed by ten coordinates.
+    """Return the inertial parameters, shape (10,) as of `body_numbers`, of a deformed body.
 
     The deformation is an affine map of its density, so that the result is a physical body.
 
-    coordinates : logarithm of its mass / 2, shift of the centre [m], logarithms of three stretches,
-        three shears
+    coordinates : half the logarithm of the factor on its mass, shift of the centre [m], logarithms
+        of three stretches, three shears; shape (10,), zero leaves the body unchanged
     """
     half, centre, lengths, shears = coordinates[0], coordinates[1:4], coordinates[4:7], coordinates[7:]
     stretch = np.diag(np.exp(lengths))
@@ -206,9 +225,11 @@ def _deformed_numbers(body: Body, coordinates: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunction:
-    """Return the function of regressor or torque over many states.
+    """Return the function of regressor or torque over many states (q, v, a), shape (3 n, N).
 
-    Its shared inputs are pi (for the torque only), the parameters of the geometry, and gravity.
+    Its shared inputs are pi (for the torque only), the robot's parameters, and gravity.
+
+    what : "regressor" or "torque"
     """
     point, geometry, gravity, Y = _expressions(structure, couplings)
     pi = ca.SX.sym("pi", Y.shape[1] if what == "torque" else 0)
@@ -218,10 +239,10 @@ def _mapped(structure: Structure, couplings: Couplings, what: str) -> MappedFunc
 
 @lru_cache(maxsize=16)
 def _expressions(structure: Structure, couplings: Couplings) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return (q, v, a), geometry, gravity and Y, shape (n, 11 n).
+    """Return symbols of state (q, v, a), parameters and gravity, and the regressor Y of these.
 
-    A coupled joint, or one that a four-bar drives, has a variable u(q) of its own: tau = (du/dq)^T
-    tau_u.
+    Shapes (3 n,), (P,), (3,) in the base frame [m/s^2], and (n, 11 n). A coupled joint, or one that
+    a four-bar drives, has a variable u(q) of its own: tau = (du/dq)^T tau_u.
     """
     arm, n = structure.arm, structure.arm.n
     point, geometry = ca.SX.sym("state", 3 * n), ca.SX.sym("geometry", len(structure.parameters.names))
@@ -243,13 +264,15 @@ def _expressions(structure: Structure, couplings: Couplings) -> tuple[ca.SX, ca.
 
 
 def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Symbolic], gravity: Symbolic) -> ca.SX:
-    """Return the regressor rows of each joint for the links, shape (n, 10 n).
+    """Return the links' part of the regressor, shape (n, 10 n): row per joint, ten columns a link.
 
     Angular velocity w, its derivative and the acceleration of each origin minus gravity are
     propagated outwards; each link's force and moment, as ten columns, inwards.
 
-    frames : of each link in the previous one; moved : joint variables and their first two
-        derivatives
+    frames : of each link in the previous one, shape (4, 4) [m]; sliding : whether each joint is
+        prismatic
+    moved : joint variables and their first and second time derivatives, shape (n,) each
+    gravity : in the base frame, shape (3,) [m/s^2]
     """
     n, z = len(frames), ca.DM([0, 0, 1])
     w, dw, acc = ca.SX.zeros(3), ca.SX.zeros(3), -gravity
@@ -277,6 +300,9 @@ def _links_regressor(frames: list[Symbolic], sliding: list[bool], moved: list[Sy
 
 
 def _moments(w: Symbolic) -> Symbolic:
-    """Return the matrix of I w by the six numbers of I, shape (3, 6)."""
+    """Return the matrix, shape (3, 6), whose product with Ixx, Ixy, Ixz, Iyy, Iyz, Izz is I w.
+
+    w : vector, shape (3,)
+    """
     x, y, z = ca.vertsplit(w)
     return ca.blockcat([[x, y, z, 0, 0, 0], [0, x, 0, y, z, 0], [0, 0, x, 0, y, z]])

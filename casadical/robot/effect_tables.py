@@ -26,11 +26,11 @@ from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
 from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
 
-# Significant digits of a covariance: enough for correlations of 1 - 1e-9, with a quarter less text
-# than all digits.
+# Number of significant digits of a covariance in a file: enough for correlations of 1 - 1e-9, with
+# a quarter less text than all digits.
 COVARIANCE_DIGITS = 12
-# Digits of a value after the first digit of its standard error; further ones depend on the rounding
-# of the processor.
+# Number of digits of a value that a file has from the first digit of its standard error on; further
+# ones depend on the rounding of the processor.
 KNOWN_DIGITS = 6
 
 
@@ -51,8 +51,9 @@ class EffectTable(TomlTable):
     values: dict[str, Value] = Field(default={})
 
     def effect(self, own: Sequence[type[Effect]]) -> Effect:
-        """Return the effect; own : further classes.
+        """Return the effect that the table describes, without its values.
 
+        own : classes of effects in addition to the installed ones
         Raises InputError: no such effect or setting, a value that it does not have, or in another
         unit.
         """
@@ -76,10 +77,10 @@ class EffectTable(TomlTable):
 def effects_of(
     tables: Sequence[EffectTable], definitions: Sequence[Definition], own: Sequence[type[Effect]]
 ) -> tuple[tuple[Effect, ...], dict[str, float], dict[str, float]]:
-    """Return effects, and values and standard errors of their parameters.
+    """Return effects, and values and standard errors of their parameters, by name [SI].
 
-    own : further classes of effects
-    Raises InputError by key.
+    own : classes of effects in addition to the installed ones and to those that the file defines
+    Raises InputError that names the key.
     """
     kinds = (*own, *new_effects(definitions))
     effects, values, errors = [], {}, {}
@@ -125,9 +126,9 @@ class LearntTable(TomlTable):
     robots: int = Field(default=0, ge=0)
 
     def ranges(self, arm: Arm) -> Array:
-        """Return the ranges of the joints' readings, shape (n, 2) [rad or m].
+        """Return lowest and highest reading of each joint, shape (n, 2) [rad or m].
 
-        The shape is (0, 2) without any. Raises InputError for other joints or units.
+        The shape is (0, 2) without any. Raises InputError for keys of other joints or units.
         """
         factors = arm.reading_units
         if not self.readings:
@@ -166,12 +167,12 @@ def knowledge_of(
     covariance: Sequence[CovarianceTable],
     errors: Mapping[str, float],
 ) -> Knowledge | None:
-    """Return the knowledge in the tables, None if they are empty.
+    """Return the covariances and ranges in the tables of a file, None if they are empty.
 
     names : of the robot's parameters
-    errors : standard errors next to values, by parameter; one that is in no covariance makes a
-        block of its own
-    Raises InputError by key.
+    errors : parameter -> standard error given next to its value [SI]; one that is in no covariance
+        makes a block of its own
+    Raises InputError that names the key.
     """
     parts = []
     for k, table in enumerate(covariance, 1):
@@ -204,7 +205,9 @@ def text_of(
     remaining: RemainingErrors | None = None,
     known_alone: bool = False,
 ) -> Iterator[str]:
-    """Yield the tables of some effects of a robot as lines of TOML.
+    """Yield the tables of effects and knowledge as lines of TOML.
+
+    They are [[definition]], [[effect]], [learnt], [[covariance]] and [remaining], where they apply.
 
     known_alone : as of `to_toml`
     """
@@ -230,7 +233,10 @@ def text_of(
 
 
 def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
-    """Yield the lower triangle of a covariance, row by row."""
+    """Yield the lower triangle of a covariance, row by row, rounded as a file has it.
+
+    known_alone : as of `to_toml`
+    """
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
     least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
@@ -246,7 +252,10 @@ def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
 def _effect_lines(
     effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], known_alone: bool
 ) -> Iterator[str]:
-    """Yield the lines of one effect's table with its values."""
+    """Yield the TOML lines of one effect's table with its values.
+
+    values, errors : parameter -> value and standard error [SI]; known_alone : as of `to_toml`
+    """
     yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():
         parameter = f"{effect.label}.{name}"
@@ -275,7 +284,7 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
 
 
 def _entries(table: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the entries of a table as lines of TOML."""
+    """Yield each key and value of a table as a line of TOML."""
     return (f"{_key(key)} = {_text(value)}" for key, value in table.items())
 
 
@@ -313,10 +322,11 @@ class _EffectFile(DefinitionFile):
 
 @dataclass(frozen=True)
 class Effects:
-    """Effects and the values of their parameters.
+    """Content of an effect file: effects and the values of their parameters.
 
     effects : of the file; values : parameter name -> value [SI]
-    robot : name of the robot on which they were found; kinds : effects that the file defines
+    robot : name of the robot on which they were identified; kinds : classes of effects that the
+        file defines
     """
 
     effects: tuple[Effect, ...]
@@ -343,11 +353,9 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, known_alone: bool = False) -> str:
-    """Return some effects of a robot as the text of an effect file.
+    """Return some effects of a robot, with values and covariances, as the text of an effect file.
 
-    Covariances of their values are included.
-
-    known_alone : as of `to_toml`
+    comment : text at the head of the file; known_alone : as of `to_toml`
     """
     names = {p.name for e in effects for p in e.parameters()}
     known = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None

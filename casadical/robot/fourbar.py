@@ -11,12 +11,15 @@ import casadi as ca
 
 from casadical.core.transforms import Symbolic
 
-# Crank L5, coupler L4, rocker L3 and ground bar g [m].
+# Lengths of crank L5, coupler L4, rocker L3 and ground bar g, in this order [m].
 Bars = tuple[Symbolic, Symbolic, Symbolic, Symbolic]
 
 
 def _triangle(crank: Symbolic, ground: Symbolic, lengths: Bars) -> tuple[Symbolic, Symbolic, Symbolic]:
-    """Return the diagonal from driven joint to crank end in the loop's plane: x, y, length [m]."""
+    """Return x, y and length [m] of the diagonal from driven joint to crank end, in its plane.
+
+    crank, ground : directions of crank and ground bar [rad]
+    """
     L5, _L4, _L3, g = lengths
     x = L5 * ca.cos(crank) - g * ca.cos(ground)
     y = L5 * ca.sin(crank) - g * ca.sin(ground)
@@ -44,9 +47,12 @@ def rocker_angle(crank: Symbolic, ground: Symbolic, lengths: Bars, side: int) ->
 
 
 def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
-    """Return how far the loop is from opening: the squared sine between rocker and diagonal.
+    """Return the squared sine of the angle between rocker and diagonal, the margin from opening.
 
-    1 where they are perpendicular, 0 at a folded position, negative where the bars cannot close.
+    It is 1 where they are perpendicular, 0 at a folded position, negative where the bars cannot
+    close.
+
+    crank, ground : angles of crank and ground bar [rad]; lengths : of the bars [m]
     """
     _, _, diagonal = _triangle(crank, ground, lengths)
     _, L4, L3, _ = lengths
@@ -54,6 +60,11 @@ def margin(crank: Symbolic, ground: Symbolic, lengths: Bars) -> Symbolic:
 
 
 def assembly_side(crank: float, ground: float, lengths: Bars) -> int:
-    """Return the side of the uncrossed assembly: its rocker points as the crank does."""
+    """Return the side (+1 or -1, see `rocker_angle`) at which rocker and crank point alike.
+
+    It is that of the uncrossed assembly.
+
+    crank, ground : angles of crank and ground bar [rad]; lengths : of the bars [m]
+    """
     candidates = {side: float(rocker_angle(crank, ground, lengths, side)) for side in (1, -1)}
     return min(candidates, key=lambda side: abs(float(ca.remainder(candidates[side] - crank, 2 * ca.pi))))

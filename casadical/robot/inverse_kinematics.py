@@ -29,14 +29,18 @@ def solve_joints(
     of_error: float = 0.0,
     done: float = 0.0,
 ) -> Array:
-    """Return the joints after the steps, shape (k, n) [rad or m]; they need not reach the poses.
+    """Return the joints after damped Newton steps towards k poses, shape (k, n) [rad or m].
 
-    start : shape (k, n); steps : maximum number; largest : change of a joint in one step [rad or m]
-    limits : of the joints, shape (n,) each
-    coupled : completes joints that follow others, shape (k, n) to (k, n)
+    They need not reach the poses.
+
+    evaluate : residuals and Jacobians of some poses at given joints
+    start : first joints, shape (k, n) [rad or m]; steps : maximum number of steps
+    largest : largest change of a joint in one step [rad or m]
+    limits : lower and upper limits of the joints, shape (n,) each
+    coupled : function that completes joints that follow others, shape (k, n) to (k, n)
     least : share of the largest singular value of J below which a direction is omitted
     damping, of_error : lambda is damping + of_error |r|^2
-    done : poses with a residual of at most this length take no more steps
+    done : length of the residual up to which a pose takes no more steps
     """
     q, active = np.array(start, float), np.arange(len(start))
     for _ in range(steps):

@@ -18,14 +18,15 @@ from casadical.robot.parameter_list import bar_names, parameters_of
 # Name of a parameter -> its value or symbol [SI].
 Values = Mapping[str, Symbolic]
 
-# Minimum margin of a four-bar (see `fourbar.margin`); below it the loop counts as folded.
+# Minimum margin of a four-bar (see `fourbar.margin`, at most 1); below it the loop counts as
+# folded.
 MIN_LOOP_MARGIN = 0.02
 
 
 def row_factors(arm: Arm, i: int, variable: Symbolic, values: Values) -> list[Symbolic]:
     """Return the elementary transforms whose product is frame i (1-based) in frame i-1.
 
-    variable : the joint's own [rad or m]
+    variable : joint variable of the row, added to theta or d [rad or m]; values : parameters [SI]
     """
     theta, d = values[f"theta{i}"], values[f"d{i}"]
     if arm.joints[i - 1].kind == "revolute":
@@ -51,7 +52,8 @@ def loop_angles(
 ) -> tuple[Symbolic, Symbolic]:
     """Return the angles of crank and ground bar [rad] in the loop's plane.
 
-    actuated : joint variables; own : variables of the rows up to the carrier's
+    actuated : variables of the actuated joints; own : variables of the DH rows, at least up to the
+        carrier's [rad or m]
     """
     crank = actuated[loop.driven - 1] + values[f"theta{loop.driven}"]
     ground = own[loop.carrier - 1] + values[f"theta{loop.carrier}"]
@@ -59,7 +61,10 @@ def loop_angles(
 
 
 def loop_margins(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the margin of every four-bar: 1 perpendicular, 0 folded (see `fourbar.margin`)."""
+    """Return the margin of every four-bar: 1 perpendicular, 0 folded (see `fourbar.margin`).
+
+    actuated : variables of the actuated joints, shape (n,) [rad or m]
+    """
     own = own_variables(arm, actuated, values)
     return [
         fourbar.margin(*loop_angles(loop, actuated, own, values), loop_bars(arm, k, values))
@@ -89,7 +94,10 @@ def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple
 
 
 def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the variable of each row: the actuated one, or its loop's (paper, eq. 3)."""
+    """Return the joint variable of each DH row: the actuated one, or its loop's (paper, eq. 3).
+
+    actuated : variables of the actuated joints, shape (n,) [rad or m]
+    """
     own = list(actuated)
     sides = assembly_sides(arm)
     for k in _from_base(arm):
@@ -107,7 +115,10 @@ def _from_base(arm: Arm) -> list[int]:
 
 
 def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, values: Values) -> Symbolic:
-    """Return the variable of the row that loop k drives, for its crank and ground angles."""
+    """Return the joint variable [rad] of the DH row that loop k (1-based) drives.
+
+    angles : of crank and ground bar in the loop's plane [rad]; side : of the assembly, +1 or -1
+    """
     loop = arm.loops[k - 1]
     rocker = fourbar.rocker_angle(*angles, loop_bars(arm, k, values), side)
     # theta of the driven row rotates the crank, not the link: as row_factors adds it, it is
@@ -116,9 +127,9 @@ def _driven(arm: Arm, k: int, angles: tuple[Symbolic, Symbolic], side: int, valu
 
 
 def assembly_sides(arm: Arm) -> dict[int, int]:
-    """Return the side of each loop's uncrossed assembly, at mid range of its joints.
+    """Return the side (+1 or -1) of each loop's uncrossed assembly, by number of the loop from 1.
 
-    Raises InputError where it cannot close.
+    It is decided at mid range of the joints. Raises InputError where the loop cannot close there.
     """
     if not arm.loops:
         return {}
@@ -141,7 +152,7 @@ def assembly_sides(arm: Arm) -> dict[int, int]:
 
 
 def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payload_kg: Symbolic) -> Symbolic:
-    """Return the potential energy [J] of all bodies and of the payload.
+    """Return the potential energy [J] of all links' bodies and of the payload.
 
     frames : T_01..T_0n in the robot's base frame; gravity : shape (3,) [m/s^2] in the same frame
     payload_kg : mass on the flange at this pose, its mass centre as declared
@@ -158,7 +169,8 @@ def gravity_energy(arm: Arm, frames: Sequence[Symbolic], gravity: Symbolic, payl
 def gravity_torques(context: Context, added: Symbolic = 0.0) -> Symbolic:
     """Return tau = -dV/dq on the actuated joints, shape (n,) [N m or N].
 
-    It holds for closed loops too, and is evaluated at the pose after one deflection step.
+    It is the torque of gravity, not that of the motors against it. It holds for closed loops too,
+    and is evaluated at the pose after one deflection step.
 
     added : potential energy of effects [J]
     """
@@ -169,5 +181,9 @@ def gravity_torques(context: Context, added: Symbolic = 0.0) -> Symbolic:
 
 
 def deflections(arm: Arm, torque: Symbolic, values: Values) -> Symbolic:
-    """Return the joint deflections c_i tau_i, shape (n,) [rad or m] (paper, eq. 4)."""
+    """Return the joint deflections c_i tau_i, shape (n,) [rad or m] (paper, eq. 4).
+
+    torque : of gravity on each joint, shape (n,) [N m or N]; values : parameters, with compliances
+        c_i [rad/(N m) or m/N], zero where a joint has none
+    """
     return ca.vertcat(*(values.get(f"c{i}", 0.0) * torque[i - 1] for i in range(1, arm.n + 1)))

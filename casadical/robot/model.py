@@ -26,11 +26,13 @@ from casadical.robot.parameter_list import PLACEMENT_PARAMETERS
 class Expressions:
     """Symbols and expressions that all robots of one structure share; see `Model`.
 
-    q, w, phi : readings, conditions, parameters; p, R, tau, margin : outputs
-    constants : numbers that are no parameters and differ between robots of one structure (see
-        `constants_of`)
-    loaded : parameters at which gravity torques are evaluated, shape (P,); phi itself except for
-        fixed loads
+    q, w, phi : symbols of the readings (n,), the conditions (k,) and the parameters (P,)
+    constants : symbols of numbers that are no parameters and differ between robots of one structure
+        (see `constants_of`)
+    loaded : symbols of the parameters at which gravity torques are evaluated, shape (P,), separate
+        from phi for fixed loads
+    p, R, tau, margin : expressions of tool position and orientation in the measuring frame, gravity
+        torques, and the margin of each loop (see `Model`)
     functions : cache of what `function` returns
     """
 
@@ -46,7 +48,10 @@ class Expressions:
     functions: dict[tuple[str, ...], ca.Function] = field(default_factory=dict)
 
     def function(self, *outputs: str) -> ca.Function:
-        """Return the function (q, w, phi, constants, loaded) -> outputs, cached."""
+        """Return the CasADi function (q, w, phi, constants, loaded) -> outputs, cached.
+
+        outputs : names out of p, R, tau and margin
+        """
         if outputs not in self.functions:
             inputs = {n: getattr(self, n) for n in ("q", "w", "phi", "constants", "loaded")}
             results = [getattr(self, o) for o in outputs]
@@ -56,9 +61,11 @@ class Expressions:
 
     @lru_cache(maxsize=64)  # noqa: B019 - expressions live in a cache themselves
     def mapped(self, *outputs: str) -> MappedFunction:
-        """Return the outputs as a function of many poses: (q, w) of each, (phi, constants) shared.
+        """Return the function of many poses: (q, w) of each and shared (phi, constants) -> outputs.
 
         Gravity torques are those at phi.
+
+        outputs : names out of p, R, tau and margin
         """
         of_pose, shared = ca.vertcat(self.q, self.w), ca.vertcat(self.phi, self.constants)
         results = self.function(*outputs).call([self.q, self.w, self.phi, self.constants, self.phi])
@@ -70,11 +77,13 @@ class Model:
     """The symbolic model of one robot, from which functions are made.
 
     arm : the robot's parts
-    q : joint readings (n,) [rad or m]; w : conditions (k,); phi : parameters (P,) [SI]
+    q : joint readings (n,) [rad or m]; w : conditions (k,), the logged columns that it uses; phi :
+        parameters (P,) [SI]
     p, R : position (3,) [m] and orientation (3, 3) of the tool frame in the measuring frame
-    tau : gravity torques (n,) [N m or N]; margin : of each loop
+    tau : gravity torques (n,) [N m or N]; margin : of each four-bar (see `fourbar.margin`)
     declared : values of the conditions where nothing was logged, shape (k,)
-    constants : see `constants_of`; shared : the expressions
+    constants : numbers that are no parameters, see `constants_of`
+    shared : expressions of all robots of this structure
     """
 
     arm: Arm
@@ -89,7 +98,7 @@ class Model:
 
     @property
     def w(self) -> ca.SX:
-        """Symbol of the conditions, shape (k,)."""
+        """Symbol of the conditions (logged columns), shape (k,)."""
         return self.shared.w
 
     @property
@@ -109,28 +118,37 @@ class Model:
 
     @cached_property
     def margin(self) -> ca.SX:
-        """Margin of each loop."""
+        """Margin of each four-bar (see `fourbar.margin`), shape (loops,)."""
         return self._expression("margin")
 
     def _expression(self, name: str) -> ca.SX:
-        """Return an output as an expression of q, w and phi."""
+        """Return the output of this name (p, R, tau or margin) as an expression of q, w and phi."""
         return self.function(name, (name,))(self.q, self.w, self.phi)
 
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
-        """Return the function name:(q, w, phi)->outputs, out of p, R, tau, margin."""
+        """Return the CasADi function name:(q, w, phi)->outputs.
+
+        name : of the function; outputs : names out of p, R, tau and margin
+        """
         whole = self.shared.function(*outputs)
         results = whole.call([self.q, self.w, self.phi, ca.DM(self.constants), self.phi])
         return ca.Function(name, [self.q, self.w, self.phi], results, ["q", "w", "phi"], list(outputs))
 
     def at_declared(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
-        """Return name:(q, phi)->outputs, with every condition at its declared value."""
+        """Return the CasADi function name:(q, phi)->outputs, every condition at its declared value.
+
+        name : of the function; outputs : names out of p, R, tau and margin
+        """
         results = self.function(name, outputs).call([self.q, ca.DM(self.declared), self.phi])
         return ca.Function(name, [self.q, self.phi], results, ["q", "phi"], list(outputs))
 
     def evaluate(self, outputs: tuple[str, ...], q: Array, w: Array, phi: Array) -> list[Array]:
-        """Return the outputs at many poses, one array each, with the poses side by side.
+        """Return the outputs at n poses, an array each, whose columns are those of the poses.
 
-        q : shape (n, joints); w : shape (n, k); phi : shape (P,) [SI]
+        The shapes are (3, n) for p, (3, 3 n) for R, (joints, n) for tau, (loops, n) for margin.
+
+        q : readings, shape (n, joints) [rad or m]; w : conditions, shape (n, k); phi : parameters,
+            shape (P,) [SI]
         """
         points, shared = np.concatenate([q, w], axis=1).T, np.concatenate([phi, self.constants])
         return self.shared.mapped(*outputs)(points, shared)
@@ -139,7 +157,8 @@ class Model:
 def constants_of(arm: Arm, torque_scale: Array) -> Array:
     """Return the constants of the expressions: nominal frames and torque scales, shape (24 + n,).
 
-    The frames are T_M0 and T_nE, their upper three rows column by column.
+    The frames are T_M0 (base in the measuring frame) and T_nE (tool in the flange frame), their
+    upper three rows column by column [m].
 
     torque_scale : peak gravity torques, shape (n,) [N m or N], which only effects use
     """
@@ -164,7 +183,7 @@ class Structure:
 
     @cached_property
     def key(self) -> tuple[object, ...]:
-        """What robots with equal symbolic models have in common, hashable."""
+        """The data that decide on the symbolic model, as a hashable tuple."""
         arm = self.arm
         joints = tuple(
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))
@@ -233,9 +252,11 @@ def rigid_context(
     values: Mapping[str, Symbolic],
     base: Symbolic,
 ) -> Context:
-    """Return what an effect may use before torques are known.
+    """Return the context of effects with the link frames of rigid joints, before torques are known.
 
-    torque_scale : shape (n,) [N m or N]; base : nominal T_M0, shape (4, 4) [m]
+    torque_scale : peak gravity torque of each joint, shape (n,) [N m or N]
+    q : readings; conditions : logged column -> symbol; values : parameter -> symbol [SI]
+    base : nominal T_M0, shape (4, 4) [m]
     """
     gravity = gravity_in_base(arm, base_frame(arm, values, base), conditions)
     rigid = kinematics.link_frames(arm, ca.vertsplit(q), values)
@@ -245,7 +266,9 @@ def rigid_context(
 def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]) -> Symbolic:
     """Return gravity in the robot's base frame, shape (3,) [m/s^2].
 
-    Only the direction of logged columns is used.
+    Of logged gravity only the direction is used; its magnitude is the declared one.
+
+    T_M0 : base frame in the measuring frame, shape (4, 4) [m]
     """
     gravity = ca.DM(arm.gravity)
     if arm.gravity_frame == "logged":
@@ -255,9 +278,10 @@ def gravity_in_base(arm: Arm, T_M0: Symbolic, conditions: Mapping[str, Symbolic]
 
 
 def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
-    """Return T_M0, the robot's base in the measuring frame, shape (4, 4).
+    """Return T_M0, the robot's base frame in the measuring frame, shape (4, 4) [m].
 
-    T : nominal transform, shape (4, 4)
+    values : parameter -> value [SI], of which those of the base are used, if it is unknown
+    T : nominal T_M0, shape (4, 4) [m]
     """
     if arm.base.unknown == "none":
         return T
@@ -265,9 +289,11 @@ def base_frame(arm: Arm, values: kinematics.Values, T: Symbolic) -> Symbolic:
 
 
 def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: Context) -> list[Symbolic]:
-    """Return the transforms whose product is T_0E.
+    """Return the transforms whose product is T_0E, the tool frame in the robot's base frame.
 
     Readings, effects and deflections act through the chain, then come flange and tool.
+
+    nominal : constant part of the tool frame in the flange frame, shape (4, 4) [m]
     """
     values = context.values
     moved = context.q + kinematics.deflections(arm, context.torque, values)
@@ -280,7 +306,13 @@ def _to_tool(arm: Arm, effects: tuple[Effect, ...], nominal: Symbolic, context: 
 
 
 def _tool(arm: Arm, nominal: Symbolic, values: kinematics.Values, conditions: Mapping[str, Symbolic]) -> list[Symbolic]:
-    """Return the transforms whose product is the tool frame in the flange, at its target."""
+    """Return the transforms whose product is the tool frame in the flange frame.
+
+    Its origin is the measured point; of several targets it is the one that the pose's logged
+    columns name.
+
+    nominal : of the first tool in the flange frame, shape (4, 4) [m]
+    """
     first = [values.get(f"tool_{c}", nominal[k, 3]) for k, c in enumerate("xyz")]
     x, y, z = (
         v + sum(conditions[t.column] * (values[t.parameters[k]] - v) for t in arm.targets) for k, v in enumerate(first)

@@ -9,12 +9,15 @@ from casadical.core.parameters import Parameter
 from casadical.core.parts import Arm, FourBar, Joint, parallel
 from casadical.effects import Effect, LinkMasses, PayloadError, Session
 
-# Placement (base or tool) -> names of its six parameters.
+# Frame (base or tool) -> names of its six parameters: position x, y, z and rotation rx, ry, rz.
 PLACEMENT_PARAMETERS = {w: tuple(f"{w}_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")) for w in ("base", "tool")}
 
 
 def bar_names(number: int) -> dict[str, str]:
-    """Return bar -> parameter name of a four-bar; number : of the loop, from 1."""
+    """Return bar (crank, coupler, rocker) -> parameter name of its length.
+
+    number : of the loop, from 1
+    """
     suffix = "" if number == 1 else f"_{number}"
     return {"crank": f"L5{suffix}", "coupler": f"L4{suffix}", "rocker": f"L3{suffix}"}
 
@@ -22,9 +25,11 @@ def bar_names(number: int) -> dict[str, str]:
 def parameters_of(
     arm: Arm, effects: Iterable[Effect] = (), effect_values: Mapping[str, float] | None = None
 ) -> Iterable[Parameter]:
-    """Yield all parameters, in the order in which identifiability prefers them.
+    """Yield all parameters of a robot's model, in the order in which identifiability prefers them.
 
-    That is placement, rows, loops, compliance, effects.
+    That is base and tool, DH rows, loops, compliances, effects.
+
+    effect_values : name of an effect's parameter -> value [SI], by default its own
     """
     for which, placement in (("base", arm.base), ("tool", arm.tool)):
         count = {"none": 0, "position": 3, "pose": 6}[placement.unknown]
@@ -50,7 +55,12 @@ def parameters_of(
 
 
 def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]) -> Iterable[Parameter]:
-    """Yield the parameters of effects with their values; mass errors may be guesses."""
+    """Yield the parameters of effects with their values.
+
+    Errors of estimated masses are marked as guesses, whose priors always apply.
+
+    values : name of a parameter -> value [SI], by default its own
+    """
     for effect in effects:
         guess = arm.masses == "estimated" and isinstance(effect, (LinkMasses, PayloadError))
         for p in effect.parameters():
@@ -58,7 +68,10 @@ def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]
 
 
 def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
-    """Return a length or angle parameter with bounds and prior of its group."""
+    """Return a length or angle parameter with bounds and prior of its group.
+
+    unit : "m" or "rad"; value : nominal [m or rad]; held : why it is fixed, empty if it is not
+    """
     width = arm.widths[group]
     bound = width.length_bound if unit == "m" else width.angle_bound
     prior = width.length_prior if unit == "m" else width.angle_prior
@@ -66,7 +79,7 @@ def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, h
 
 
 def _row_parameters(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
-    """Yield the parameters of row i (1-based)."""
+    """Yield the DH parameters of row i (1-based), with the reason where one is fixed."""
     # A first row with all six numbers is the base frame itself, as in the paper's Table 1.
     group = "base" if i == 1 and joint.b is not None else "geometry"
     yield _length_or_angle(arm, f"alpha{i - 1}", group, "rad", joint.alpha)
@@ -96,7 +109,7 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
     """Yield the bar lengths of loop k (1-based); a parallelogram's rocker is fixed."""
     names = bar_names(k)
     ground = abs(arm.joints[loop.driven - 1].a)
-    # A four-bar is a parallelogram if opposite bars differ by less than this share.
+    # Relative difference of opposite bars below which a four-bar counts as a parallelogram.
     parallelogram_tolerance = 0.02
     parallelogram = (
         abs(loop.crank - loop.rocker) < parallelogram_tolerance * loop.rocker
@@ -109,7 +122,10 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
 
 
 def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:
-    """Return the compliance of joint i (1-based), scaled by its largest load."""
+    """Return the compliance parameter of joint i (1-based), scaled by the joint's largest load.
+
+    value : nominal compliance [rad/(N m) or m/N]
+    """
     width = arm.widths["compliance"]
     rotary = arm.joints[i - 1].kind == "revolute"
     bound, prior = (width.angle_bound, width.angle_prior) if rotary else (width.length_bound, width.length_prior)

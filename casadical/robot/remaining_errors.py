@@ -7,11 +7,11 @@ from casadical.robot.robot import RemainingErrors, Robot
 
 
 def with_joint_harmonics(robot: Robot, orders: int = 1) -> Robot:
-    """Return the robot with the first harmonics of each revolute joint's error added.
+    """Return the robot with one added effect: harmonics of each revolute joint's error, all zero.
 
-    Other joint error curves are removed.
+    Joint error curves that it had are removed.
 
-    orders : highest harmonic
+    orders : highest harmonic; their prior standard deviation is TYPICAL_HARMONIC_RAD
     """
     spread = tuple(TYPICAL_HARMONIC_RAD * (j in robot.revolute) for j in robot.numbers)
     bare = robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))

@@ -28,7 +28,8 @@ from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, constants_of, expressions
 from casadical.robot.parameter_list import PLACEMENT_PARAMETERS, bar_names, parameters_of
 
-# Maximum number of parameters in one covariance block; with more, each effect has its own block.
+# Maximum number of parameters whose covariance is stored as one block; with more, each effect has
+# its own block, and correlations between blocks are dropped.
 MAX_BLOCK_PARAMETERS = 120
 
 
@@ -68,7 +69,7 @@ class Covariance:
             )
 
     def only(self, names: Iterable[str]) -> Covariance:
-        """Return the covariance of some of the parameters, by name."""
+        """Return the covariance of those of the named parameters that it has, in its own order."""
         wanted = set(names)
         which = [k for k, name in enumerate(self.names) if name in wanted]
         return Covariance(tuple(self.names[k] for k in which), self.matrix[np.ix_(which, which)])
@@ -76,13 +77,13 @@ class Covariance:
 
 @dataclass(frozen=True, eq=False)
 class Knowledge:
-    """How accurate a robot's values are, and from what they were learnt.
+    """How accurate a robot's values are, and the ranges of the data that identified them.
 
     covariance : blocks, which share no parameter
-    campaign : name of the measurements; poses : number of poses used
-    readings : least and greatest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where
+    campaign : names of the measurements' tables; poses : number of poses used
+    readings : lowest and highest reading of each joint, shape (n, 2) [rad or m]; shape (0, 2) where
         it is unknown
-    conditions : least and greatest value of logged and derived columns, by name
+    conditions : logged or derived column -> lowest and highest value [its unit]
     misfit : factor on the variances for a comparison with another campaign (see
         `casadical.identification.misfit`)
     robots : number of robots of one type from which it was learnt: the values are their common
@@ -111,7 +112,7 @@ class Knowledge:
 
     @cached_property
     def std_errors(self) -> dict[str, float]:
-        """Standard errors of the parameters that have a covariance [SI]."""
+        """Standard errors of the parameters that have a covariance, name -> value [SI]."""
         return {
             name: float(np.sqrt(variance))
             for block in self.covariance
@@ -125,7 +126,10 @@ class Knowledge:
         return replace(self, covariance=tuple(block for block in blocks if block.names))
 
     def joined(self, later: Knowledge) -> Knowledge:
-        """Return a later campaign's covariance, with the ranges of both campaigns."""
+        """Return the knowledge with a later campaign's covariance and the ranges of both campaigns.
+
+        Where one of the two has no ranges of readings, it is the later campaign's.
+        """
         if not (len(self.readings) and len(later.readings)):
             return later
         both = np.stack([self.readings, later.readings])
@@ -140,12 +144,12 @@ class Knowledge:
 
 @dataclass(frozen=True, eq=False)
 class RemainingErrors:
-    """Remaining errors of a calibrated robot: J(q) x at the measured point, x with second moment M.
+    """Remaining position errors of a calibrated robot as a random vector: J(q) x at the tool point.
 
-    names : parameters of `with_joint_harmonics(robot)`
-    factor : root of their second moment M = F F', shape (k, r) [SI]
-    rest : root mean square of the distance that no parameter explains [m]
-    poses : number of poses from which they were learnt
+    names : of the k parameters x, among those of `with_joint_harmonics(robot)`
+    factor : F, shape (k, r) [SI], with second moment F F' of the parameters' errors x
+    rest : root mean square distance that no parameter explains [m]
+    poses : number of poses from which they were estimated
 
     Raises InputError for numbers that are not finite, sizes that are not positive, and shapes that
     do not fit.
@@ -166,11 +170,13 @@ class RemainingErrors:
 
 
 def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[Covariance, ...]:
-    """Return a covariance, shape (k, k) [SI], as one block, or as several if it is large.
+    """Return a covariance matrix as one block, or as one block per owner if it is large.
 
-    These are one for each owner. A parameter without a variance (NaN, as at a bound) is left out.
+    Correlations between blocks are dropped. A parameter without a variance (NaN, as at a bound) is
+    left out.
 
-    owners : of each parameter, the label of its effect, or "" of the base model
+    names : of the k parameters; owners : label of each one's effect, or "" for the base model
+    matrix : shape (k, k) [SI]
     """
     known = [k for k, variance in enumerate(np.diag(matrix)) if np.isfinite(variance)]
     parts = [known]
@@ -180,8 +186,8 @@ def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[
     return tuple(Covariance(tuple(names[k] for k in p), symmetric[np.ix_(p, p)]) for p in parts if len(p))
 
 
-# Lower limit of a joint's torque scale, as a share of the largest one of the robot: its smallest
-# gear is made for this.
+# Lower limit of a joint's peak gravity torque, as a share of the largest one of all joints of its
+# kind, for joints that gravity does not load.
 MIN_TORQUE_SHARE = 0.05
 
 
@@ -189,22 +195,24 @@ MIN_TORQUE_SHARE = 0.05
 class Robot(Shown, Arm):
     """An arm with its model and its parameters.
 
-    name : as reports call it; joints : from the base to the flange; loops : closed ones that drive
-        a joint
-    base : base frame in the measuring frame; tool : measured point in the flange frame
-    gravity : shape (3,) [m/s^2], given in the frame `gravity_frame`
+    name : as reports call it; joints : from the base to the flange; loops : four-bars, each of
+        which drives a joint
+    base : base frame in the measuring frame; tool : tool frame, whose origin is the measured point,
+        in the flange frame
+    gravity : acceleration, shape (3,) [m/s^2], in the frame that `gravity_frame` names
     payload : declared load in the flange frame; None: none
     widths : bounds and priors of groups of parameters; body_width : one sigma of declared masses
         and mass centres
     tool_name : name of the measured point, where there are several; targets : further measured
         points on the flange
-    masses : whether the links' masses are declared, or estimates that determine no stiffness
+    masses : "declared", or "estimated" where the links' masses determine no stiffness
     drive : data of the drives; sessions : what sessions of a campaign share
-    effects : what was added to the base model, see `with_effect`; effect_values : parameter name ->
-        value [SI] of those
-    notes : what a reader of results must know (assumed masses, sources)
-    knowledge : accuracy of the values, and the range on which they were learnt
-    remaining : errors that these values may still have
+    effects : error sources added to the base model, see `with_effect`; effect_values : parameter
+        name -> value [SI] of those
+    notes : sentences that a reader of results must know (assumed masses, sources)
+    knowledge : covariance of the values, and the ranges on which they were identified; None:
+        unknown
+    remaining : position errors that the calibrated model still has; None: unknown
     Raises InputError: parts that do not fit each other, with the joint and the value.
 
     Examples
@@ -254,7 +262,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
-        """Logged columns that the model uses, besides the joint readings."""
+        """Names of the logged columns that the model uses, besides the joint readings."""
         tilting = GRAVITY_COLUMNS if self.gravity_frame == "logged" else ()
         own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets), *tilting)
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
@@ -307,7 +315,9 @@ class Robot(Shown, Arm):
         return great
 
     def loads(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return gravity torques without effects as shares of `torque_scale`, shape (n, joints).
+        """Return gravity torques at n poses as shares of `torque_scale`, shape (n, joints).
+
+        Effects are left out.
 
         q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
             declared
@@ -315,7 +325,11 @@ class Robot(Shown, Arm):
         return np.asarray(self._bare_torques(q, conditions).T / self.torque_scale)
 
     def _bare_torques(self, q: Array, conditions: Mapping[str, Array]) -> Array:
-        """Return gravity torques of the model without effects, shape (joints, n) [N m or N]."""
+        """Return gravity torques of the model without effects, shape (joints, n) [N m or N].
+
+        q : readings, shape (n, joints) [rad or m]; conditions : logged columns by name, else as
+            declared
+        """
         bare = self.with_only(())
         w = np.tile(bare.declared, (len(q), 1))
         for k, name in enumerate(bare.conditions):
@@ -367,7 +381,7 @@ class Robot(Shown, Arm):
 
     @property
     def effects_in_words(self) -> str:
-        """Every effect with its values as text, empty without effects."""
+        """The labels of all effects with their values and units as text; empty without effects."""
         texts = []
         for effect in self.effects:
             sizes, values = effect.sizes(), effect.own_values(self.effect_values)
@@ -376,7 +390,10 @@ class Robot(Shown, Arm):
         return ", ".join(texts)
 
     def with_only(self, effects: Iterable[Effect]) -> Robot:
-        """Return a robot with only these of its effects in the model."""
+        """Return a robot with only these of its effects in the model.
+
+        Values, covariances and remaining errors of the removed ones are dropped.
+        """
         kept = tuple(effects)
         gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
@@ -441,9 +458,11 @@ class Robot(Shown, Arm):
 
 
 def in_file_units(part: object, **units: str) -> dict[str, float | None]:
-    """Return fields of a part of a robot under keys with their units, mm or deg.
+    """Return fields of a part of a robot, key "field_mm" or "field_deg" -> value in this unit.
 
-    None where a field is None.
+    A value is None where the field is None.
+
+    part : a dataclass with values in m and rad; units : name of each field -> "mm" or "deg"
     """
     factors = {"mm": 1e3, "deg": 180 / np.pi}
     given = ((f"{name}_{unit}", getattr(part, name), factors[unit]) for name, unit in units.items())
@@ -451,10 +470,13 @@ def in_file_units(part: object, **units: str) -> dict[str, float | None]:
 
 
 def dh_row(joint: Joint) -> dict[str, float | None]:
-    """Return a modified DH row in millimetres and degrees."""
+    """Return a modified DH row by the keys alpha_deg, a_mm, beta_deg, b_mm, theta_deg, d_mm.
+
+    A value is None where the row has no beta or b.
+    """
     return in_file_units(joint, alpha="deg", a="mm", beta="deg", b="mm", theta="deg", d="mm")
 
 
 def modified_dh(robot: Robot) -> list[dict[str, float | None]]:
-    """Return the modified DH table in millimetres and degrees, a dict per row."""
+    """Return the modified DH table, a dict per row with joint (from 1) and the keys of `dh_row`."""
     return [{"joint": i, **dh_row(joint)} for i, joint in enumerate(robot.joints, 1)]

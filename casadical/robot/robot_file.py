@@ -43,10 +43,10 @@ def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
 
 
 def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effect]] = ()) -> Robot:
-    """Return a robot from the tables of a TOML file.
+    """Return the robot that the tables of a robot file describe.
 
-    source : name of the file in messages
-    Raises InputError.
+    data : content of the TOML file; source : its name in messages; effects : as of `read_robot`
+    Raises InputError for a file that is no robot, or of a newer version.
     """
     version = data.get("casadical")
     if isinstance(version, int) and version > FILE_VERSION:
@@ -61,9 +61,9 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
 
 
 def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the tables with the first of several [[tool]] as `tool`.
+    """Return the tables with the first of several [[tool]] under the key `tool`.
 
-    The others have a key of their own.
+    The others are listed under `further_tool`; a single [tool] is unchanged.
     """
     tools = data.get("tool")
     if not isinstance(tools, list) or not tools or not all(isinstance(t, dict) for t in tools):
@@ -77,8 +77,8 @@ def with_tools(robot: Robot, tools: Sequence[ToolTable]) -> Robot:
 
     What is unknown of them is what was unknown of the tool, unless the first declares it.
 
-    tools : given in the tool's frame
-    Raises InputError.
+    tools : points and frames in the frame of the robot's present tool
+    Raises InputError for targets that do not fit each other.
     """
     first, *further = tools
     T = robot.tool.T
@@ -111,7 +111,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     Units are mm and degrees, of effects SI. Sessions belong to their measurements: base and tool
     are those of the first one. Without effects and knowledge the file is version 1.
 
-    effects and errors as of `write_robot` (Raises InputError)
+    effects, and Raises InputError : as of `write_robot`
     known_alone : whether digits are left out that depend on a processor's rounding, so that a
         result is the same file everywhere
     """
@@ -161,7 +161,12 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
 
 
 def _without_rounding_digits(key: str, value: Any) -> Any:
-    """Return a value of the file without the digits that depend on a processor's rounding."""
+    """Return a value of the file, rounded to digits that do not depend on a processor's rounding.
+
+    Lists and tables are rounded entry by entry.
+
+    key : of the value; its ending states the unit, which decides on the decimals
+    """
     if isinstance(value, dict):
         return {name: _without_rounding_digits(name, inner) for name, inner in value.items()}
     if isinstance(value, list):
@@ -187,13 +192,13 @@ def _deg(values: Any) -> Any:
 
 
 def _frame_table(placement: Placement) -> dict[str, Any]:
-    """Return the table of a base or tool frame."""
+    """Return the table of a base or tool frame, with the keys xyz_mm, rpy_deg and unknown."""
     T = placement.T
     return {"xyz_mm": _mm(T[:3, 3]), "rpy_deg": _deg(to_rpy(T[:3, :3])), "unknown": placement.unknown}
 
 
 def _body_table(body: Body) -> dict[str, Any]:
-    """Return the table of a body: mass, its centre and, if known, its inertia."""
+    """Return the table of a body, with the keys mass_kg, com_mm and, if known, inertia_kgm2."""
     table: dict[str, Any] = {"mass_kg": float(body.mass), "com_mm": _mm(body.com)}
     if body.inertia is not None:
         table["inertia_kgm2"] = [float(v) for v in body.inertia[np.triu_indices(3)]]
@@ -201,7 +206,7 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
-    """Return the table of a joint."""
+    """Return the table of a joint: DH row, type, limits, coupling, compliance and body."""
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
     table |= {key: value for key, value in dh_row(joint).items() if value is not None}
     table |= {"type": "prismatic"} if joint.kind == "prismatic" else {}
@@ -221,7 +226,7 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:
-    """Return the widths that are not the default ones, by group."""
+    """Return bounds and priors that are not the default ones, by group, in mm and deg."""
     of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
     units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
     groups = {group: in_file_units(w, **units) for group, w in robot.widths.items() if w != WIDTHS[group]}

@@ -40,10 +40,10 @@ from casadical.robot.kinematics import assembly_sides
 from casadical.robot.remaining_errors import refuse_other
 from casadical.robot.robot import Robot
 
-# Maximum number of rows and of loops in a robot file.
+# Maximum number of joints, and of four-bars, in a robot file or a URDF chain.
 MAX_JOINTS = 100
 
-# A positive length.
+# A positive length [m].
 Bar = Annotated[float, LENGTH, Field(gt=0)]
 
 
@@ -58,9 +58,9 @@ def _stiff(value: float | None) -> float | None:
 Stiffness = Annotated[float | None, Field(gt=0, le=1e15), AfterValidator(_stiff)]
 # A name in Unicode's composed form, as the names of a table are.
 Spelt = Annotated[str, AfterValidator(partial(unicodedata.normalize, "NFC"))]
-# Half of a length interval, or a prior width, positive.
+# Half width of a length's bounds, or prior standard deviation of a length, positive [m].
 HalfLength = Annotated[float | None, LENGTH, Field(gt=0)]
-# Half of an angle interval, or a prior width, positive.
+# Half width of an angle's bounds, or prior standard deviation of an angle, positive [rad].
 HalfAngle = Annotated[float | None, ANGLE, Field(gt=0)]
 
 
@@ -86,7 +86,7 @@ class _Body(TomlTable):
 
 
 def _moments(six: list[float]) -> Array:
-    """Return the inertia matrix of the six numbers ixx, ixy, ixz, iyy, iyz, izz."""
+    """Return the inertia matrix, shape (3, 3), of ixx, ixy, ixz, iyy, iyz, izz [kg m^2]."""
     xx, xy, xz, yy, yz, zz = six
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -113,7 +113,7 @@ class _Joint(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _pairs(cls, data: Any) -> Any:
-        """Convert pairs, which are arrays in TOML, and factors that are whole numbers."""
+        """Convert the arrays [joint, factor] of `follows` to tuples, with factors as floats."""
 
         def pair(given: Any) -> Any:
             """Return a (joint, factor) pair from an array of two, or what was given."""
@@ -128,7 +128,7 @@ class _Joint(TomlTable):
     @model_validator(mode="before")
     @classmethod
     def _own_units(cls, data: Any) -> Any:
-        """Refuse angular keys for a prismatic joint, and the reverse."""
+        """Refuse keys of angles for a prismatic joint, and keys of lengths for a revolute one."""
         if not isinstance(data, dict):
             return data
         kind = data.get("type", "revolute")
@@ -142,7 +142,7 @@ class _Joint(TomlTable):
 
     @model_validator(mode="after")
     def _consistent(self) -> _Joint:
-        """Refuse a joint with keys that contradict each other."""
+        """Refuse limits in the wrong order, a stiffness of a rigid joint, and b without beta."""
         if self.limits and self.limits[0] >= self.limits[1]:
             raise FaultError("limits", "the lower one must come first")
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m
@@ -248,7 +248,7 @@ class _Widths(TomlTable):
     body: _BodyWidth = _BodyWidth()
 
     def widths(self) -> dict[str, parts.Width]:
-        """Return the widths of all groups, the default ones where none are given."""
+        """Return group of parameters -> its bounds and priors, the default ones where not given."""
         given = {group: getattr(self, group).model_dump(exclude_none=True) for group in parts.WIDTHS}
         return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
 
@@ -298,7 +298,8 @@ class RobotFile(TomlTable):
         # The twists [rad] that result when a right or a straight angle in radians is read as
         # degrees.
         twists_read_as_degrees = np.deg2rad([np.pi / 2, np.pi])
-        # Twists this close [rad] to one that results from radians read as degrees are refused.
+        # Twists that differ by less than this [rad] from those of radians read as degrees are
+        # refused.
         twist_tolerance = np.deg2rad(1e-3)
         in_radians = np.flatnonzero((np.abs(twists[:, None] - twists_read_as_degrees) < twist_tolerance).any(axis=1))
         if (
@@ -312,8 +313,8 @@ class RobotFile(TomlTable):
     def robot(self, own: Sequence[type[Effect]]) -> Robot:
         """Return the robot that the file describes.
 
-        own : further classes of effects
-        Raises InputError.
+        own : classes of effects in addition to the installed ones
+        Raises InputError for values that do not fit each other.
         """
         joints = [row.joint() for row in self.joint]
         tool = self.tool.placement()
@@ -358,9 +359,9 @@ class RobotFile(TomlTable):
 
 
 def refuse_far(robot: Robot) -> None:
-    """Refuse a mass centre that no link of the arm can have, as one of metres for millimetres.
+    """Refuse a mass centre too far from its link's frame, as one given in the wrong unit.
 
-    Raises InputError.
+    Raises InputError for more than 1 m beyond twice the arm's reach.
     """
     for i, joint in enumerate(robot.joints, 1):
         away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
@@ -374,7 +375,7 @@ def refuse_far(robot: Robot) -> None:
 
 
 def _refuse_undefined(robot: Robot) -> None:
-    """Refuse effects whose settings and values give no position at some readings.
+    """Refuse effects with which the model gives no finite position at two trial readings.
 
     Raises InputError.
     """
@@ -391,11 +392,11 @@ def _refuse_undefined(robot: Robot) -> None:
 
 
 def _from_standard(rows: list[parts.Joint]) -> tuple[list[parts.Joint], Array]:
-    """Return modified rows for standard ones, and the transform left after the last joint.
+    """Return modified DH rows for standard ones, and the flange frame in the last modified frame.
 
-    It is that of the last row's a and alpha. Mass centres of bodies, given in the standard frames,
-    are transformed too. Standard: Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha); a row's a and
-    alpha are the next modified row's.
+    That frame, shape (4, 4) [m], is the transform of the last row's a and alpha. Mass centres of
+    bodies, given in the standard frames, are transformed too. Standard: Rot_z(theta) Trans_z(d)
+    Trans_x(a) Rot_x(alpha); a row's a and alpha are the next modified row's.
     """
     shifted = [parts.Joint(), *rows[:-1]]
     tails = [frame(from_rpy(np.array([row.alpha, 0.0, 0.0])), np.array([row.a, 0.0, 0.0])) for row in rows]

@@ -24,7 +24,8 @@ class UrdfChain:
     fixed_tip : the fixed joint before the tip, None if there is none
     frames : of every link on the base, at zero readings, in the base link's frame, each (4, 4) [m]
     dh : the same chain in modified DH form
-    bodies : of the moving links
+    bodies : body that each moving joint moves and the next does not, in the link's modified DH
+        frame; None without mass
     up : the root link's z axis in the base link's frame, shape (3,)
     notes : assumptions that a user must know
     """
@@ -148,7 +149,10 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
 
 
 def _refuse_unusable(joint: Any, source: str) -> None:
-    """Refuse a joint of another type or without an axis. Raises InputError."""
+    """Refuse a joint that is not revolute, continuous or prismatic, or has no axis.
+
+    joint : yourdfpy's; source : the file, for messages. Raises InputError.
+    """
     name = f"{source}: joint {joint.name!r}"
     if joint.type not in ("revolute", "continuous", "prismatic"):
         raise InputError(f"{name} is of type {joint.type!r}; allowed: revolute, continuous, prismatic, fixed")
@@ -160,6 +164,8 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
     """Return the coupling of a joint that mimics another one of the chain, else None.
 
     One that mimics a joint elsewhere has its own reading.
+
+    joint : yourdfpy's; names : of the chain's moving joints, in order
     """
     if joint.mimic is None or joint.mimic.joint not in names:
         return None
@@ -169,8 +175,8 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
 
 
 def _range(joint: Any, source: str) -> tuple[float, float]:
-    """Return the limits of a joint [rad or m]. Raises InputError where it has none."""
-    # Limit of a continuous joint to either side [rad].
+    """Return lower and upper limit of a joint [rad or m]. Raises InputError where it has none."""
+    # Limit that a continuous joint gets to either side [rad].
     full_turn = 2 * np.pi
     if joint.type == "continuous":
         return -full_turn, full_turn
@@ -186,9 +192,12 @@ def _range(joint: Any, source: str) -> tuple[float, float]:
 def _bodies(
     urdf: Any, tree: Tree, dh: Chain, frames: dict[str, Array], movers: dict[str, int]
 ) -> tuple[Body | None, ...]:
-    """Return the body that each joint moves and the next does not, in the link's frame.
+    """Return the body that each joint moves and the next does not, None where it has no mass.
 
-    None where it has no mass.
+    It is in the frame of the joint's link by its modified DH row.
+
+    frames : of the links at zero readings in the base link's frame; movers : link -> number of the
+        chain's joints that move it
     """
     parts: list[list[Body]] = [[] for _ in range(len(dh.rows) + 1)]
     for link in urdf.links:
@@ -205,9 +214,9 @@ def _bodies(
 
 
 def _inertia(link: Any) -> Array | None:
-    """Return a link's moments about its mass centre, shape (3, 3) [kg m^2].
+    """Return a link's inertia about its mass centre in the axes of its <inertial>, (3, 3) [kg m^2].
 
-    None where the file has none that are possible.
+    None where the file states none, or one that no body has.
     """
     stated = link.inertial.inertia
     if stated is None or not np.any(stated) or not np.isfinite(stated).all() or not possible_inertia(stated):

@@ -14,12 +14,13 @@ from casadical.core.schema import LENGTH
 
 
 def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
-    """Return the file's XML.
+    """Return the file's XML document.
 
-    Raises InputError where it is not well-formed, or its root element is another one.
+    root : name that its root element must have
+    Raises InputError where it is not well-formed, too deep, or its root element is another one.
     """
     data = read_xml(path)
-    # Maximum depth of nested elements, as of links in links of a MuJoCo model.
+    # Maximum depth of nested XML elements, as of bodies in bodies of a MuJoCo model.
     max_xml_depth = 200
     with foreign(f"{path}: malformed XML"):
         document = minidom.parseString(data)
@@ -36,7 +37,7 @@ def parse_xml(path: Path, root: str = "robot") -> minidom.Document:
 
 
 def parse_urdf(path: Path) -> Any:
-    """Return the robot as yourdfpy reads it.
+    """Return the robot of a URDF file as yourdfpy's object, without meshes.
 
     As yourdfpy repairs broken XML silently, the XML is checked first.
 
@@ -57,7 +58,7 @@ def _refuse_odd(document: minidom.Document, path: str) -> None:
 
     Raises InputError.
     """
-    # Elements of a link or a joint with their attributes that are numbers.
+    # (element of a link or joint, attribute) pairs whose values must be numbers.
     numeric_attributes = (
         ("origin", "xyz"),
         ("origin", "rpy"),
@@ -91,8 +92,8 @@ class Tree:
     """The tree of links.
 
     source : the file, for messages; names : of the links
-    above : link -> the joint (yourdfpy's) of which it is the child; below : link -> the joints on
-        it
+    above : link -> the joint (yourdfpy's) whose child it is; below : link -> the joints whose
+        parent it is
     """
 
     def __init__(self, urdf: Any, source: str) -> None:
@@ -121,7 +122,7 @@ class Tree:
                     raise InputError(f"{source}: link {name!r} is below itself; a URDF is a tree")
 
     def _attach(self, j: Any) -> None:
-        """Add a joint. Raises InputError for unknown links and a second parent."""
+        """Add joint j to the tree. Raises InputError for unknown links and a second parent."""
         for end in (j.parent, j.child):
             if end not in self.below:
                 raise InputError(f"{self.source}: joint {j.name!r} names link {end!r}, which is not there")
@@ -162,10 +163,10 @@ class Tree:
         return joints[::-1]
 
     def only_end(self, base: str) -> str:
-        """Return the only end of the tree that a joint moves, or the link with the gripper.
+        """Return the only end link below `base` that a joint moves, or the link of a gripper.
 
-        Where no joint moves it is the base. A gripper branches at one link, with more moving joints
-        before it than in each of its fingers.
+        Where no joint moves an end, it is the base. A gripper branches at one link, with more
+        moving joints before it than in each of its fingers.
         Raises InputError for several ends otherwise.
         """
         ends = [link for link, moved in self._walk(base, False) if moved and not self.below[link]]
@@ -183,7 +184,12 @@ class Tree:
         return str(common[-1].child)
 
     def _walk(self, link: str, moved: bool) -> Iterator[tuple[str, bool]]:
-        """Yield the links on a link, and whether a moving joint carries each."""
+        """Yield a link and all its descendants, depth first, each with whether a joint moves it.
+
+        That is, whether a joint that is not fixed lies on the way to it.
+
+        moved : this for the link itself
+        """
         waiting = [(link, moved)]
         while waiting:
             link, moved = waiting.pop()
@@ -191,10 +197,12 @@ class Tree:
             waiting += [(j.child, moved or j.type != "fixed") for j in reversed(self.below[link])]
 
     def at_zero(self, base: str, moving: Collection[str]) -> tuple[dict[str, Array], dict[str, int]]:
-        """Return the frames of all links on the base at zero readings, and their numbers of movers.
+        """Return frames at zero readings of the base and all its descendants, and counts of joints.
 
-        Frames are in that of the base, each (4, 4) [m]; the numbers are of the joints in `moving`
-        that move each link.
+        Link -> frame in the base link's frame, (4, 4) [m]; link -> number of the joints in `moving`
+        between base and link.
+
+        moving : names of joints
         """
         frames, movers = {base: np.eye(4)}, {base: 0}
         waiting = [base]
@@ -215,9 +223,9 @@ class Tree:
         return T
 
     def origin(self, item: Any) -> Array:
-        """Return the transform of a joint or an inertial, shape (4, 4) [m].
+        """Return the <origin> of a joint or an <inertial> in its parent's frame, (4, 4) [m].
 
-        Raises InputError if it is not finite.
+        It is the identity where none is given. Raises InputError if it is not finite.
         """
         if item.origin is None:
             return np.eye(4)

@@ -15,9 +15,9 @@ from casadical.robot.robot import Robot
 from casadical.robot.urdf.reading import UrdfChain, read_chain
 from casadical.robot.urdf.tree import parse_xml
 
-# An origin that changes by less [m or rad] keeps its text.
+# Largest change of an origin [m, or of a rotation matrix's entry] with which its text is kept.
 UNCHANGED_TOLERANCE = 1e-13
-# Name of the measured link in a new file.
+# Name of the link at the measured point in a new file.
 MEASURED_LINK = "measured"
 
 
@@ -68,7 +68,10 @@ def calibrated_urdf_text(
 
 
 def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: str) -> None:
-    """Refuse robots that are not that of the file. Raises InputError."""
+    """Refuse robots with another chain than the file's before calibration, or with a closed loop.
+
+    Raises InputError.
+    """
     if after.loops:
         raise InputError(f"{source}: {after.name!r} has a closed loop, a URDF is a tree; write it with write_robot")
     for robot in (before, after):
@@ -85,12 +88,12 @@ def _refuse_other_robot(chain: UrdfChain, before: Robot, after: Robot, source: s
 
 
 def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Array]:
-    """Return the new origin of every moving joint, shape (4, 4) [m], by name.
+    """Return the new <origin> of every moving joint, name -> shape (4, 4) [m].
 
-    A URDF link is at C_k in our frame k, before and after; between two links are the row and,
-    before the joint, the fixed joints.
+    A URDF link is at C_k in our frame k, before and after calibration; between two links are the DH
+    row and, before the joint, the fixed joints.
 
-    foot : frame 0 in the base link, shape (4, 4) [m]
+    robot : calibrated; foot : frame 0 in the base link's frame, shape (4, 4) [m]
     """
     origins = {}
     behind, link = foot, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
@@ -103,7 +106,11 @@ def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Arr
 
 
 def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source: str) -> None:
-    """Set the origin of the fixed joint at the tip to the tool. Raises InputError without one."""
+    """Set the origin of the fixed joint at the tip so that the tip link is at the tool.
+
+    tool : in the last link's modified DH frame, shape (4, 4) [m]. Raises InputError where it has
+    moved and there is no such joint.
+    """
     if np.allclose(tool, chain.dh.tool, rtol=0, atol=UNCHANGED_TOLERANCE):
         return
     if chain.fixed_tip is None:
@@ -117,7 +124,7 @@ def _move_tip(document: minidom.Document, chain: UrdfChain, tool: Array, source:
 
 
 def _children(element: minidom.Element, tag: str) -> list[minidom.Element]:
-    """Return the child elements with a tag."""
+    """Return the direct child elements with a tag."""
     return [c for c in element.childNodes if isinstance(c, minidom.Element) and c.tagName == tag]
 
 
@@ -128,9 +135,9 @@ def _root(document: minidom.Document) -> minidom.Element:
 
 
 def _part(document: minidom.Document, joint: str, tag: str) -> minidom.Element:
-    """Return an element of a joint, created if there is none.
+    """Return the element with a tag of the joint of this name, created if there is none.
 
-    A new origin is the first child, others are the last.
+    A new <origin> becomes the first child, others the last.
     """
     element = next(j for j in _children(_root(document), "joint") if j.getAttribute("name") == joint)
     if parts := _children(element, tag):
@@ -141,7 +148,7 @@ def _part(document: minidom.Document, joint: str, tag: str) -> minidom.Element:
 
 
 def _write_frame(origin: minidom.Element, T: Array) -> None:
-    """Write T, shape (4, 4) [m], as xyz and rpy where they have changed."""
+    """Write T, shape (4, 4) [m], as the attributes xyz and rpy where these have changed."""
     xyz, rpy = (np.array([float(v) for v in (origin.getAttribute(k) or "0 0 0").split()]) for k in ("xyz", "rpy"))
     if np.abs(T[:3, 3] - xyz).max() > UNCHANGED_TOLERANCE:
         origin.setAttribute("xyz", _text(T[:3, 3]))
@@ -160,7 +167,10 @@ def _comment_text(text: str) -> str:
 
 
 def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> None:
-    """Add a link on a fixed joint with the origin T. Raises InputError for a taken name."""
+    """Add a link on a fixed joint with the origin T in the parent link, shape (4, 4) [m].
+
+    Raises InputError if the link's or the joint's name exists already.
+    """
     root = _root(document)
     joint_name = f"{name}_joint"
     taken = {e.getAttribute("name") for tag in ("link", "joint") for e in _children(root, tag)}
@@ -245,7 +255,12 @@ def new_urdf(robot: Robot) -> str:
 
 
 def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
-    """Return damping and dry friction of a joint [N m s/rad, N m], if [drive] has them."""
+    """Return the attributes damping and friction of a joint as text, as far as [drive] has them.
+
+    They are in [N m s/rad] and [N m] (prismatic: [N s/m] and [N]).
+
+    joint : number, from 1
+    """
     if robot.drive is None:
         return {}
     known = {name: robot.drive.of_joints(name, robot.n) for name in ("damping", "friction")}
@@ -266,7 +281,7 @@ def _about(robot: Robot) -> str:
 
 
 def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, T: Array) -> ET.Element:
-    """Add a joint with the origin T, shape (4, 4) [m], and return its element."""
+    """Add a joint with the origin T in the parent link, shape (4, 4) [m]; return its element."""
     joint = ET.SubElement(root, "joint", name=name, type=kind)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
