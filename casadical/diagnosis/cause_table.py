@@ -11,7 +11,7 @@ from casadical.diagnosis.result import Cause, Diagnosis, settings_of
 from casadical.effects.formula_effect import INSTRUMENT_FLAG_COLUMNS
 from casadical.effects.plugins import signature_of
 
-# Factor and unit in which parameters of an SI unit are shown.
+# Factor and unit in which values of an SI unit are shown, by SI unit.
 READABLE_UNITS = {"rad": (1e6, "urad"), "m": (1e6, "um"), "m/m": (1e6, "um/m"), "rad/rad": (1e6, "urad/rad")}
 READABLE_UNITS |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6, "um/m^2"), "kg/kg": (1e2, "%")}
 
@@ -20,12 +20,12 @@ READABLE_UNITS |= {"rad/K": (1e6, "urad/K"), "1/K": (1e6, "1e-6/K"), "1/m": (1e6
 class CauseRow:
     """One cause as text for a table.
 
-    shown : what the data show; named : its label and possible mechanical reasons
-    gap : gap without it and with it alone [mm], "0.127 -> 0.071"; for outliers the mean error with
-        them, because removing rows is no remedy
-    shrinks : 95 % interval of the share by which the gap shrinks
-    parameters : (name, value, standard error, unit); no standard error for settings that were
-        chosen
+    shown : its signature, how it appears in the data; named : its label and possible mechanical
+        reasons
+    gap : held-out error without it and with it alone [mm], "0.127 -> 0.071"; for outliers the mean
+        error with them, because removing rows is no remedy
+    shrinks : 95 % interval of the percentage by which the gap shrinks
+    parameters : (name, value, standard error, unit); the standard error is empty for settings
     """
 
     cause: Cause
@@ -64,9 +64,10 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
 
 
 def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
-    """Return a cause's parameters in words, by instrument (table and anchor) that shows it.
+    """Return an instrument cause's parameters as text, by distance instrument (table and anchor).
 
-    They are of instruments for distances; empty for causes of the robot.
+    Instruments without a parameter more than three standard errors from zero are omitted; {} is
+    returned for causes of the robot.
     """
     if not c.of_instrument:
         return {}
@@ -86,7 +87,7 @@ def wires_at_fault(d: Diagnosis, c: Cause) -> dict[str, str]:
 
 
 def _signature(c: Cause) -> tuple[str, str]:
-    """Return what the data show of a cause, and the mechanical reasons with this signature."""
+    """Return the texts of a cause's signature with its joints, and of its mechanical reasons."""
     words = "single points that are wrong" if c.effect == "outliers" else signature_of(c.effect)
     if c.effects:
         words = words or c.effects[0].signature or c.effects[0].physics
@@ -97,7 +98,7 @@ def _signature(c: Cause) -> tuple[str, str]:
 
 
 def joints_of(c: Cause) -> str:
-    """Return in words at which joints a cause acts; empty if at none."""
+    """Return the joints at which a cause acts as text, "joints 2 and 3"; empty if at none."""
     joints = dict.fromkeys(str(e.joint) for e in c.effects if e.joint) if c.joint is None else [str(c.joint)]
     return f"joint{'s' * (len(joints) > 1)} {listed(joints)}" if joints else ""
 
@@ -125,13 +126,14 @@ LAYER_COLUMNS = ("layer", "mean", "95 %", "time left out", "without noise")
 
 
 def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
-    """Return the error after each cause in the order of the search; empty if no cause has effects.
+    """Return the held-out error after each added cause as dicts; [] if no cause has effects.
 
-    name : what is removed in addition to the layers above
+    name : the base model, the added cause, or the noise, in words
     mean_mm, low_mm, high_mm : mean error on held-out poses with a 95 % interval over poses
     blocks_mm : the same with fifths of the time held out; model_mm : rms without noise
+    The last dict is the error of noise alone.
 
-    The last layer is the error of noise alone under the same fit, or floor [m].
+    floor : that error [m]; None: that of the diagnosis
     """
     if not d.effects():
         return []
@@ -147,7 +149,7 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
 
 
 def layer_rows(d: Diagnosis, floor: float | None = None) -> list[tuple[str, ...]]:
-    """Return the layers as rows of text under `LAYER_COLUMNS`; floor : see `layers`."""
+    """Return the dicts of `layers` as rows of text under `LAYER_COLUMNS`; floor : see `layers`."""
     forms = ("{name}", "{mean_mm:.3f}", "{low_mm:.3f} to {high_mm:.3f}", "{blocks_mm:.3f}", "{model_mm:.3f}")
     every = layers(d, floor)
     return [tuple(f.format(**a) if k < 2 or "low_mm" in a else "" for k, f in enumerate(forms)) for a in every]

@@ -31,9 +31,9 @@ from casadical.measurements.measurements import Noise
 def conclude(
     identification: Identification, state: State, end: End, seed: int, p_nothing: float | None = None
 ) -> Diagnosis:
-    """Return the diagnosis that a search leads to.
+    """Return the diagnosis that follows from the final state of a search.
 
-    state, end, p_nothing : as returned by `search`; seed : of the partitions into held-out poses
+    state, end, p_nothing : as returned by `search`; seed : seed of the held-out partitions
     """
     state, end = named(state, end, seed)
     case, columns = state.case, state.columns()
@@ -94,10 +94,10 @@ def conclude(
 
 
 def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
-    """Return the state with one more ranking if another effect leaves less than the floor.
+    """Return the state with one more ranking if another effect fits better than the noise floor.
 
-    The search then ended only by its limit on the number of causes, and the floor, estimated by the
-    fit, counts as noise what no cause describes.
+    Its held-out error is then below `floor` [m]: the search ended only by its limit on the number
+    of causes, and the floor, estimated by the fit, includes unexplained error. Else None.
     """
     case, further = state.case, state.ranked()
     ranking = further.rankings[-1]
@@ -111,14 +111,17 @@ def _with_richer_form(state: State, floor: float, seed: int) -> State | None:
 
 
 def _stages(state: State, noise: Noise) -> list[tuple[str, Array, Noise]]:
-    """Return the model's stages as it grows cause by cause, each with the noise that it leaves."""
+    """Return (name, indices of columns, noise) of the base model and after each added cause."""
     names = ["base", *(f"+ {step.labels[0]}" for step in state.steps)]
     noises = [*(r.noise[""] for r in state.rankings[: len(state.steps)]), noise]
     return [(name, state.columns(state.steps[:k]), noises[k]) for k, name in enumerate(names)]
 
 
 def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
-    """Return a step as a named cause; before : held-out errors of the base model, (n,) [m]."""
+    """Return a step of the search as a named cause.
+
+    before : held-out errors of the inliers by the base model, shape (n_inliers,) [m]
+    """
     label, ranking = step.labels[0], step.ranking
     candidate = state.by_label[label]
     alone = partitioned_errors(state.case.evidence, state.case.group(step.effects), ranking.noise[label], seed)
@@ -136,7 +139,9 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
 
 
 def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
-    """Return the other labels of a cause, else the listed labels that remain probable.
+    """Return the labels of a cause that the data cannot distinguish from its own.
+
+    If the step has none, they are the other listed labels above `Settings.min_ambiguous`.
 
     listed : labels of listed effects, the most probable first
     """
@@ -149,9 +154,8 @@ def parameter_values(
 ) -> dict[tuple[Effect, str], tuple[float, float, str]]:
     """Return value, standard error and unit [SI] of the effects' parameters by effect and name.
 
-    columns : of all causes, which are fitted together, shape (k,)
-
-    Effects with too many parameters to be shown are excluded.
+    columns : indices of the columns of all causes, which are fitted together, shape (k,)
+    Effects with a `summary` in place of their parameters are excluded.
     """
     value, error = fit_of(case.judged, columns, noise).causes
     parameters = {}
@@ -168,7 +172,10 @@ def parameter_values(
 
 
 def _outliers(case: Case, error: Array, distance: Array) -> tuple[Outlier, ...]:
-    """Return the outlier poses, the farthest first; error, distance : of `errors_and_distances`."""
+    """Return the outlier poses, that of the largest error first.
+
+    error, distance : as returned by `errors_and_distances`, shape (n,)
+    """
     out = sorted(np.flatnonzero(~case.kept), key=lambda i: -error[i])
     return tuple(Outlier(int(case.m.row[i]), float(error[i]), float(np.sqrt(distance[i]))) for i in out)
 
@@ -176,10 +183,12 @@ def _outliers(case: Case, error: Array, distance: Array) -> tuple[Outlier, ...]:
 def _outliers_as_cause(
     case: Case, before: Array, error: Array, distance: Array, seed: int
 ) -> tuple[Array, tuple[Cause, ...]]:
-    """Return the errors of all poses, outliers included, and the outliers as a cause.
+    """Return the errors of all poses, outliers included [m], and the outliers as a cause.
 
-    before : held-out errors of the inliers, shape (n_inliers,) [m]. A single outlier is a cause
-        only if it is far out.
+    Without outliers, and for a single one that is not far out, they are `before` and no cause.
+
+    before : held-out errors of the inliers, shape (n_inliers,) [m]
+    error, distance : as returned by `errors_and_distances`, shape (n,)
     """
     out = ~case.kept
     count = int(out.sum())
@@ -192,10 +201,10 @@ def _outliers_as_cause(
 
 
 def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks: pd.DataFrame) -> Verdict:
-    """Return the verdict.
+    """Return the verdict by the search's end, the fraction of the gap explained, and time blocks.
 
-    rest : share of the gap that no named cause explains; found : whether any cause is named
-    shrinks : held-out errors of the stages (see `course`)
+    rest : fraction of the gap that no named cause explains; found : whether any cause is named
+    shrinks : held-out errors as causes are added (see `course`)
     """
     if not state.steps and end in ("unknown", "ambiguous"):
         return "unknown" if end == "unknown" else "ambiguous"
@@ -214,7 +223,10 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
 
 
 def _remainder(state: State) -> float:
-    """Return the log evidence of the best additional cause over that of the causes in the model."""
+    """Return the log evidence of the best additional cause divided by that of the causes.
+
+    It is 0 without causes in the model.
+    """
     claimed = state.log_gain
     last = state.rankings[-1]
     return last.log_factor[last.order[0]] / claimed if claimed > 0 else 0.0

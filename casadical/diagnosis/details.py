@@ -24,7 +24,7 @@ class Details:
     """Analyses that a report shows in addition to the diagnosis; None for what was not computed.
 
     where : localisation of the gap, see `localise`
-    isolability : what these poses can show, see `isolability`
+    isolability : isolability of the candidates in these poses, see `isolability`
     unlisted : description of an unlisted cause, see `describe_unlisted`
     check : nonlinear refit against linear model; networks : gap with a network (see `held_out_gap`)
     curves : joint error curves, see `joint_curves`
@@ -32,7 +32,7 @@ class Details:
         unknown, or on request
     poses : next poses to measure, see `next_poses`; file : name of the file to which they are
         written; empty if none
-    floor : held-out error by noise alone under the best model of the report [m]
+    floor : mean held-out error by noise alone under the best model of the report [m]
     ruled_out : labels of causes that are ruled out, by multiple of their usual size (see
         `isolability.ruled_out`)
     """
@@ -60,9 +60,9 @@ def analyse(
     file: str = "",
     show: Show = silent,
 ) -> Details:
-    """Compute all that `casadical diagnose` reports in addition to the diagnosis.
+    """Return the analyses that `casadical diagnose` reports in addition to the diagnosis.
 
-    It takes some seconds, with networks minutes.
+    They take some seconds, with networks minutes.
     poses : number of poses to choose for the next measurements
     workspace : region in which the next poses may lie
     networks : whether to train networks, instead of the causes and in addition to them

@@ -57,7 +57,7 @@ def diagnose(
     laws: bool = True,
     show: Show = silent,
 ) -> Diagnosis:
-    """Diagnose the gap that calibration leaves on a campaign.
+    """Diagnose the error that calibration leaves on a campaign: which effect causes it.
 
     robot : nominal model with the compliances that it should have, which is calibrated on the
         campaign first; or robot, measurements and prior together, as `prepare` returns them; or an
@@ -67,7 +67,7 @@ def diagnose(
         tool rotation is free where orientations were measured; orientations that contradict the
         model are ignored
     effects : "standard" or "extended", or names (backlash), labels (backlash@5) and own effects
-    seed : of all random numbers
+    seed : seed of all random numbers
     bootstrap : number of draws of pure noise that calibrate the detection (2000 take some seconds);
         0 for none
     prior : the same robot as identified on another campaign, whose effects enter the base model
@@ -97,7 +97,7 @@ def diagnose(
 
 @dataclass(frozen=True, eq=False)
 class _Question:
-    """A diagnosis in progress.
+    """The arguments of a diagnosis, and the stages of its computation.
 
     prepared : robot, measurements and prior; effects, seed, bootstrap, laws, show : see `diagnose`
     """
@@ -142,11 +142,17 @@ class _Question:
         return candidates_of(given, effects)
 
     def case(self, ratios: Ratios | None = None) -> Case:
-        """Return the case without a prior from another campaign; ratios : see `make_case`."""
+        """Return the case of the base model and candidates, without a prior from another campaign.
+
+        ratios : noise of the sets, see `make_case`
+        """
         return make_case(self.base, self.candidates, self.prepared.free, ratios)
 
     def with_unchanged_prior(self, case: Case, unchanged: Prior) -> Case:
-        """Return the case with the prior of an earlier campaign on what did not change since."""
+        """Return the case with the prior of an earlier campaign on the unchanged effects.
+
+        It is returned without it if the prior has no free parameter.
+        """
         return case.with_prior(unchanged, self.base.sigmas[0][0]) if unchanged.free else case
 
     def searched(self, case: Case) -> Diagnosis:
@@ -173,7 +179,10 @@ class _Question:
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
 
     def answer(self) -> Diagnosis:
-        """Return the diagnosis; the search is repeated if the noise differs from the assumption."""
+        """Return the diagnosis; the search is repeated if the noise differs from that assumed.
+
+        Raises InputError where the noise lies beyond the widest grid.
+        """
         prior = self.prepared.prior
         case, unchanged, changed = self.case(), prior, tuple[Change, ...]()
         if prior.free:
@@ -230,11 +239,11 @@ def _prepared(
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
-    """Return the diagnosis without its causes if an expression explains the data better.
+    """Return the diagnosis without its causes if an expression (law) explains the data better.
 
-    An expression that was claimed is attached to it. Without causes, it is searched in place of
-    unanchored noise. Effects with learnt sizes have more freedom than any expression and are not
-    compared; nor are distances between poses.
+    An expression that was claimed is attached to it as `Diagnosis.law`. Without causes, one is
+    searched where no declared noise or repeated poses confirm the noise. Effects with learnt sizes
+    have more freedom than any expression and are not compared; nor are distances between poses.
     """
     effects, e = found.effects(), found.case.evidence
     # The verdict may be "explained" by outliers alone.
@@ -252,7 +261,10 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
 
 
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:
-    """Return, as sentences, what was assumed of kinds of measurement other than positions."""
+    """Return sentences on assumptions about orientations, noise, stops and fixed parameters.
+
+    They concern campaigns with other measurements than one set of positions.
+    """
     said = [
         f"{m.source}: its orientations do not fit the robot and are left aside; check their convention and frame"
         for m, used in zip(given, found.measurements, strict=False)
@@ -284,9 +296,9 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
 
 
 def _refuse_coarser(found: Diagnosis) -> Diagnosis:
-    """Return the diagnosis. Raises InputError if its noise lies beyond the widest noise grid.
+    """Return the diagnosis unchanged. Raises InputError if its noise is beyond the widest grid.
 
-    The robot then differs from its file.
+    The robot then differs too much from its file.
     """
     most = float(WIDE_SIGMA_GRID_M[-1])
     if found.noise.sigma < most:

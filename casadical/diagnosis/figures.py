@@ -19,7 +19,7 @@ from casadical.effects.plugins import signature_of
 from casadical.identification.figures import banded, fit_figures, intervals, parameter_figures
 from casadical.identification.pose_errors import errors_by_pose, workspace
 
-# Title and caption of the figure of each table of a localisation.
+# Title and caption of the figure of a table of `Localisation`, by the name of the table.
 _WHERE = {
     "joints": (
         "Gap by joint", "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
@@ -41,7 +41,9 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     Their names are: gap; errors (held out, pose by pose); workspace; where/TABLE with the names of
     `Localisation`; curves/angles; causes/STEP; shrink (if a cause was found); parameters/lengths,
     /angles, /compliance; fit/residuals, /coverage, /pairs.
-    more : of `analyse`, for the figures where/ and curves/ and the networks in the figure gap
+
+    more : result of `analyse`, for the figures where/ and curves/ and the networks in the figure
+        gap
     """
     more = more or Details()
     floor = floor_of(d, more)
@@ -71,14 +73,14 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
 
 
 def where_figures(where: Localisation) -> Iterator[Figure]:
-    """Yield a figure for each table of a localisation."""
+    """Yield a figure for each table of a localisation that is not empty."""
     for name, table in where.tables():
         title, caption = _WHERE.get(name, (f"Error by {name}", ""))
         yield (_by_data if "poses" in table else _by_parts)(f"where/{name}", title, table, caption)
 
 
 def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
-    """Return the figure of shares of the squared gap by part or by direction."""
+    """Return the figure of the fractions [%] of the squared gap by part or by direction."""
     by = table["frame"] if "frame" in table else pd.Series("", index=table.index)
     words = {"base": "base frame", "axis": "about joint 1", "tool": "tool frame"}
     labels = [f"{words.get(f, f)}: {p}" if f else str(p) for f, p in zip(by, table["part"], strict=True)]
@@ -92,7 +94,7 @@ def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figur
 
 
 def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
-    """Return the figure of the rms error [mm] in each part, with a line for all poses."""
+    """Return the figure of the rms error [mm] in each region or circumstance, and in all poses."""
     notes = [
         f"{n} poses, {100 * s:.0f} % of the squared error" for n, s in zip(table["poses"], table["share"], strict=True)
     ]
@@ -140,7 +142,8 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
 def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float | None = None) -> Figure:
     """Return the figure of the mean held-out error [mm] as causes are added.
 
-    The intervals are of 95 %, over poses; outliers are excluded.
+    The 95 % intervals are by bootstrap over poses; outliers are excluded.
+
     networks : gaps with a network instead of the causes, and after them
     floor : held-out error by noise alone [m], by default that with the causes
     """
@@ -174,7 +177,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
 
 
 def shrinks(d: Diagnosis) -> Figure:
-    """Return the figure of how much each cause alone shrinks the held-out gap [%]."""
+    """Return the figure of the percentage by which each cause alone shrinks the held-out gap."""
     causes = [c for c in d.causes if c.effects]
     low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
     return intervals(

@@ -47,21 +47,22 @@ COURSE_COLUMNS = (
 def course(
     case: Case, stages: Sequence[tuple[str, Array, Noise]], folds: Sequence[Array], noise: Noise, seed: int
 ) -> pd.DataFrame:
-    """Return a table with a row for each stage of the search, all on the same inlier poses.
+    """Return a table of held-out errors as causes are added, all on the same inlier poses.
 
-    stages : what was added last, the columns of all causes in the model, shape (k,), and the noise
-        that it leaves
+    It has a row for each stage and these columns:
 
-    model : "base", or "+ label"
+    model : "base", or "+ label" of the added cause
     gap_mm : mean held-out position error over partitions into fifths; low_mm, high_mm : its 95 %
         interval by bootstrap over poses
     loo_mm : the same by leave-one-out
     blocks_mm : the same with contiguous fifths of the campaign held out, which tests the prediction
         of effects of time and temperature
     model_mm : rms held-out error after subtraction of the noise's mean square, as a noiseless
-        instrument would read;
-        model_low_mm, model_high_mm : its 95 % interval
-    folds : partitions into folds, shape (n_inliers,) each; noise : that is subtracted
+        instrument would read; model_low_mm, model_high_mm : its 95 % interval
+
+    stages : (model, indices of the columns of all causes in the model, shape (k,), noise of the
+        fit)
+    folds : partitions into folds, shape (n_inliers,) each; noise : noise that is subtracted
     """
     e = case.evidence
     alone, blocks = np.arange(len(e.r)), time_blocks(case)
@@ -79,7 +80,10 @@ def course(
 
 
 def time_blocks(case: Case) -> Array:
-    """Return the fifth of the campaign in which each inlier was measured, (n_inliers,)."""
+    """Return the index of the fifth of the campaign in time of each inlier, shape (n_inliers,).
+
+    With unknown points they are fifths of each point's poses.
+    """
     order, alike = np.argsort(case.order, kind="stable"), case.evidence.alike
     if alike is None:
         return np.asarray(SETTINGS.folds * order // len(order))
@@ -102,9 +106,9 @@ def depends_on_time(effects: Sequence[Effect]) -> bool:
 
 @dataclass(frozen=True)
 class Check:
-    """Mean held-out gap of two models, with fifths of the poses predicted by the others.
+    """Mean held-out errors of two models with the same causes, on fifths of the poses.
 
-    refit : of the nonlinear refit [m]; linearised : of the linear model [m]
+    refit : that of the nonlinear refit [m]; linearised : that of the linear model [m]
     """
 
     refit: float
@@ -112,12 +116,12 @@ class Check:
 
     @property
     def agree(self) -> bool:
-        """Return whether the two differ by at most a tenth."""
+        """Return whether the two differ by at most a tenth of the linear model's error."""
         return abs(self.refit / self.linearised - 1) <= 0.1
 
 
 def check_refit(found: Diagnosis, show: Show = silent) -> Check:
-    """Return the held-out gap of the nonlinear refit and that of the linear model.
+    """Return the mean held-out errors of the nonlinear refit and of the linear model.
 
     Ipopt refits all poses once; each fifth is then removed by a Gauss-Newton step from that
     optimum, which moves the parameters by a few standard errors at most, within which the model is
@@ -150,10 +154,11 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
 class NetworkGap:
     """Mean held-out error [m] of a model alone and with a network trained on its residuals.
 
-    before : model alone, on the same fifths; used : with the network where the training poses
-        indicate that it helps
-    forced : with the network in any case; refused : number of the five trainings in which it was
-        refused
+    before : that of the model alone, on the same fifths
+    used : that with the network in those fifths for which the training poses indicate that it helps
+    forced : estimate with the network in all fifths, `before` times the mean ratio of the errors
+        with and without it that cross-validation on the training poses predicts
+    refused : number of the five trainings in which the network was not used
     """
 
     before: float
@@ -163,7 +168,7 @@ class NetworkGap:
 
 
 def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
-    """Return the gap with the paper's network instead of the causes, and after them."""
+    """Return the held-out errors with the paper's network instead of the causes, and after them."""
     alone = network_gap(found.case, NO_COLUMNS, found.rankings[0].noise[""], found.seed, show=show)
     return alone, network_gap(found.case, found.columns, found.noise, found.seed, show=show)
 
@@ -171,10 +176,12 @@ def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, Net
 def network_gap(
     case: Case, columns: Array, noise: Noise, seed: int, trainer: Trainer | str = "lm", show: Show = silent
 ) -> NetworkGap:
-    """Return the held-out error with the paper's 6-5-3 network in five-fold training.
+    """Return the mean held-out error with the paper's 6-5-3 network, trained on four fifths each.
 
-    columns : of the causes in the model, refitted to each four fifths, shape (k,); the network's
-        inputs are joint readings only
+    The network's inputs are joint readings only.
+
+    columns : indices of the causes' columns, shape (k,); they are refitted to each four fifths
+    noise : noise of these fits; seed : seed of the fifths and of the training
     trainer : name of one of `known_trainers`, or a trainer with its settings
     """
     # Imported on demand, because it takes a tenth of the time of all imports.

@@ -29,8 +29,9 @@ class JointCurve:
     value, error : error of the joint there and its standard error, shapes (k,) [rad]
     covered : mask of the angles near which there are readings, shape (k,); elsewhere the prior
         alone determines the curve
-    rms, rms_error : rms of the curve and of its standard error at the readings [rad]
-    lost : log evidence that is lost without the curve; share : its share of the sum over all joints
+    rms, rms_error : rms of the curve and of its standard error at the readings of the poses [rad]
+    lost : log evidence that is lost without the curve [nats]
+    share : `lost`, if positive, divided by its sum over all joints, 0 to 1
     middle : frequencies between which the middle half of the curve's square lies [cycles per turn]
     """
 
@@ -54,7 +55,7 @@ class JointCurve:
 
     @property
     def covered_parts(self) -> list[tuple[float, float]]:
-        """Return the intervals of a turn near which there are readings [rad]."""
+        """Return (first, last) angle of each interval near which there are readings [rad]."""
         edges = np.flatnonzero(np.diff(np.concatenate([[False], self.covered, [False]])))
         return [(float(self.angle[a]), float(self.angle[b - 1])) for a, b in edges.reshape(-1, 2)]
 
@@ -67,9 +68,9 @@ class JointCurves:
     orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return a row of text for each joint under `CURVE_COLUMNS`, the greatest share first.
+        """Return the texts of `CURVE_COLUMNS` for each joint, the largest share of evidence first.
 
-        For a curve that is not significant the row has an upper bound: two standard errors above
+        For a curve that is not significant the rms is an upper bound: two standard errors above
         its rms.
         """
         rows = []
@@ -136,12 +137,16 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
 
 
 def _valued(shapes: Array, x: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return a curve and its standard error, shapes (k,)."""
+    """Return the values of a curve at k angles and their standard errors, shapes (k,).
+
+    shapes : functions at the angles, shape (k, parameters); x, covariance : their coefficients'
+        estimate and covariance
+    """
     return shapes @ x, np.sqrt(((shapes @ covariance) * shapes).sum(axis=1))
 
 
 def _covered(angle: Array, q: Array, reach: float) -> Array:
-    """Return the mask of angles with a reading within reach [rad], modulo a turn, shape (k,)."""
+    """Return the mask of k angles with a reading q within `reach` [rad], modulo a turn, (k,)."""
     around = np.sort((q + np.pi) % (2 * np.pi)) - np.pi
     around = np.concatenate([[around[-1] - 2 * np.pi], around, [around[0] + 2 * np.pi]])
     after = np.searchsorted(around, angle).clip(1, len(around) - 1)
@@ -149,9 +154,9 @@ def _covered(angle: Array, q: Array, reach: float) -> Array:
 
 
 def _evidence_lost(fit: Fit, own: Mapping[int, Array]) -> dict[int, float]:
-    """Return, by joint, the log evidence lost without its curve, the noise re-estimated.
+    """Return, by joint, the log evidence lost without its curve [nats], with re-estimated noise.
 
-    own : indices of each curve's parameters in the fit
+    own : indices of the parameters of each joint's curve in the fit
     """
     square = float((fit.whitened_residual**2).sum() + (((fit.x - fit.mean) / fit.prior) ** 2).sum())
     lost = {}

@@ -19,10 +19,10 @@ from casadical.robot.robot_file import to_toml
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
-    """Return the diagnosis as data for JSON, with lengths in mm.
+    """Return the diagnosis as data for JSON; keys name their units, lengths are in mm.
 
-    campaign : name of the campaign; more : of `analyse`; analyses that were not computed are left
-        out
+    campaign : name of the campaign
+    more : result of `analyse`; analyses that were not computed are omitted
     """
     more = more or Details()
     poses = pd.DataFrame() if more.poses is None else more.poses
@@ -80,7 +80,9 @@ def diagnosis_files(
 ) -> dict[Path, str]:
     """Return the text of each file that `casadical diagnose --out` writes: robot, data and report.
 
-    folder : of the files; more : of `analyse`; name : of the campaign
+    Keys are the paths.
+
+    folder : folder of the files; more : result of `analyse`; name : name of the campaign
     unlisted : whether the robot's model includes the description of the unlisted cause, if there is
         one
     Raises ConvergenceError: Ipopt finds no optimum of the refit.

@@ -33,11 +33,12 @@ from casadical.pose_selection.workspace import Workspace
 
 
 def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: Linearisation) -> tuple[Array, Array]:
-    """Return the prediction at new poses of base model and one cause fitted to the case's data.
+    """Return the prediction at K new poses of base model and one cause fitted to the case's data.
+
+    It is the predicted residual, shape (K, 3) [m], and a root of its covariance root @ root.T,
+    shape (K, 3, parameters) [m].
 
     variant : effects of the cause; poses : linearisation of the base model at the new poses
-    Returns the predicted residual, shape (K, 3) [m], and a root of its covariance root @ root.T,
-    shape (K, 3, parameters) [m].
     """
     old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.kept))
     E = poses.columns(variant)
@@ -53,16 +54,17 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
 
 
 def noise_covariance_at(noise: Noise, poses: Linearisation) -> Array:
-    """Return the covariance of the noise at new poses, shape (K, 3, 3) [m^2]."""
+    """Return the covariance of the measured position's noise at K new poses, (K, 3, 3) [m^2]."""
     return joint_noise(poses.Jq).covariance({REPEATABILITY: noise.repeatability}, noise.sigma)
 
 
 class Predictive:
-    """A cause's predictive distribution at all poses, updated with the data at the chosen poses.
+    """A cause's predictive distribution at K poses, updated with future data at chosen poses.
 
-    mean, root : prediction before any data (see `predict_cause`); noise : its covariance
-    own : covariance of the data at each pose, shape (K, 3, 3) [m^2]
-    inverse, volume : its inverse, shape (K, 3, 3), and its log determinant, shape (K,)
+    mean, root : prediction before these data (see `predict_cause`)
+    noise : covariance of the noise at each pose, shape (K, 3, 3) [m^2]
+    own : covariance of the data at each pose, given those chosen so far, shape (K, 3, 3) [m^2]
+    inverse, volume : inverse of `own`, shape (K, 3, 3), and its log determinant, shape (K,)
     """
 
     def __init__(self, mean: Array, root: Array, noise: Array) -> None:
@@ -75,7 +77,7 @@ class Predictive:
         self.volume: Array = np.linalg.slogdet(own)[1]
 
     def learn(self, pose: int) -> Array:
-        """Update with the data at a pose (Kalman filter); return the gain, shape (K, 3, 3)."""
+        """Condition on data at a pose (its index), and return the Kalman gain, shape (K, 3, 3)."""
         toward = self._covariance @ self.root[pose].T
         gain = np.asarray((self.root.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
         self._covariance = self._covariance - toward @ self.inverse[pose] @ toward.T
@@ -84,7 +86,7 @@ class Predictive:
 
 
 class Comparison:
-    """Difference between the data that a truth generates and a model's prediction.
+    """Difference at K poses between the data that a true cause generates and a model's prediction.
 
     mean : expected difference, shape (K, 3) [m]
     root : root of its covariance without the pose's own noise, shape (K, 3, any) [m]
@@ -96,7 +98,7 @@ class Comparison:
         self.root: Array = truth.root
 
     def gains(self) -> Array:
-        """Return each pose's gain of the expected log Bayes factor for the truth, shape (K,)."""
+        """Return the increase of the expected log Bayes factor for the truth by each pose, (K,)."""
         square = self.model.noise + self.root @ self.root.transpose(0, 2, 1)
         square += self.mean[:, :, None] * self.mean[:, None, :]
         far = (self.model.inverse * square).sum(axis=(1, 2)) - 3
@@ -116,10 +118,12 @@ Pairs = Sequence[tuple[Predictive, Predictive]]
 
 
 def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[float]]:
-    """Choose n poses greedily; return their indices and the separation after each.
+    """Return the indices of n poses chosen greedily, and the separation after each [nats].
 
-    The separation is the smallest cumulative expected log Bayes factor over all truths.
-    asked, also : pairs to distinguish; only the former count in the separation
+    The separation is the cumulative expected log Bayes factor for the true cause, the smallest over
+    the causes that may be true.
+
+    asked, also : pairs of causes to distinguish; only the former count in the separation
     """
     pairs = [*asked, *also]
     comparisons = [d for a, b in pairs for d in (Comparison(a, b), Comparison(b, a))]
@@ -140,7 +144,7 @@ def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[flo
     return picked, course
 
 
-# Label that stands for no cause at all.
+# Label that stands for no cause at all among the causes to distinguish.
 NO_CAUSE = "none"
 
 
@@ -165,11 +169,11 @@ def next_poses(
     the columns to be logged, including those of the campaign's own kinds of measurement.
 
     found : a diagnosis, or the case of one
-    n : number of poses
+    n : number of poses to choose
     labels : labels of the causes to distinguish; "none" for no cause at all; by default those that
         the diagnosis has in question (`Diagnosis.in_question`), with an empty table if there are
         none
-    seed : of the drawn poses
+    seed : seed of the drawn poses
     beside : other labels from which each of these is to be distinguished as well, but not from each
         other; by default "none", and with the default labels the most probable other cause
     workspace : region in which poses may lie; by default the robot's own ranges, with loops as open
@@ -208,9 +212,10 @@ def next_poses(
 
 
 class _Cause(NamedTuple):
-    """A cause to distinguish with settings that the data allow.
+    """A cause to distinguish, with settings that are likely in the data.
 
-    label : of the candidate; variant : its effects; noise : most likely noise with these
+    label : label of the candidate; variant : its effects with these settings
+    noise : most likely noise with these effects in the model
     """
 
     label: str
@@ -219,9 +224,13 @@ class _Cause(NamedTuple):
 
 
 def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
-    """Return each label with its most likely and other likely settings. Raises InputError.
+    """Return the causes of some labels, each with its most likely and two other likely settings.
 
+    The cause with the least noise comes first.
+
+    labels : causes to distinguish, two or more; `NO_CAUSE` for none
     beside : other labels, with their most likely settings only
+    Raises InputError: fewer than two labels, or one that is no candidate.
     """
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
@@ -252,7 +261,8 @@ def table_of(
 ) -> pd.DataFrame:
     """Return the table of the chosen poses (see `next_poses`).
 
-    picked : indices of the poses; gained : separation after each
+    effects : effects of the causes to distinguish; drawn : poses from which they were chosen
+    picked : indices of the chosen poses; gained : separation after each [nats]
     """
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
@@ -276,7 +286,10 @@ def table_of(
 
 
 def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
-    """Return in words what is new in each pose compared with the campaign."""
+    """Return a text for each chosen pose of what the campaign did not contain; "" for nothing.
+
+    pool : poses from which they were chosen; picked : their indices
+    """
     own = case.m.conditions
     # Readings beyond the campaign's range by less than this are not new [rad or m].
     lower, upper = case.m.q.min(axis=0) - 0.02, case.m.q.max(axis=0) + 0.02
@@ -298,13 +311,12 @@ def _new(case: Case, pool: LaterPoses, picked: Sequence[int]) -> list[str]:
 
 
 def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[float, float]:
-    """Return the probability of a right decision now and after these poses.
+    """Return the probabilities of a right decision now and after measuring poses.
 
-    The decision is between the first two causes in question.
-    poses : of `next_poses`
+    The decision is between the first two causes in question. After these poses the log odds are
+    normal about their expected gain D with variance 2 D, whichever cause is true.
 
-    After these poses the log odds are normal about their expected gain D with variance 2 D,
-    whichever cause is true.
+    poses : table as of `next_poses`
     """
     first, second = found.in_question[:2]
     ranking = best_of(found.rankings, lambda r: r.probability.get(first, 0) + r.probability.get(second, 0))
@@ -316,7 +328,8 @@ def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[f
 def probability_after(share: float, gain: float) -> float:
     """Return the probability of a right choice between two causes after more data.
 
-    share : present probability of the first cause; gain : expected log Bayes factor for the truth
+    share : present probability of the first cause
+    gain : expected log Bayes factor for the true cause by the data [nats]
     """
     if gain <= 0:
         return max(share, 1 - share)
@@ -325,7 +338,10 @@ def probability_after(share: float, gain: float) -> float:
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
-    """Return in words how many poses repeat others, and their payloads and approaches."""
+    """Return a text of the numbers of poses that repeat others, by payload, approach and warmth.
+
+    poses : table as of `next_poses`
+    """
     kinds = []
     if repeats := int((poses["repeats"] != "").sum()):
         kinds.append(f"{repeats} repeat earlier ones in other circumstances")
@@ -343,7 +359,10 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
-    """Return in words at most two joints that are idle more often than in the campaign."""
+    """Return phrases on at most two joints without load more often than in the campaign.
+
+    A joint is without load below 15 % of its peak gravity torque.
+    """
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})

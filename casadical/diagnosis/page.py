@@ -18,9 +18,10 @@ from casadical.identification.figures import correlated, parameter_tables, unide
 
 
 def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replayed: Sequence[Block] = ()) -> Page:
-    """Return the page of one campaign.
+    """Return the HTML page of the diagnosis of one campaign.
 
-    name : of the campaign; more : of `analyse`; replayed : results of a replay in a simulator
+    name : name of the campaign; more : result of `analyse`
+    replayed : blocks on a replay in a simulator
     """
     more = more or Details()
     figures = {figure.name: figure for figure in diagnosis_figures(d, more)}
@@ -64,7 +65,10 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
 
 
 def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
-    """Yield the statements about some topics as sentences, in the order of the topics."""
+    """Yield the statements about some topics as sentences, in the order of the topics.
+
+    about : topics, see `Statement`
+    """
     for topic in about:
         for s in (s for s in said if s.about == topic):
             text = s.sentence.replace("->", "→")
@@ -72,7 +76,7 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
 
 
 def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
-    """Yield the key figures at the top of the page."""
+    """Yield the key figures at the page's top: errors [mm], leading cause, unexplained part."""
     yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
     if d.effects():
         yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
@@ -113,7 +117,7 @@ def _where(where: Localisation, figures: Iterable[Figure]) -> Iterator[Block]:
 
 
 def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
-    """Yield the tables of the causes and of their sizes."""
+    """Yield the tables of the causes and of their parameters; nothing without causes."""
     if not rows:
         return
     cells = [(r.named, r.shown, f"{r.cause.confidence:.3f}", r.gap.replace("->", "→"), r.shrinks) for r in rows]

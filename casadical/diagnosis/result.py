@@ -39,13 +39,10 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 class Gap:
     """Mean distance [m] between measured and computed positions on held-out poses.
 
-    Reports show kept, after and floor.
-
-    before : of the base model, with the outliers if they are named as a cause; else the same as
-        kept
-    after : with the causes, on the inlier poses
-    floor : of noise alone
-    kept : of the base model on the inlier poses, over the same partitions into fifths
+    before : that of the base model, outliers included if they are named as a cause; else `kept`
+    after : that of the model with the causes, on the inlier poses
+    floor : that of simulated noise alone under the same fit
+    kept : that of the base model on the inlier poses, over the same partitions into fifths
     """
 
     before: float
@@ -58,8 +55,8 @@ class Gap:
 class Outlier:
     """A pose that was rejected as an outlier.
 
-    row : line of the source; distance : error of the model there [m]
-    sigmas : Mahalanobis distance, in standard deviations of the noise
+    row : row of the pose in the table; distance : error of the model there [m]
+    sigmas : Mahalanobis distance of the error, in standard deviations of the noise
     """
 
     row: int = field(metadata=WRITTEN)
@@ -68,7 +65,7 @@ class Outlier:
 
 
 def settings_of(effect: Effect) -> dict[str, float]:
-    """Return the nonlinear settings of an effect (cycles, knee, lag, time of a step) by name."""
+    """Return the settings of an effect that are floats (cycles, knee, time of a step), by name."""
     own = [f for f in fields(effect) if not f.metadata.get("tried") or getattr(effect, f.name)]
     return {f.name: value for f in own if isinstance(value := getattr(effect, f.name), float)}
 
@@ -80,7 +77,8 @@ class Cause:
     effect : name of the effect
     joint : its joint, 1-based; None if it belongs to none
     confidence : its posterior probability
-    shrink : share by which the held-out gap falls when it is added to the base model
+    shrink : fraction, up to 1, by which the held-out gap falls when the cause alone is added to the
+        base model
     shrink_interval : 95 % interval of `shrink`
     indistinguishable : labels (name or name@joint) of causes that the data cannot distinguish from
         it
@@ -112,7 +110,7 @@ class Cause:
 
     @property
     def parameters(self) -> dict[str, dict[str, float | str]]:
-        """Return the estimates as plain data [SI]."""
+        """Return value, std_error and unit [SI] of each parameter as a dict, by its name."""
         names = ("value", "std_error", "unit")
         return {k: dict(zip(names, each, strict=True)) for k, each in (self.estimates or {}).items()}
 
@@ -123,7 +121,7 @@ class Cause:
 
     @property
     def of_instrument(self) -> bool:
-        """Return whether it is a fault of the instrument (a drifting wire), not of the robot."""
+        """Return whether it is an error of the instrument (a drifting wire), not of the robot."""
         return any(e.from_kind for e in self.effects)
 
 
@@ -131,14 +129,17 @@ class Cause:
 class CauseSet:
     """The set of all named causes and its posterior probabilities.
 
-    probability : of exactly this set, among all sets that differ from it by at most one cause
-    one_more : of an additional cause given the set
-    members : of each cause, by label, whatever the others are
-    others : the most probable other sets, with unlisted forms, and the probability of each
+    probability : that of exactly this set, among all sets that differ from it by at most one cause
+    one_more : that of an additional cause given the set
+    members : that of each cause, by label, summed over these sets
+    others : labels of the most probable other sets, unlisted forms included, and the probability of
+        each
     names : by the label of a cause with indistinguishable alternatives: the probability of each
         label
-    further : of each listed label of one additional cause that is detected but not claimed
-    further_gap : held-out error with the most probable of these in addition to the named causes [m]
+    further : by listed label of one additional cause that is detected but not claimed: the
+        probability of each label
+    further_gap : mean held-out error with the most probable of these in addition to the named
+        causes [m]; 0 without one
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -159,10 +160,10 @@ class CauseSet:
 
 @dataclass(frozen=True)
 class Change:
-    """Change of a known effect since another campaign.
+    """Change of an effect since the earlier campaign that gave its prior.
 
-    effect : its label; joint : of the part that is meant, 1-based, or None
-    probability : that its parameters are no longer those of the prior
+    effect : label of the effect; joint : joint of its part that was tested, 1-based, or None
+    probability : posterior probability that its parameters are no longer those of the prior
     """
 
     effect: str = field(metadata=WRITTEN)
@@ -176,9 +177,9 @@ class Unlisted:
 
     labels : labels of the forms, which may include listed effects; effects : their effects in the
         model
-    before, after : mean held-out gap with the named causes, and with these forms in addition [m]
-    shrink, shrink_interval : share by which it falls, and its 95 % interval
-    beside : ranking of an additional cause given these forms
+    before, after : mean held-out error with the named causes, and with these forms in addition [m]
+    shrink, shrink_interval : fraction by which it falls, and its 95 % interval
+    beside : ranking of an additional cause given the named causes and these forms
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -202,13 +203,14 @@ class Diagnosis(Result):
     `casadical.diagnosis` `analyse`, `localise`, `isolability`, `describe_unlisted`, `check_refit`,
     `network_gaps` and `next_poses`.
 
-    verdict : none, explained, ambiguous, unknown
+    verdict : none (noise alone), explained (by the causes), ambiguous or unknown
     causes : named causes, the largest shrink first
     gap : held-out error before and after the causes
-    noise : instrument and joint repeatability
+    noise : estimated noise of instrument and joint repeatability
     account : size of the noise against declaration, data sheet and repeated poses, and its
         structure
-    unknown_rest : share of the gap above the noise floor that no named cause explains
+    unknown_rest : (gap.after - gap.floor) / gap.before, at least 0: the fraction of the gap that
+        neither named causes nor noise explain
     course : held-out error as causes are added (see `held_out_gap.course`)
     replicates : standard deviation over repeated poses, of which there may be none
     rankings : posterior over the next cause at each step of the search
@@ -216,8 +218,8 @@ class Diagnosis(Result):
         or None
     missing : columns that were not logged, by label of the effect that needs them
     case : linear model from which the diagnosis was computed
-    identification : of the base model
-    seed : of all random numbers
+    identification : identification of the base model
+    seed : seed of all random numbers
     p_nothing : bootstrap p-value of "no cause"; None without a bootstrap
     prior : prior from another campaign, or None
     changes : probability of change of each part of this prior
@@ -274,7 +276,7 @@ class Diagnosis(Result):
     joint_of_outliers: int | None = None
 
     def blocks(self) -> list[Words | Table]:
-        """Return verdict and causes; `casadical.diagnosis.page_of` returns the full report."""
+        """Return verdict and causes as blocks; `casadical.diagnosis.page_of` is the full report."""
         rows = [
             (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
              ", ".join(c.indistinguishable))
@@ -285,14 +287,15 @@ class Diagnosis(Result):
         return [Words(f"{self.verdict}: {', '.join(c.label for c in self.causes) or 'no cause named'}"), *table]
 
     def bars(self) -> list[tuple[str, float]]:
-        """Return the mean errors on held-out poses [m] with their names."""
+        """Return (name, mean held-out error [m]) of base model, model with causes, and noise."""
         return [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
 
     @property
     def in_question(self) -> tuple[str, ...]:
-        """Return the labels that additional poses should distinguish; empty if there are none.
+        """Return the labels of causes that additional poses should distinguish; () if none.
 
-        They are those of an ambiguous cause, else of an additional one, else the two most probable.
+        They are those of an ambiguous cause, else of a possible additional one, else the two most
+        probable ones.
         """
         known = {c.label for c in self.case.candidates}
         for cause in self.causes:
@@ -316,7 +319,7 @@ class Diagnosis(Result):
         return (*named, *unlisted.effects) if unlisted else named
 
     def refit(self, top: int | None = None, unlisted: Unlisted | None = None) -> Identification:
-        """Return base model and effects (see `effects`) identified together by Ipopt.
+        """Return the identification by Ipopt of base model and effects (see `effects`) together.
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
@@ -333,7 +336,7 @@ class Diagnosis(Result):
 
     @property
     def columns(self) -> Array:
-        """Return indices of all causes' columns in the linear model, shape (k,); see `case`."""
+        """Return the indices of all causes' columns in the linear model of `case`, shape (k,)."""
         return np.unique(self.case.group(self.effects()))
 
     @property
@@ -351,13 +354,13 @@ class Diagnosis(Result):
 
     @property
     def has_rest(self) -> bool:
-        """Return whether the unexplained error above the noise floor is reported."""
+        """Return whether the unexplained error above the noise floor is large enough to report."""
         # It is reported from 5 % of the gap on.
         return self.verdict != "none" and self.unknown_rest > 0.05
 
     @cached_property
     def held_out(self) -> PoseErrors:
-        """Return the held-out errors of all inliers: base model, and with the causes."""
+        """Return the inliers' held-out errors by the base model and, if any, with the causes."""
         e = self.case.evidence
         lengths = [partitioned_errors(e, NO_COLUMNS, self.rankings[0].noise[""], self.seed)]
         if self.columns.size:
@@ -367,7 +370,10 @@ class Diagnosis(Result):
 
     @cached_property
     def left(self) -> Array:
-        """Return the inliers' residuals after a fit with the causes, (n_inliers, numbers) [m]."""
+        """Return the inliers' residuals of a fit with the causes, shape (n_inliers, numbers) [m].
+
+        Lengths and angles are scaled to equal noise.
+        """
         kept = self.case.kept
         if not self.columns.size:
             return self.case.evidence.r
@@ -375,7 +381,7 @@ class Diagnosis(Result):
 
     @cached_property
     def fitted(self) -> PoseErrors:
-        """Return the residuals of fits to all inliers: base model, and with the causes."""
+        """Return the inliers' errors after a fit of the base model and, if any, of the causes."""
         base, vectors, size = self.case.lengths, self.case.vectors, self.case.evidence.size
         models = [ModelErrors("base model", np.linalg.norm(base, axis=1), vectors)]
         if self.columns.size:
@@ -384,7 +390,10 @@ class Diagnosis(Result):
         return self._pose_errors("All poses fitted", tuple(models))
 
     def _pose_errors(self, name: str, models: tuple[ModelErrors, ...]) -> PoseErrors:
-        """Return the errors of models at the inlier poses, with the outliers listed."""
+        """Return the errors of models at the inlier poses, with the outliers listed.
+
+        name : title; it begins with "Held" for held-out errors
+        """
         m, k = self.case.m, self.case.kept
         out = tuple(LeftOut(m.source, o.row, o.distance) for o in self.outliers)
         position = self.case.positions[k]

@@ -21,8 +21,8 @@ from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.identification.gravity import in_words as gravity_in_words
 
-# Words that precede a statement about a topic where it stands alone as a sentence; the most
-# important topics come first.
+# Words before a statement, by its topic, where it is shown as a sentence without the topic; the
+# most important topics come first.
 SUBJECTS = {
     "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
     "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
@@ -47,7 +47,7 @@ class Statement:
 
     @property
     def sentence(self) -> str:
-        """Return it as a sentence without its topic, for the HTML page and the short answer."""
+        """Return the statement as a sentence without its topic."""
         text = SUBJECTS.get(self.about, "") + self.text.replace("   ", ", ")
         # The name of a column at the start is not capitalised.
         text = f"{text[0].upper()}{text[1:]}" if text.split()[0].strip(":,").isalpha() else text
@@ -55,23 +55,23 @@ class Statement:
 
 
 def statements(d: Diagnosis, more: Details | None = None) -> list[Statement]:
-    """Return all statements in the order in which a reader wants them (statements.j2)."""
+    """Return all statements of a diagnosis in the order of the template statements.j2."""
     topics = paragraphs(_TEMPLATES / "statements.j2", d, more=more or Details(), **_SAYS)
     return [Statement(kind.rstrip("!"), text, kind.endswith("!")) for kind, text in topics]
 
 
 def headline(d: Diagnosis, more: Details | None = None) -> str:
-    """Return the verdict in a sentence: causes, and the share of the gap that has no cause."""
+    """Return a sentence of the verdict, the causes and the part of the gap without a cause."""
     return sentence(_TEMPLATES / "headline.j2", d, more=more or Details(), **_SAYS)
 
 
 def assumptions(d: Diagnosis) -> tuple[str, ...]:
-    """Return what was assumed for missing columns and declared values, as sentences."""
+    """Return a sentence for each assumption about missing columns and declared values."""
     return tuple(text for _, text in paragraphs(_TEMPLATES / "assumptions.j2", d, **_SAYS))
 
 
 def noise(d: Diagnosis) -> str:
-    """Return in words what the residual of a campaign without causes is taken for."""
+    """Return a phrase on the noise of a campaign without causes and the source that confirms it."""
     by_source = {
         Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared",
         Rule.SHEET: ", no larger than the data sheet allows",
@@ -80,37 +80,40 @@ def noise(d: Diagnosis) -> str:
 
 
 def hidden(d: Diagnosis) -> bool:
-    """Return whether structure that was taken as noise exceeds the error beyond the noise."""
+    """Return whether structure within the estimated noise exceeds the error beyond the noise."""
     beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 
 
 def members(d: Diagnosis) -> str:
-    """Return the causes in words, indistinguishable ones with all labels."""
+    """Return the labels of all causes as text, each with the labels indistinguishable from it."""
     at = {c.label: f" ({joints_of(c)})" for c in d.causes if c.joint is None and len(c.effects) > 1 and joints_of(c)}
     each = [names_of(d, c.label) + at.get(c.label, "") for c in d.causes]
     return "; ".join(each) if d.cause_set and d.cause_set.names else listed(each)
 
 
 def names_of(d: Diagnosis, label: str) -> str:
-    """Return a cause's label, or all its indistinguishable labels with probabilities."""
+    """Return a cause's label as text, or all its indistinguishable labels with probabilities."""
     names = d.cause_set.names.get(label, {}) if d.cause_set else {}
     return " or ".join(f"{k} ({p:.2f})" for k, p in names.items()) or label
 
 
 def floor_of(d: Diagnosis, more: Details | None) -> float:
-    """Return the held-out error by noise alone under the best model that is reported [m]."""
+    """Return the mean held-out error by noise alone under the best reported model [m]."""
     return d.gap.floor if more is None or more.floor is None else more.floor
 
 
 def left_over(d: Diagnosis) -> tuple[float, float, float]:
-    """Return the rms model errors without noise [mm], of base model and all causes; ratio."""
+    """Return the rms held-out errors without noise of base model and with all causes [mm].
+
+    The third item is the ratio of the latter to the former, 0 if the former is 0.
+    """
     before, after = float(d.course.iloc[0]["model_mm"]), float(d.course.iloc[-1]["model_mm"])
     return before, after, after / before if before > 0 else 0.0
 
 
 def readings_of(d: Diagnosis) -> str:
-    """Return in words over how many readings the error of a pose is the norm; empty for one."""
+    """Return a phrase on the number of readings in the error of a pose; empty for a single one."""
     most = d.case.observations.stops.most
     return f", of each the norm over up to {most} readings" if most > 1 else ""
 
@@ -122,19 +125,25 @@ def unlogged(d: Diagnosis) -> list[int]:
 
 
 def wires_of(d: Diagnosis, faults: Sequence[Cause]) -> str:
-    """Return in words the wires (distance sensors) with faults; empty if the faults are of none."""
+    """Return the names of the distance sensors (wires) with errors as text; empty for none.
+
+    faults : causes
+    """
     return listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
 
 
 def great_parts(where: Localisation) -> list[dict[Hashable, Any]]:
-    """Return the five parts of the robot with the greatest shares of the gap, from 5 % on."""
+    """Return at most five parts of the robot with the largest fractions of the gap, from 5 % on.
+
+    Each is a row of `Localisation.joints` or `Localisation.links` as a dict.
+    """
     parts = pd.concat([where.joints, where.links])
     great = parts[(parts["share"] >= 0.05) & (parts["part"] != "elsewhere")].sort_values("share", ascending=False)
     return great.head(5).to_dict("records")
 
 
 def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
-    """Yield (label, side, probability) of causes close to the threshold of a claim."""
+    """Yield (label, "above" or "below", probability) of causes near the threshold of a claim."""
     members, claimed = d.cause_set.members if d.cause_set else {}, d.verdict in ("explained", "ambiguous")
     judged = {c.label: members.get(c.label, c.confidence) for c in d.causes if claimed}
     ranking, listed = d.rankings[-1], {c.label for c in d.case.candidates if c.listed}
@@ -147,8 +156,8 @@ def claims_near(d: Diagnosis) -> Iterator[tuple[str, str, float]]:
 def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]]:
     """Yield the detections whose probability is close to their threshold.
 
-    Each item is what is detected, the name of its absence, the side, the probability of absence and
-    its threshold.
+    Each item is the name of what is detected, that of its absence, "above" or "below", the
+    probability of absence and the threshold of that.
     """
     detected = (
         (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, SETTINGS.max_p_nothing),
@@ -160,7 +169,10 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
 
 
 def _side_of_threshold(probability: float, threshold: float) -> str:
-    """Return "above" or "below" for a probability close to a threshold, else an empty string."""
+    """Return "above" or "below" for a probability close to a threshold, else an empty string.
+
+    It is close if the odds differ by less than `Settings.near_threshold_odds_ratio`.
+    """
     times = (1 - threshold) * probability / max(threshold * (1 - probability), 1e-300)
     return (
         "above"
@@ -172,12 +184,12 @@ def _side_of_threshold(probability: float, threshold: float) -> str:
 
 
 def change(ratio: float) -> str:
-    """Return in words by how much an error is larger or smaller than another one, of this ratio."""
+    """Return a phrase, "12 % more" or "12 % less", for the ratio of an error to another one."""
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
 def resembles(d: Diagnosis) -> str:
-    """Return the unlisted form that the remaining error resembles most; empty without one.
+    """Return the label of the unlisted form that the remaining error resembles most; else "".
 
     There is none if a listed cause is the most probable, or the form's probability is below 0.5.
     """
@@ -187,7 +199,10 @@ def resembles(d: Diagnosis) -> str:
 
 
 def not_logged(d: Diagnosis) -> dict[str, str]:
-    """Return what could be judged, by the columns (as a user writes them) that were not logged."""
+    """Return the effects that could be judged, as text, by the columns that were not logged.
+
+    Columns are named as a user writes them.
+    """
     said = gathered_by_columns(missing_columns(d))
     logged = d.case.m.conditions
     if "temperature_degC" in logged and "time_s" not in logged:
@@ -201,7 +216,10 @@ def missing_columns(d: Diagnosis) -> dict[str, tuple[str, ...]]:
 
 
 def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
-    """Return by how much poses of `next_poses` raise the probability of the right decision."""
+    """Return the increase, 0 to 1, of the probability of the right decision by poses.
+
+    poses : table as of `next_poses`
+    """
     before, after = discrimination_probability(d, poses)
     return after - before
 

@@ -10,7 +10,7 @@ from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import SUBJECTS, Statement, floor_of, readings_of, statements
 
-# Width of the full report [characters].
+# Largest width of the full report on a terminal [characters].
 PAGE_WIDTH = 112
 
 
@@ -26,9 +26,9 @@ def page_of(d: Diagnosis, more: Details | None = None) -> str:
 
 
 def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
-    """Return the full report: statements by topic, each table after its introduction.
+    """Return the full report as blocks: statements by topic, each table after its introduction.
 
-    more : of `analyse`; None for a report of the diagnosis alone
+    more : result of `analyse`; None for a report of the diagnosis alone
     """
     blocks: list[Words | Table] = []
     rows: list[tuple[str, str]] = []
@@ -50,7 +50,7 @@ def detailed(d: Diagnosis, more: Details | None = None) -> Sequence[Words | Tabl
 
 
 def _sized(d: Diagnosis) -> Iterator[Table]:
-    """Yield the table of the causes, each with its signature, label and parameters."""
+    """Yield the table of the causes, each with its signature, label, parameters and shrink."""
     rows = []
     for k, r in enumerate(cause_rows(d), 1):
         sizes = (
@@ -63,9 +63,9 @@ def _sized(d: Diagnosis) -> Iterator[Table]:
 
 
 def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Words | Table]:
-    """Return the short answer, at most 25 lines of 100 columns.
+    """Return the short answer as blocks, at most 25 lines of 100 columns.
 
-    It has verdict, error before and after, causes, and three things to know.
+    It has title, verdict, error before and after, causes, and the statements of `things_to_know`.
     """
     sentences = statements(d, more)
     return [
@@ -88,7 +88,7 @@ def _errors(d: Diagnosis, more: Details | None) -> Table:
 
 
 def _causes(d: Diagnosis) -> Iterator[Table | Words]:
-    """Yield the table of the first causes, and how many more there are."""
+    """Yield the table of the first six causes, and the number of further ones if there are any."""
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
         columns = ("cause", "probability", "error less, 95 %", "what the data show")
@@ -98,7 +98,10 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
 
 
 def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
-    """Return at most three statements, doubts first, and always the one on the noise."""
+    """Return the three most important statements, warnings first, and that on the noise.
+
+    every : all statements
+    """
     of_each: dict[str, Statement] = {}
     for s in every:
         previous = of_each.get(s.about)
@@ -116,7 +119,7 @@ def things_to_know(d: Diagnosis, every: Sequence[Statement]) -> list[Statement]:
 
 
 def _short(text: str, length: int = 290) -> str:
-    """Return a text cut to three lines of a terminal, if possible at the end of a clause."""
+    """Return a text cut to `length` characters, if possible at the end of a clause."""
     if len(text) <= length:
         return text
     whole, part, _ = text[:length].rpartition("; ")

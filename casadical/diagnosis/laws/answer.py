@@ -32,7 +32,7 @@ from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-# Unit of reports, and the factor to it, by SI unit of a law's factor.
+# Unit in reports, and factor from SI to it, by SI unit of a law's factor.
 REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
 _MODEL_WORDS = {
     "base": "base model",
@@ -49,18 +49,18 @@ KeptModel = Literal["law", "smooth", "causes", "base"]
 class Discovery(Result):
     """Laws (symbolic expressions of unlisted effects) found in the residuals of a diagnosis.
 
-    diagnosis : of the same data
+    diagnosis : diagnosis of the same data
     rounds : comparisons of laws with their rivals, each given the laws of the rounds before
-    case : linear problem with the laws among its candidates
+    case : linear problem with the laws among its candidates, on the searched poses
     laws : the claimed laws
     causes : listed effects in the model with the laws
     noise : most probable noise given both
-    values : factors of the laws: (value, standard error, unit) [SI] by parameter
-    gap : mean held-out error [m] of the base model, with the diagnosis's causes, with the laws (and
-        causes given them), with causes and smooth forms; only those that exist
-    shrink : share by which the gap falls with the laws, and its 95 % interval; settings are chosen
-        again in each fold
-    smooth : the smooth description, None without one
+    values : factors of the laws: (value, standard error, unit) [SI] by name of the parameter
+    gap : mean held-out error [m] by model: "base", "causes" (those of the diagnosis), "law" (laws
+        and `causes`), "smooth" (causes and smooth forms); only models that exist
+    shrink : fraction, up to 1, by which the gap falls with the laws, and its 95 % interval;
+        settings are chosen again in each fold; None without laws
+    smooth : description of an unlisted cause by smooth forms, None without one
 
     Examples
     --------
@@ -86,12 +86,12 @@ class Discovery(Result):
 
     @property
     def kept(self) -> KeptModel:
-        """Return which model predicts held-out poses best; laws count only if claimed."""
+        """Return the name of the model in `gap` that predicts held-out poses best."""
         return best_of(self.gap, lambda name: -self.gap[name])
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Return the effects of the model that predicts held-out poses best."""
+        """Return the effects of the model that predicts held-out poses best; () for the base."""
         laws = tuple(s.law for s in self.laws)
         effects = {
             "law": (*self.causes, *laws),
@@ -110,7 +110,7 @@ class Discovery(Result):
 
     @property
     def thinned(self) -> tuple[int, int] | None:
-        """Return the numbers of poses searched and of all inliers; None where they are equal."""
+        """Return the numbers of searched poses and of all inliers; None where they are equal."""
         searched, inliers = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
         return None if searched == inliers else (searched, inliers)
 
@@ -120,12 +120,12 @@ class Discovery(Result):
 
     @property
     def lines(self) -> list[str]:
-        """Return each claimed law as a line of text."""
+        """Return each claimed law as a line of text (see `line_of`)."""
         return [line_of(s.law, _factor_values(self, s)) for s in self.laws]
 
     @property
     def in_words(self) -> str:
-        """Return the claimed laws with held-out errors as a sentence, or why none is claimed."""
+        """Return a sentence with the claimed laws and held-out errors, or why none is claimed."""
         if not self.laws:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
@@ -152,13 +152,16 @@ class Discovery(Result):
 
     @cached_property
     def remainder(self) -> Array:
-        """Return the residuals given the laws and causes, shape (n, 3) [m]."""
+        """Return the residuals of a fit with laws and causes, shape (n, 3) [m].
+
+        They are those of the n searched poses.
+        """
         columns = [self.case.columns[e] for e in self.causes] + [self.case.columns[s.law] for s in self.laws]
         fit = new_fit(self.case.evidence, np.unique(np.concatenate(columns)), self.noise)
         return fit.residual(fit.x)
 
     def figures(self) -> list[Figure]:
-        """Return a figure of each claimed law."""
+        """Return a figure of each claimed law over its driver."""
         return [
             _figure(self, s, line, self.remainder, f"law{k}")
             for k, (s, line) in enumerate(zip(self.laws, self.lines, strict=True))
@@ -171,15 +174,17 @@ class Discovery(Result):
     def page(self, name: str, files: Sequence[Path] = ()) -> Page:
         """Return the page of a report.
 
-        name : of the campaign; files : the files from which it was made
+        name : name of the campaign; files : the files from which it was made
         """
         robot = self.diagnosis.identification.given.name
         return Page("Discovery", f"Laws of {name}", robot, [self.section()], files=files)
 
     def to_json(self, name: str = "") -> dict[str, Any]:
-        """Return the result as plain data in rad, m and nats (gaps in mm).
+        """Return the result as plain data for JSON in rad, m and nats (gaps in mm).
 
-        name : of the campaign, by default its table
+        Keys are campaign, verdict, those of `laws_json`, causes, diagnosis and rounds.
+
+        name : name of the campaign, by default that of its table
         """
         first = self.rounds[0]
         verdict = (
@@ -195,7 +200,11 @@ class Discovery(Result):
         }
 
     def laws_json(self) -> dict[str, Any]:
-        """Return the claimed laws, the held-out error of each model [mm] and the best model."""
+        """Return the laws and held-out errors as plain data for JSON.
+
+        Keys are laws, gap_mm (by model), shrink, kept (the best model) and, where they apply, why
+        (no law is claimed) and poses.
+        """
         shrink = self.shrink and {"share": round(self.shrink[0], 4), "interval": [round(x, 4) for x in self.shrink[1]]}
         return {
             "laws": [_law(self, s, line) for s, line in zip(self.laws, self.lines, strict=True)],
@@ -207,9 +216,10 @@ class Discovery(Result):
         }
 
     def files(self, folder: str | Path, name: str = "") -> dict[Path, str]:
-        """Return the files of `casadical diagnose --laws --out`: robot, laws, JSON and text.
+        """Return the text of each file of `casadical diagnose --laws --out`, by path.
 
-        name : of the campaign. Raises ConvergenceError.
+        They are robot, laws, JSON and report. folder : folder of the files; name : name of the
+        campaign. Raises ConvergenceError.
         """
         refit, folder, name = self.refit(), Path(folder), name or self.case.m.source
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
@@ -226,7 +236,7 @@ class Discovery(Result):
 def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     """Return a law as a line of text: joint 2 += 84 urad * max(0, |tau3| - 0.3).
 
-    values : of its factors, by short name [SI]; without them the names are shown
+    values : values of its factors, by short name [SI]; None: the names are shown
     """
     unit, factor = REPORT_UNITS[SEAMS[law.seam][1]]
 
@@ -257,17 +267,17 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
 
 
 def _point(of: tuple[float, float, float]) -> str:
-    """Return a point or direction as text."""
+    """Return the components of a point or direction as text, separated by commas."""
     return ", ".join(f"{v:g}" for v in of)
 
 
 def _factor_values(d: Discovery, s: ScoredLaw) -> dict[str, float]:
-    """Return the values [SI] of a law's factors, by short name."""
+    """Return the identified values of a law's factors, by short name [SI]."""
     return {name: d.values[f"{s.law.label}.{name}"][0] for name in s.law.sizes()}
 
 
 def _factors(d: Discovery, s: ScoredLaw) -> str:
-    """Return a law's factors with standard errors, as text."""
+    """Return a law's factors with standard errors as text, in the units of `REPORT_UNITS`."""
     unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
     each = {name: d.values[f"{s.law.label}.{name}"] for name in s.law.sizes()}
     return "; ".join(
@@ -276,7 +286,7 @@ def _factors(d: Discovery, s: ScoredLaw) -> str:
 
 
 def _why_not(r: Round) -> str:
-    """Return why the best law of a round is not claimed."""
+    """Return a sentence on why the best law of a round is not claimed."""
     enough = r.best.score >= SETTINGS.min_law_score
     if r.alias and enough:
         names = ", ".join(r.alias)
@@ -289,7 +299,7 @@ def _why_not(r: Round) -> str:
 
 
 def _table(r: Round, title: str) -> Table:
-    """Return the table of the laws of a round and their rivals."""
+    """Return the table of the best laws of a round and their rivals, with scores [nats]."""
     rows = [(f"{s.score:.1f}", line_of(s.law), s.tried.form.name) for s in (r.best, *r.alike)]
     rivals = (("listed", r.listed), ("on no list", r.smooth), ("noise", r.noise))
     rows += [(f"{score:.1f}", f"{kind}: {label}", "") for kind, (label, score) in rivals]
@@ -305,7 +315,10 @@ def _table(r: Round, title: str) -> Table:
 
 
 def _law(d: Discovery, s: ScoredLaw, line: str) -> dict[str, Any]:
-    """Return a law as plain data."""
+    """Return a law with factors [SI], settings and score [nats] as plain data for JSON.
+
+    line : its text, as of `line_of`
+    """
     names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
     own, keys = {n: d.values[f"{s.law.label}.{n}"] for n in s.law.sizes()}, ("value", "std_error", "unit")
     return {
@@ -321,7 +334,7 @@ def _law(d: Discovery, s: ScoredLaw, line: str) -> dict[str, Any]:
 
 
 def _round(r: Round) -> dict[str, Any]:
-    """Return a round as plain data."""
+    """Return a round's laws and rivals with scores [nats] as plain data for JSON."""
     rivals = {"listed": r.listed, "smooth": r.smooth, "noise": r.noise}
     return {
         "claimed": r.claimed,
@@ -337,7 +350,8 @@ def _round(r: Round) -> dict[str, Any]:
 def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) -> Figure:
     """Return the figure of a law over its driver, along the direction in which it acts most.
 
-    residuals : residuals of the fit to all poses, shape (n, 3) [m]
+    line : title; residuals : residuals of the fit with the law, shape (n, 3) [m]
+    name : name of the figure
     """
     unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
     seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]

@@ -27,14 +27,17 @@ from casadical.robot.robot import Robot
 # Position of an instrument in the measuring frame [m], or direction of its target in the flange
 # frame.
 Point: TypeAlias = tuple[float, float, float]
-# Number of directions around the robot in which stations are tried.
+# Number of horizontal directions around the robot's base in which stations of an instrument are
+# searched.
 STATION_DIRECTIONS = 8
-# Spacing of the wave numbers of short waves over the range.
+# Spacing of the wave numbers of short waves: range errors periodic with 2 rad/m or more.
 WAVE_SPACING_RAD_PER_M = 0.25
-# Directions of a target, up to sign: along the flange's axes, between two, and between all three.
+# Directions in which a target may face, in the flange frame, not normalised, one of each pair of
+# opposites: along an axis, between two axes, and between all three.
 _TARGET_DIRECTIONS = [(x, y, z) for x in (1, 0, -1) for y in (1, 0, -1) for z in (1, 0, -1) if (x, y, z) > (0, 0, 0)]
 
-# Drivers of errors along and across an instrument's beam, with their kinds.
+# Drivers of errors along and across an instrument's beam, by insertion point: kind (see
+# `FORMS_BY_KIND`) by formula.
 _DRIVERS_BY_SEAM: Mapping[str, Mapping[str, str]] = {
     "beam": {
         "r": "range",
@@ -48,10 +51,13 @@ _DRIVERS_BY_SEAM: Mapping[str, Mapping[str, str]] = {
 
 
 def stations(robot: Robot) -> list[Point]:
-    """Return stations to try: the measuring frame's origin, and points around the robot [m]."""
+    """Return candidate positions of an instrument in the measuring frame [m].
+
+    They are its origin and points around the robot's base at three distances.
+    """
     middle, reach = robot.base.T[:3, 3], robot.reach
     places = [np.zeros(3)]
-    # Stations are tried at these distances from the robot, divided by its reach.
+    # Horizontal distances of the stations from the robot's base, divided by its reach.
     for far in (1.5, 2.5, 4.0):
         for turn in 2 * np.pi * np.arange(STATION_DIRECTIONS) / STATION_DIRECTIONS:
             places.append(middle + reach * np.array([far * np.cos(turn), far * np.sin(turn), 0.5]))
@@ -59,13 +65,16 @@ def stations(robot: Robot) -> list[Point]:
 
 
 def _rounded(at: Array) -> Point:
-    """Return a point rounded to three digits after the decimal point."""
+    """Return a point or direction with coordinates rounded to three decimals."""
     x, y, z = (round(float(v), 3) for v in at)
     return x, y, z
 
 
 def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterator[ScreenedLaw]:
-    """Yield the best law of each driver and form of an instrument's beam and head."""
+    """Yield the best law by screened evidence of each driver and form of an instrument's beam.
+
+    Drivers of the head's rotation are included if its columns exist for all stations.
+    """
     places = stations(robot)
     turns = all(head_column(at) in linear.conditions for at in places)
     for seam, drivers in _DRIVERS_BY_SEAM.items():
@@ -85,9 +94,9 @@ def by_the_beam(problem: Problem, linear: Linearisation, robot: Robot) -> Iterat
 class Beam:
     """Errors of an instrument along or across its beam by one driver.
 
-    linear : the linearised robot at the poses
+    linear : the robot linearised at the poses
     middle, reach : position of the robot's base in the measuring frame, and its reach [m]
-    seam : insertion point, "beam" or "across"; driver : of the errors
+    seam : insertion point, "beam" or "across"; driver : quantity on which the errors depend
     """
 
     linear: Linearisation
@@ -99,9 +108,11 @@ class Beam:
     def at(self, station: Point, towards: Point = DEFAULT_TARGET_DIRECTION) -> tuple[InsertionPoint, Array]:
         """Return the insertion point of an instrument at a station, and the driver's values, (n,).
 
-        station : in the measuring frame [m]; towards : direction of the target in the flange frame
         The columns equal those of `Linearisation.columns`, which compiles a formula for each
         station.
+
+        station : its position in the measuring frame [m]
+        towards : direction in which the target faces, in the flange frame
         """
         beam, frame = self.linear.seen[:, :3] - station, self.linear.seen[:, -12:-3].reshape(-1, 3, 3)
         r = np.sqrt((beam**2).sum(axis=1) + 1e-12)
@@ -126,9 +137,9 @@ class Beam:
         )
 
     def nearby(self, law: Law, step: float) -> list[tuple[InsertionPoint, Array]]:
-        """Return neighbours of a law's place: its station moved by a step, or its target turned.
+        """Return the places near a law's: its station moved by a step, or its target rotated.
 
-        The values of the driver are returned with each.
+        Each is an insertion point with the driver's values, shape (n,). step : dimensionless
         """
         out = np.asarray(law.station) - self.middle
         far = max(float(np.linalg.norm(out)), self.reach)
@@ -148,22 +159,30 @@ class Beam:
         return near
 
     def at_all(self, places: Sequence[Point]) -> list[tuple[InsertionPoint, Array]]:
-        """Return the insertion points at all stations, for all target directions if they matter."""
+        """Return the insertion points and driver's values (n,) of all stations [m].
+
+        There is one for each target direction if the driver depends on it.
+        """
         ways = [_rounded(np.array(way) / np.linalg.norm(way)) for way in _TARGET_DIRECTIONS]
         every = itertools.product(places, ways if "incidence" in self.driver.text else [DEFAULT_TARGET_DIRECTION])
         return [self.at(*at) for at in every]
 
     def laws(self, form: Form, there: Sequence[tuple[InsertionPoint, Array]]) -> TriedLaws:
-        """Return the laws of one form at some places together."""
+        """Return the laws of one form at several places.
+
+        there : places with the driver's values, as of `at_all`
+        """
         beams, x = zip(*there, strict=True)
         return TriedLaws(beams, self.driver, form, x, nearby=None if HEAD_NAME in self.driver.text else self.nearby)
 
     def tried(
         self, problem: Problem, form: Form, there: Sequence[tuple[InsertionPoint, Array]], settings: int = 0
     ) -> ScreenedLaw:
-        """Return the best of these laws by screened evidence.
+        """Return the best law of one form at several places by screened evidence.
 
-        settings : number of settings from which those judged were selected, by default their number
+        there : places with the driver's values, as of `at_all`
+        settings : number of settings from which those of the laws were selected, over which the
+            evidence is averaged; by default the number of laws
         """
         laws = self.laws(form, there)
         functions = [scaled(form.values(v, s)) for v, s in zip(laws.x, laws.settings, strict=True)]
@@ -177,7 +196,10 @@ class Beam:
         return ScreenedLaw(laws, k, laws.settings[k][best], float(each[k][best]), mean)
 
     def short_waves(self, problem: Problem) -> list[ScreenedLaw]:
-        """Return the best short wave over the range, from many more stations."""
+        """Return the best wave over the range of 2 rad/m or more, from many more stations.
+
+        The list has one item, or none if the stations would be too many.
+        """
         places, settings = self._places(problem)
         if not settings:
             return []
@@ -190,9 +212,11 @@ class Beam:
         return [replace(found, tried=replace(found.tried, again=again))]
 
     def _places(self, problem: Problem, poses: Array | slice = WHOLE_AXIS) -> tuple[list[Point], int]:
-        """Return the stations whose short waves have the greatest products with the residual.
+        """Return the stations [m] whose short waves have the greatest products with the residual.
 
-        The second value is the number of stations times waves that were searched.
+        The second item is the number of pairs of a station and a wave number that were searched.
+
+        poses : indices of the problem's poses among those of the linearisation
         """
         point, weights = (
             self.linear.seen[poses, :3],
@@ -226,8 +250,9 @@ class Beam:
 def _greatest(beams: Array, weights: Array, waves: Array) -> Array:
     """Return the greatest product of the residual with waves over the range, shape (places,).
 
-    beams : shape (places, n, 3) [m]; weights : see `Problem.residual_weights`; waves : spaced by
-        WAVE_SPACING_RAD_PER_M, shape (k,) [rad/m]
+    beams : vectors from each station to each measured point, shape (places, n, 3) [m]
+    weights : see `Problem.residual_weights`
+    waves : wave numbers spaced by WAVE_SPACING_RAD_PER_M, shape (k,) [rad/m]
     """
     r = np.sqrt((beams**2).sum(axis=2)) + 1e-6
     product = (beams * weights).sum(axis=2) / r * np.exp(1j * waves[0] * r)
@@ -239,10 +264,13 @@ def _greatest(beams: Array, weights: Array, waves: Array) -> Array:
 
 
 def _directions(step: float) -> Array:
-    """Return points around the origin at all distances, a step apart [rad], (places, 3) [reach]."""
+    """Return points around the origin at three distances, shape (places, 3), in units of the reach.
+
+    step : angle between neighbouring directions [rad]
+    """
     low, high = -0.15, 0.6  # elevations above the horizontal [rad]
     ups = np.linspace(low, high, 1 + int(np.ceil((high - low) / step)))
-    # The distances from the robot are divided by its reach.
+    # Distances of the stations from the robot's base, divided by its reach.
     every = np.meshgrid((1.0, 1.6, 3.0), ups, np.arange(0, 2 * np.pi, step), indexing="ij")
     far, up, turn = (a.ravel() for a in every)
     points = np.column_stack([np.cos(up) * np.cos(turn), np.cos(up) * np.sin(turn), np.sin(up)])

@@ -47,7 +47,11 @@ from casadical.measurements.measurements import Noise
 def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_law_poses) -> bool:
     """Return whether the best law replaces all causes of a diagnosis together.
 
+    It does if it is claimed, has enough evidence against several causes, and predicts held-out
+    poses better.
+
     first : comparison of laws without a cause in the model
+    poses : largest number of poses on which the two are compared
     """
     if not first.claimed:
         return False
@@ -67,8 +71,9 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_la
 def laws_before_causes(found: Diagnosis, poses: int = SETTINGS.max_law_poses) -> Round:
     """Return the comparison of laws with their rivals without a cause in the model.
 
-    Of the possible forms of noise, it is under the first with a claimed law, else under the last.
-    poses : largest number of poses searched
+    It is under white noise or, if no law is claimed then, under AR(1) noise where that is better.
+
+    poses : largest number of poses on which laws are searched
     """
     for full_case, case, ranking in _before_causes(found, poses):
         first, _ = with_best_noise(full_case, round_of(case, NO_COLUMNS, ranking), poses)
@@ -80,7 +85,8 @@ def laws_before_causes(found: Diagnosis, poses: int = SETTINGS.max_law_poses) ->
 def claimed_before_causes(found: Diagnosis) -> tuple[Round, Case] | None:
     """Return the comparison with a claimed law and the case under its noise; None without one.
 
-    Laws that certainly lose against rivals are not judged exactly.
+    No cause is in the model. Laws that certainly have lower scores than rivals are not evaluated
+    exactly.
     """
     for full_case, case, ranking in _before_causes(found, SETTINGS.max_law_poses):
         # Refining their settings only raises the scores of rivals.
@@ -99,8 +105,10 @@ def with_best_noise(
     """Return a comparison, and its case with all poses, under the best noise given a claimed law.
 
     While the noise given the law has another AR coefficient, all are compared again under it.
-    case : with all poses; first : comparison of its laws; poses : largest number of poses searched
-    chosen, causes : columns and labels of the effects in the model
+
+    case : case with all poses; first : comparison of its laws
+    poses : largest number of poses on which laws are searched
+    chosen, causes : indices of the columns and labels of the effects in the model
     """
     for _ in range(SETTINGS.max_form_searches if case.observations.plain else 0):
         own = with_law(case, first.best.law) if first.claimed else None
@@ -114,13 +122,13 @@ def with_best_noise(
 
 
 def with_law(case: Case, law: Law) -> Case:
-    """Return the case with a law among its candidates."""
+    """Return the case with a law as an additional unlisted candidate."""
     named = Candidate(law.label, law.name, law.joint, (), listed=False)
     return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
 
 
 def _before_causes(found: Diagnosis, poses: int) -> Iterator[tuple[Case, Case, Ranking]]:
-    """Yield the case, the case of some poses, and its ranking without a cause in the model.
+    """Yield (case, case thinned to `poses`, ranking in it without a cause), for one or two noises.
 
     Where there is no cause and the noise is autocorrelated, the first is under white noise, since a
     law may be what is autocorrelated, and the second under AR(1) noise, which may hide a law.
@@ -152,9 +160,9 @@ def with_ar_noise(case: Case, ranking: Ranking) -> Case | None:
 
 
 def thinned(case: Case, poses: int) -> Case:
-    """Return the case with at most `poses` inliers, spread over the campaign.
+    """Return the case with at most `poses` inliers, evenly taken from the campaign in time.
 
-    The AR coefficient of its noise is that of the larger time steps.
+    The AR(1) coefficient of its noise is adapted to the larger steps between them.
     """
     at = np.flatnonzero(case.kept)[case.order]
     mask = np.zeros_like(case.kept)
@@ -167,12 +175,12 @@ def thinned(case: Case, poses: int) -> Case:
 
 
 def _log_none(case: Case) -> float:
-    """Return the log likelihood without a cause, under the case's form of noise."""
+    """Return the log likelihood without a cause, under the case's form of noise [nats]."""
     return float(np.logaddexp.reduce(case.judged.log_base(NO_COLUMNS), axis=None)) + case.form.log_weight
 
 
 def _set_mass(found: Diagnosis) -> float:
-    """Return log evidence plus log prior of all listed causes together; -inf for a single one."""
+    """Return log evidence plus log prior of all causes together [nats]; -inf for less than two."""
     labels = {c.label for c in found.causes}
     total, count = 0.0, 0
     for ranking in found.rankings:
@@ -185,15 +193,18 @@ def _set_mass(found: Diagnosis) -> float:
 
 
 def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str] = frozenset()) -> Round:
-    """Return the comparison of laws with the candidates of a ranking.
+    """Return the comparison of the laws found by a search with the candidates of a ranking.
 
-    chosen : columns in the model; without : labels of laws in it
+    chosen : indices of the columns in the model; without : labels of laws in it
     """
     return _judged(search_laws(case, chosen, without), case, chosen, ranking)
 
 
 def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranking) -> Round:
-    """Return the comparison of scored laws with the rivals of a ranking."""
+    """Return the comparison of laws with the candidates of a ranking and with forms of noise.
+
+    laws : the best first; chosen : indices of the columns in the model
+    """
     score = itemgetter(1)
     by_label = {c.label: c for c in case.candidates}
     labels = list(ranking.log_factor)
@@ -211,7 +222,7 @@ def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranki
 
 
 def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: Array) -> tuple[str, float]:
-    """Return label and score of a rival: log evidence plus the gain by refining its settings."""
+    """Return label and score of a rival: its log Bayes factor with refined settings [nats]."""
     label = candidate.label
     score, variant = ranking.log_factor[label], candidate.variants[ranking.variant[label]]
     if len(variant) != 1 or variant[0].parts:
@@ -227,7 +238,8 @@ def _refined_rival(case: Case, candidate: Candidate, ranking: Ranking, chosen: A
 def aliases(case: Case, chosen: Array, law: ScoredLaw, variant: Mapping[str, int]) -> tuple[str, ...]:
     """Return labels of the listed effects that are equivalent to a law: they can reproduce its fit.
 
-    chosen : columns in the model; variant : index of the settings of each candidate, by label
+    chosen : indices of the columns in the model
+    variant : index of the settings of each candidate, by label
     """
     problem = Problem.of_case(case, chosen)
     rho = float(RHO_GRID[int(np.argmin(np.abs(RHO_GRID - law.noise.repeatability / law.noise.sigma)))])
@@ -251,10 +263,11 @@ def aliases(case: Case, chosen: Array, law: ScoredLaw, variant: Mapping[str, int
 
 
 def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise, seed: int) -> Array:
-    """Return the position error of each inlier, (n,) [m], by a fit to the other folds.
+    """Return the reported error of each inlier by a fit to the other folds, (n_inliers,) [m].
 
-    columns : of effects in the model, whose settings are fixed
+    columns : indices of the columns of effects in the model, whose settings are fixed
     laws : laws in the model, whose settings are chosen again in each fold
+    noise : noise of the fits; seed : seed of the folds
     """
     base = case.evidence.with_base(columns)
     folds = random_folds(len(base.r), seed, alike=base.alike)
@@ -271,7 +284,12 @@ def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise
 
 
 def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Array]:
-    """Return columns at all poses of laws with settings refined on some, (n, 3, w) each."""
+    """Return the columns of laws whose settings are refined on some poses, (n, 3, w) each.
+
+    The columns are at all poses; each law is refined given those before it.
+
+    base : linear model of all poses; train : indices of the poses used
+    """
     columns: list[Array] = []
     for law in laws:
         earlier = np.concatenate([np.zeros((*base.r.shape, 0)), *columns], axis=2)
@@ -282,7 +300,10 @@ def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Ar
 
 
 def _best(problem: Problem, law: ScoredLaw, train: Array) -> Array:
-    """Return the columns at all poses of a law with its best settings on some of them."""
+    """Return the columns at all poses, (n, 3, w), of a law with its best settings on some poses.
+
+    problem : problem of these poses; train : their indices
+    """
     if not law.tried.form.settings and len(law.tried.seams) == 1:
         return law.columns
     tried, logs = law.tried.by(problem, train), []

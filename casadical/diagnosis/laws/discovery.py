@@ -42,7 +42,7 @@ def discover(
     seed: int = 0,
     show: Show = silent,
 ) -> Discovery:
-    """Return the laws of what no listed effect explains in a campaign, with its diagnosis.
+    """Return laws for the errors in a campaign that no listed effect explains, with its diagnosis.
 
     robot, m, effects, seed, show : as of `diagnose`
     Raises InputError: the measurements cannot carry a diagnosis.
@@ -59,9 +59,10 @@ def discover(
 def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTINGS.max_law_poses) -> Discovery:
     """Return the laws of a diagnosed campaign.
 
-    A law is first compared with all causes together, which stay if they win; then laws are searched
-    given the causes or the law.
-    poses : largest number of poses on which laws are searched, spread over the campaign
+    The best law is first compared with all causes together and replaces them or not; then further
+    laws are searched given the causes or the law.
+
+    poses : largest number of poses on which laws are searched, evenly taken from the campaign
     """
     show("laws beside nothing")
     case = thinned(found.case, poses)
@@ -111,7 +112,10 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
 def _concluded(
     found: Diagnosis, rounds: list[Round], case: Case, laws: list[ScoredLaw], causes: tuple[Effect, ...], columns: Array
 ) -> Discovery:
-    """Return the discovery, with held-out errors of all models."""
+    """Return the result of the search, with held-out errors of all models.
+
+    columns : indices of the columns of all laws and causes in the model
+    """
     smooth = describe_unlisted(replace(found, verdict="unknown"))
     smooth = smooth if smooth and smooth.effects else None
     noise = laws[-1].noise if laws else found.noise

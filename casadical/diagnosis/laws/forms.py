@@ -24,8 +24,8 @@ from casadical.measurements.measurements import Measurements
 class Driver:
     """A quantity on which an error may depend.
 
-    text : its formula; kind : key of `FORMS_BY_KIND`, the forms that it may have
-    family : group of similar drivers
+    text : its formula; kind : key of `FORMS_BY_KIND`, which has the forms that it may have
+    family : name of a group of similar drivers
     """
 
     text: str
@@ -34,12 +34,15 @@ class Driver:
 
     @property
     def columns_only(self) -> bool:
-        """Return whether it depends on logged columns only, not on the pose."""
+        """Return whether all names in its formula are columns, none a quantity of the pose."""
         return all(COLUMN_NAME.fullmatch(name) for name in parse(self.text).names)
 
 
 def drivers_of(arm: Arm) -> list[Driver]:
-    """Return every driver of a robot, whether its columns were logged or not."""
+    """Return every possible driver of a robot's errors, whether its columns were logged or not.
+
+    Those of an instrument's beam are in `beams`.
+    """
     drivers = [Driver(f"q{i}", "angle", "angle") for i in arm.numbers]
     for i in arm.numbers[:-1]:
         drivers += [Driver(f"q{i} {sign} q{i + 1}", "angle", "angles") for sign in "+-"]
@@ -73,14 +76,17 @@ def drivers_of(arm: Arm) -> list[Driver]:
     return drivers
 
 
-# The name of the warmth in products of drivers.
+# Name of the warmth in products of drivers: the temperature with a lag of 600 s.
 DEFAULT_WARMTH = "warmth_600s"
 
 
 def with_columns(
     m: Measurements, drivers: Sequence[Driver], loads: Loads | None = None
 ) -> tuple[Measurements, list[Driver]]:
-    """Return measurements with the drivers' columns, and the drivers that have all of theirs."""
+    """Return measurements with the drivers' columns, and the drivers whose columns all exist.
+
+    loads : function that returns the joint loads of the robot, see `derive`
+    """
     needed = {d: columns_of(parse(d.text).names) for d in drivers}
     m, missing = derive(m, [c for columns in needed.values() for c in columns], loads)
     return m, [d for d in drivers if not set(needed[d]) & set(missing)]
@@ -104,7 +110,7 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
 
 
 def own_drivers() -> list[Driver]:
-    """Return drivers of laws of all joints at once, with names without the joint's number."""
+    """Return the drivers of laws of all joints at once; their names have no number of a joint."""
     drivers = [Driver("q", "angle", "angle"), Driver("tau", "signed", "load"), Driver("move", "signed", "move")]
     drivers += [Driver(text, "linear", "approach") for text in ("approach", "approach*tau", "approach*t")]
     return [
@@ -114,14 +120,20 @@ def own_drivers() -> list[Driver]:
 
 
 def own_values(linear: Linearisation, known: Mapping[str, Array], driver: Driver) -> Array:
-    """Return the values of a driver for every joint, (n, joints); known : as of `variables`."""
+    """Return the values of a driver of `own_drivers` for every joint, shape (n, joints).
+
+    known : values of names with the joint's number, as of `variables`
+    """
     formula = parse(driver.text)
     joints = [{n: known[n] if n in known else known[f"{n}{j}"] for n in formula.names} for j in linear.robot.numbers]
     return np.stack([np.asarray(formula.values(at, NUMERIC_FUNCTIONS)[0]) for at in joints], axis=1)
 
 
 def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
-    """Return the values of names at the poses, (n,) each, from columns of shifts of the base."""
+    """Return the values at the poses of names in formulas, by name, shape (n,) each.
+
+    They are computed as ratios of the columns of laws that shift the base.
+    """
     unit = linear.columns([Law(None, "base shift", "[a, 0, 0]")])[:, :, 0]
     values: dict[str, Array] = {}
     letters = "abcdefghijklmnopqs"  # factors of a formula that evaluates several names at once
@@ -139,9 +151,10 @@ def variables(linear: Linearisation, names: Sequence[str]) -> dict[str, Array]:
 class Form:
     """A function of a driver, linear in factors and nonlinear in settings.
 
-    name : of the form; parts : formulas in x and the settings, each with its own factor
+    name : name of the form; parts : formulas in x and the settings, each with its own factor
     settings : names of the settings
-    grid : returns settings, shape (K, settings), from the driver's values, shape (n,)
+    grid : function of the driver's values, shape (n,), that returns K candidate settings, shape (K,
+        settings)
     also : values of other names in the parts, shape (n,) each
     """
 
@@ -152,9 +165,9 @@ class Form:
     also: Mapping[str, Array] = field(default_factory=dict)
 
     def values(self, x: Array, settings: Array) -> Array:
-        """Return each part at all poses and settings, shape (parts, n, K).
+        """Return the value of each part at all poses and K settings, shape (parts, n, K).
 
-        x : shape (n,), or (n, joints) for a result of shape (parts, n, joints, K)
+        x : driver's values, shape (n,), or (n, joints) for a result of shape (parts, n, joints, K)
         settings : shape (K, settings)
         """
         names = {"x": x[..., None], **{n: settings[None, :, i] for i, n in enumerate(self.settings)}}
@@ -163,7 +176,7 @@ class Form:
         return np.stack([np.broadcast_to(part, (*x.shape, len(settings))) for part in parts])
 
     def texts(self, driver: str, settings: Sequence[float]) -> tuple[str, ...]:
-        """Return the formulas of its parts with a driver and settings inserted."""
+        """Return the formula of each part with the driver's formula and the settings inserted."""
         given = dict(zip(self.settings, settings, strict=True))
         texts = []
         for part in self.parts:
@@ -179,24 +192,24 @@ class Form:
 
 
 def number(value: float) -> str:
-    """Return a setting as text with four digits."""
+    """Return a setting as text with four significant digits."""
     return f"{float(value):.4g}"
 
 
 def rounded(settings: Array) -> Array:
-    """Return settings rounded to four digits, as they are written."""
+    """Return settings rounded to four significant digits, as `number` writes them."""
     flat = np.ravel(settings).tolist()
     written = " ".join(["%.4g"] * len(flat)) % tuple(flat)
     return np.array(written.split(), dtype=float).reshape(np.shape(settings))
 
 
 def _none(_x: Array) -> Array:
-    """Return the only grid point of a form without settings."""
+    """Return the grid of a form without settings: one point, shape (1, 0)."""
     return np.zeros((1, 0))
 
 
 def _quantiles(count: int) -> Callable[[Array], Array]:
-    """Return a grid of k, quantiles of the driver."""
+    """Return a function for a grid of k, shape (K, 1): `count` quantiles of the driver."""
 
     def grid(x: Array) -> Array:
         k = np.quantile(x, np.linspace(0.5 / count, 1 - 0.5 / count, count))
@@ -206,12 +219,15 @@ def _quantiles(count: int) -> Callable[[Array], Array]:
 
 
 def _beyond(x: Array) -> Array:
-    """Return the grid of k, quantiles of the absolute value of a driver."""
+    """Return the grid of k, shape (K, 1): six quantiles of the absolute value of a driver."""
     return rounded(np.unique(np.quantile(np.abs(x), [0.1, 0.25, 0.4, 0.55, 0.7, 0.85]))[:, None])
 
 
 def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
-    """Return the grid of k and w; shares : widths as shares of the driver's range."""
+    """Return a function for a grid of all pairs of k and w, shape (K, 2).
+
+    count : number of k, quantiles of the driver; shares : w divided by the range of the driver
+    """
 
     def grid(x: Array) -> Array:
         """Return the pairs of k and w for a driver's values."""
@@ -223,13 +239,19 @@ def with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]
 
 
 def _bands(x: Array) -> Array:
-    """Return the grid of centres and half widths of a dead band that need not include zero."""
+    """Return the grid of centre k and half width w of a dead band, shape (K, 2).
+
+    The band need not include zero.
+    """
     k = np.quantile(x, [0.3, 0.4, 0.5, 0.6, 0.7])
     return rounded(np.array([(a, b) for a in k for b in np.array([0.08, 0.16, 0.24, 0.32]) * np.ptp(x)]))
 
 
 def _between(count: int) -> Callable[[Array], Array]:
-    """Return a grid of ordered pairs of quantiles of the driver."""
+    """Return a function for a grid of pairs k < w, shape (K, 2), of `count` driver quantiles.
+
+    Neighbouring quantiles form no pair.
+    """
 
     def grid(x: Array) -> Array:
         edges = np.quantile(x, np.linspace(0.05, 0.95, count))
@@ -239,17 +261,17 @@ def _between(count: int) -> Callable[[Array], Array]:
 
 
 def _turns(_x: Array) -> Array:
-    """Return the grid of f of slow waves [cycles per revolution]."""
+    """Return the grid of the frequency f of slow waves, shape (K, 1) [cycles per revolution]."""
     return rounded(np.arange(0.5, SETTINGS.max_slow_cycles + 0.01, 0.25)[:, None])
 
 
 def _fine(x: Array) -> Array:
-    """Return the grid of f of fine waves [cycles per revolution]."""
+    """Return the grid of the frequency f of fine waves, shape (K, 1) [cycles per revolution]."""
     # Between neighbouring frequencies the phase changes by at most 2 rad over the range.
     return rounded(np.arange(SETTINGS.max_slow_cycles + 0.5, 1100.0, 2 / max(np.ptp(x), 0.1))[:, None])
 
 
-# Every form by its name.
+# Every form of a law over one driver, by its name.
 FORMS = {
     form.name: form
     for form in (
@@ -294,7 +316,7 @@ FORMS = {
     )
 }
 
-# Forms that a driver may have, by its kind.
+# Forms in which a law may depend on a driver, by the driver's kind.
 FORMS_BY_KIND = {
     kind: tuple(FORMS[name] for name in names.split(", "))
     for kind, names in {
@@ -314,12 +336,18 @@ FORMS_BY_KIND = {
 
 
 def wave_by(name: str, values: Array) -> Form:
-    """Return a wave whose amplitude is proportional to another driver; values : of it, (n,)."""
+    """Return the form of a wave whose amplitude is proportional to another driver.
+
+    name, values : formula of the other driver and its values, shape (n,)
+    """
     return Form(f"wave by {name}", (f"{name}*sin(f*x)", f"{name}*cos(f*x)"), ("f",), _turns, {name: values})
 
 
 def wave_plus(name: str, values: Array) -> Form:
-    """Return a wave of integer frequency whose phase is linear in another driver; values : (n,)."""
+    """Return the form of a wave of integer frequency whose phase is linear in another driver.
+
+    name, values : formula of the other driver and its values, shape (n,)
+    """
     parts = f"sin(f*x + p*{name})", f"cos(f*x + p*{name})"
     rates = (-6.0, -4.5, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.5, 6.0)  # of the phase [rad]
     grid = rounded(np.array([(f, p) for f in range(1, int(SETTINGS.max_slow_cycles) + 1) for p in rates]))

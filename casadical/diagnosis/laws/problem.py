@@ -33,18 +33,18 @@ from casadical.effects.formula_effect import SEAMS, Law
 from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
 
-# Log evidence [nats] of laws that are not judged.
+# Value that stands for the log evidence [nats] of laws that were not evaluated.
 NOT_JUDGED_LOG_EVIDENCE = -1e9
 
 
 @dataclass(frozen=True, eq=False)
 class Screen:
-    """A problem at one noise ratio rho, prepared to judge many laws.
+    """Linear model at one noise ratio rho, prepared to evaluate many laws.
 
     W : whitening matrix of each pose, shape (n, 3, 3)
-    Q : orthonormal basis of the base model, shape (n, 3, P)
-    y : residual, whitened and orthogonal to the base model, shape (n, 3)
-    square : sum of squares of the residual and of the scatter of repeated poses
+    Q : orthonormal basis of the whitened base model, shape (n, 3, P)
+    y : residual, whitened and orthogonal to the base model, shape (n, 3) [m]
+    square : sum of squares of y and of the deviations over repeated poses [m^2]
     rows : degrees of freedom of both
     """
 
@@ -56,7 +56,7 @@ class Screen:
 
     @classmethod
     def at_rho(cls, e: Evidence, rho: int) -> Screen:
-        """Return the problem at a rho of the grid, by its index."""
+        """Return the screen of a linear model at a noise ratio; rho : its index in `RHO_GRID`."""
         r = float(RHO_GRID[rho])
         projection = e.projected(r)
         y = projection.y
@@ -66,10 +66,11 @@ class Screen:
         return cls(projection.W, Q, residual, float(y @ y) + again, max(round(e.count - e.absorbed) + freedom, 1))
 
     def products(self, columns: Array, functions: Array, later: Array | None = None) -> tuple[Array, Array]:
-        """Return each law's Gram matrix, (K, w, w), and products with the residual, (K, w).
+        """Return the Gram matrices (K, w, w) of K laws, and products with the residual (K, w).
 
-        The number of columns of a law is w = parts * d.
-        columns : of the place, shape (n, 3, d)
+        Each law has w = parts * d columns, whitened and orthogonal to the base model.
+
+        columns : columns of the place, shape (n, 3, d)
         functions : values of the parts of the forms, shape (parts, n, K), or (parts, n, d, K) if
             they differ between columns
         later : contribution of a pose's columns to the next pose under autocorrelated noise, shape
@@ -107,27 +108,28 @@ class Screen:
         return G, np.stack([right[i] @ part[own_of[i]] for part in F for i in range(d)], axis=1)
 
     def products_of(self, columns: Array) -> tuple[Array, Array]:
-        """Return the products of laws with given columns, (n, 3, w, K), as `products` does."""
+        """Return the same as `products` for K laws with given columns, shape (n, 3, w, K)."""
         B = np.einsum("nab,nbwk->nawk", self.W, columns, optimize=True)
         M = np.tensordot(self.Q, B, axes=((0, 1), (0, 1)))
         G = np.einsum("naik,najk->kij", B, B, optimize=True) - np.einsum("pik,pjk->kij", M, M, optimize=True)
         return G, np.einsum("naik,na->ki", B, self.y, optimize=True)
 
     def reach(self, G: Array, b: Array) -> Array:
-        """Return an upper bound of each law's log evidence over none, shape (K,).
+        """Return an upper bound of the log evidence over none of K laws, shape (K,) [nats].
 
-        It holds for any size and noise of the grids.
+        It holds for any size and noise of the grids. G, b : see `products`
         """
         free = (SIGMA_GRID_M[0] / KAPPA_GRID[-1]) ** 2 * np.eye(G.shape[1])
         taken = (b * np.linalg.solve(G + free, b[:, :, None])[:, :, 0]).sum(axis=1)
         return np.asarray(-0.5 * self.rows * np.log1p(-np.minimum(taken / self.square, 1 - 1e-12)))
 
     def gains(self, G: Array, b: Array, least: float = 0.0) -> Array:
-        """Return the log evidence of each law over none, shape (K,) [nats].
+        """Return the log evidence over none of K laws, shape (K,) [nats].
 
         It is the mean over the sizes of the grid, each at the maximum-likelihood noise.
+
         G, b : products of columns in units of their typical sizes (see `products`)
-        least : laws that cannot reach this are not judged, and have `NOT_JUDGED_LOG_EVIDENCE`
+        least : laws whose bound (`reach`) is below this [nats] get `NOT_JUDGED_LOG_EVIDENCE`
         """
         if least > 0:
             gains, can = np.full(len(b), NOT_JUDGED_LOG_EVIDENCE), self.reach(G, b) >= least
@@ -158,7 +160,10 @@ class Screen:
 
 
 def log_mean(logs: Array, log_weights: Array | float = 0.0) -> Array:
-    """Return log(sum(exp(logs + log_weights))) over the first axis."""
+    """Return the log of the weighted mean of exp(logs) over the first axis.
+
+    log_weights : logarithms of the weights; 0 for a sum in place of a mean
+    """
     logs = logs + log_weights
     top = logs.max(axis=0)
     return np.asarray(top + np.log(np.exp(logs - top).sum(axis=0)))
@@ -177,21 +182,22 @@ class InsertionPoint:
 
     @property
     def size(self) -> float:
-        """Return the typical size (one sigma) of its factors [rad, m or share]."""
-        # One sigma of a law whose form varies by one; that of the payload is a share of its mass.
+        """Return the prior sigma of a factor whose function varies by one [rad, m or kg/kg]."""
+        # That of the payload is relative to its mass.
         return {"rad": 30e-6, "m": 30e-6}.get(SEAMS[self.law.seam][1], 0.03)
 
     def takes(self, driver: Driver) -> bool:
-        """Return whether a driver may act there.
+        """Return whether a law at this place may depend on a driver.
 
-        For the payload it must depend on logged columns only.
+        For the payload the driver must depend on logged columns only.
         """
         return self.law.seam != "payload" or driver.columns_only
 
     def with_formula(self, parts: Sequence[str], scales: Sequence[float]) -> Law:
-        """Return the law that is the sum of some parts, each with its own factors.
+        """Return the law at this place that is the sum of some parts, each with its own factors.
 
-        parts : formulas; scales : how much each part varies over the poses
+        parts : formulas; scales : variation of each part over the poses (see `scale_of`), by which
+            the typical sizes of its factors are divided
         """
         d = SEAMS[self.law.seam][0]
         terms, factors = [], []
@@ -204,7 +210,10 @@ class InsertionPoint:
 
 
 def seams_at(robot: Robot) -> list[Law]:
-    """Return laws with a constant formula at every place where all drivers may act."""
+    """Return a law with a constant formula for every place: joints, links, base, tool and payload.
+
+    The places of an instrument are in `beams`.
+    """
     vector = (("a", 1e-5), ("b", 1e-5), ("c", 1e-5))
     seams = [Law(j, "joint", "a") for j in robot.numbers]
     seams += [Law(j, seam, "[a, b, c]", vector) for seam in ("tilt", "shift") for j in robot.numbers]
@@ -215,13 +224,13 @@ def seams_at(robot: Robot) -> list[Law]:
 
 
 def with_columns(linear: Linearisation, laws: Sequence[Law]) -> list[InsertionPoint]:
-    """Return the insertion points of laws, with their columns."""
+    """Return the insertion points of laws, with their columns at the poses of `linear`."""
     columns = linear.columns(laws)
     edges = np.cumsum([0, *(len(law.sizes()) for law in laws)])
     return [InsertionPoint(law, columns[:, :, a:b]) for law, a, b in zip(laws, edges[:-1], edges[1:], strict=True)]
 
 
-# Indices in the grid of rho, the ratio of joint repeatability to sigma, at which laws are screened.
+# Indices in `RHO_GRID`, the ratio of joint repeatability to sigma, at which laws are screened.
 SCREENED_RHO_INDICES = (2, 4)
 
 
@@ -230,12 +239,12 @@ class TriedLaws:
     """The laws of one form and one driver, at one or several places, with all settings.
 
     seams : the places; more than one for the beam of an instrument, whose stations are settings
-    driver : of the laws; form : see `Form`
-    x : values of the driver, shape (n,), at each place
-    nearby : returns the neighbours of a law's place, a step away in each direction, and the values
-        of the driver there; None for places that are not settings, or cannot be moved
-    again : returns the same laws with places found from some poses of a problem only; None where
-        places do not depend on data
+    driver, form : driver and form of the laws
+    x : values of the driver at each place, shape (n,)
+    nearby : function of a law and a step that returns the places a step away in each direction, and
+        the values of the driver there; None where places cannot be moved
+    again : function of a problem and indices of poses that returns the same laws with places found
+        from these poses only; None where places do not depend on data
     given : number of the places before any was moved, zero for all
     """
 
@@ -253,21 +262,24 @@ class TriedLaws:
         return tuple(self.form.grid(x) for x in self.x)
 
     def with_moved_place(self, seam: int, step: float) -> list[TriedLaws]:
-        """Return copies with one additional place each, a step away from the place of an index."""
+        """Return copies with one additional place each, a step away from that of index `seam`."""
         moved, given = self.nearby(self.seams[seam].law, step) if self.nearby else (), self.given or len(self.seams)
         return [replace(self, seams=(*self.seams, place), x=(*self.x, x), given=given) for place, x in moved]
 
     def by(self, problem: Problem, poses: Array) -> TriedLaws:
-        """Return the laws at their original places, or at places found from some poses only."""
+        """Return the laws at their original places, or at places found from some poses only.
+
+        poses : indices of these poses among those of the laws
+        """
         if self.again:
             return self.again(problem, poses)
         given = self.given or len(self.seams)
         return replace(self, seams=self.seams[:given], x=self.x[:given], given=0)
 
     def column(self, seam: int, settings: Array) -> tuple[Law, Array]:
-        """Return the law of some settings, and its columns in units of their sizes, (n, 3, w).
+        """Return the law of given settings, and its columns in typical sizes, shape (n, 3, w) [m].
 
-        seam : index of the place
+        seam : index of the place; settings : shape (settings,)
         """
         place = self.seams[seam]
         values = self.form.values(self.x[seam], settings[None])
@@ -286,7 +298,8 @@ class TriedLaws:
 class ScreenedLaw:
     """The best law of a form and driver by screened log evidence over none [nats].
 
-    tried : the laws; seam, settings : index of its place, and its settings
+    tried : the laws from which it was selected; seam, settings : index of its place, and its
+        settings
     best : log evidence of this law; mean : log of the mean evidence over all places and settings
     """
 
@@ -301,11 +314,11 @@ class ScreenedLaw:
 class ScoredLaw:
     """A law with its most probable settings.
 
-    law : as an effect; tried : the laws from which it was selected
+    law : the law as an effect; tried : the laws from which it was selected
     seam, settings : index of its place, and its settings
     score : log evidence less the price of the search [nats], see `laws.search`
     evidence : log evidence of these settings over none [nats]
-    columns : in units of its typical sizes, shape (n, 3, w)
+    columns : Jacobian by its factors in units of their typical sizes, shape (n, 3, w) [m]
     noise : most probable noise given the law
     errors : standard error of each setting, shape (settings,)
     """
@@ -322,14 +335,14 @@ class ScoredLaw:
 
     @property
     def family(self) -> tuple[str, str]:
-        """Return its place and the family of its driver."""
+        """Return the law's place in words and the family of its driver."""
         return self.law.place, self.tried.driver.family
 
 
 def scale_of(values: Array) -> Array:
-    """Return the scales of functions over poses and joints, shape (parts, K), above a minimum.
+    """Return the scale of each function over poses and joints, shape (parts, K).
 
-    The scale is the standard deviation, or a tenth of the range if that is more.
+    It is the largest of the standard deviation, a tenth of the range, and 1e-3.
 
     values : as of `Form.values`
     """
@@ -339,7 +352,7 @@ def scale_of(values: Array) -> Array:
 
 
 def scaled(values: Array) -> Array:
-    """Return functions divided by their scales; values : as of `Form.values`."""
+    """Return the values of functions divided by their scales; values : as of `Form.values`."""
     scales = scale_of(values)
     return np.asarray(values / scales.reshape(len(values), *[1] * (values.ndim - 2), -1))
 
@@ -348,11 +361,11 @@ def scaled(values: Array) -> Array:
 class Round:
     """One comparison of laws with listed effects, smooth effects and forms of noise.
 
-    laws : the most probable laws, the best first
-    listed, smooth, noise : label and score [nats] of the best listed effect, smooth effect and form
-        of noise
+    laws : the laws of highest score, the best first
+    listed, smooth, noise : label and score [nats] of the best listed effect, unlisted effect and
+        form of noise
     alias : labels of listed effects that are equivalent to the best law
-    form : form of the noise under which all were judged
+    form : form of the noise under which all were evaluated
     """
 
     laws: tuple[ScoredLaw, ...]
@@ -364,17 +377,24 @@ class Round:
 
     @property
     def best(self) -> ScoredLaw:
-        """Return the most probable law."""
+        """Return the law of the highest score."""
         return self.laws[0]
 
     @property
     def alike(self) -> tuple[ScoredLaw, ...]:
-        """Return the laws that these data do not distinguish from the best one."""
+        """Return at most six laws that the data do not distinguish from the best one.
+
+        Their scores are within `Settings.indistinguishable_law_margin` of its score.
+        """
         return tuple(s for s in self.laws[1:] if s.score > self.best.score - SETTINGS.indistinguishable_law_margin)[:6]
 
     @property
     def claimed(self) -> bool:
-        """Return whether the best law is claimed."""
+        """Return whether the best law is claimed.
+
+        Its score must reach `Settings.min_law_score`, exceed that of the best rival by
+        `Settings.min_law_margin`, and no listed effect may be equivalent.
+        """
         return (
             self.best.score >= SETTINGS.min_law_score
             and self.best.score >= self.rival[1] + SETTINGS.min_law_margin
@@ -383,18 +403,18 @@ class Round:
 
     @property
     def rival(self) -> tuple[str, float]:
-        """Return label and score of the best rival."""
+        """Return label and score [nats] of the best rival: listed, unlisted effect or noise."""
         return best_of((self.listed, self.smooth, self.noise), itemgetter(1), logs=True)
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The inlier poses on which laws are judged, with the causes in the model as part of the base.
+    """The linear model of the inlier poses in which laws are evaluated.
 
-    evidence : linear model without candidates
+    evidence : linear model without candidates; the causes in the model are part of its base
     least : log evidence over none [nats] that a law needs to be of interest
     order, noise : under autocorrelated noise, indices of the poses in time order, and the noise by
-        which the evidence is whitened; None for white noise
+        which the evidence is prewhitened; None for white noise
     """
 
     evidence: Evidence
@@ -404,7 +424,10 @@ class Problem:
 
     @classmethod
     def of_case(cls, case: Case, chosen: Array, least: float = 0.0) -> Problem:
-        """Return the problem of a case; chosen : indices of the columns in the model."""
+        """Return the problem of a case's inlier poses.
+
+        chosen : indices of the columns in the model; least : see the class
+        """
         # Only at the most probable noise of the tables, since thousands of laws are judged.
         alone = case.judged.with_causes_alone(chosen)
         if case.form is WHITE_FORM:
@@ -412,7 +435,7 @@ class Problem:
         return cls(alone, least, case.order, case.form.serial(len(case.order)))
 
     def white(self, columns: Array) -> Array:
-        """Return columns of laws, whitened for autocorrelation as the evidence is, (n, 3, ...)."""
+        """Return columns of laws (n, 3, ...) prewhitened for autocorrelation as the evidence is."""
         return columns if self.noise is None else self.noise.whiten(columns[self.order])
 
     @cached_property
@@ -421,10 +444,9 @@ class Problem:
         return self.evidence.log_base()
 
     def grids(self, columns: Sequence[Array]) -> Array:
-        """Return log likelihood plus log weight of the size for each law.
+        """Return the log likelihood of each law plus the log prior of its size kappa.
 
-        columns : of each law, shape (n, 3, w). The result has the shape (laws, rhos, sigmas,
-            kappas).
+        The shape is (laws, rhos, sigmas, kappas). columns : those of each law, shape (n, 3, w)
         """
         edges = np.cumsum([0, *(c.shape[2] for c in columns)])
         every = array_columns(self.white(np.concatenate(columns, axis=2)))
@@ -434,11 +456,14 @@ class Problem:
         return logs
 
     def evidences(self, columns: Sequence[Array]) -> Array:
-        """Return the exact log evidence over none of each law, shape (laws,)."""
+        """Return the exact log evidence over none of each law, shape (laws,) [nats].
+
+        columns : those of each law, shape (n, 3, w)
+        """
         return self.over_none(self.grids(columns))
 
     def over_none(self, grids: Array) -> Array:
-        """Return log evidences over none, shape (laws,); grids : as of `grids`."""
+        """Return the log evidence over none of each law, (laws,) [nats]; grids : see `grids`."""
         return np.asarray(
             np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1)
             - float(np.logaddexp.reduce(self.log_base, axis=None))
@@ -446,7 +471,10 @@ class Problem:
 
     @cached_property
     def screens(self) -> list[tuple[float, Screen]]:
-        """Return screens at the selected rhos, with log shares of the evidence without a law."""
+        """Return (log weight, screen) at the screened rhos, that of the largest weight first.
+
+        The weight is the posterior probability of the rho without a law.
+        """
         near = list(self.evidence.near)
         by_rho = dict(zip(near, np.logaddexp.reduce(self.log_base[near], axis=1), strict=True))
         total = float(np.logaddexp.reduce(self.log_base[near], axis=None))
@@ -456,9 +484,9 @@ class Problem:
 
     @property
     def residual_weights(self) -> Array:
-        """Return w, shape (n, numbers), by which small columns act on the residual.
+        """Return w, shape (n, numbers), for products of columns with the residual.
 
-        sum(w * column) is the product of a whitened column with the whitened residual.
+        sum(w * column) is the product of the whitened column with the whitened residual.
         """
         screen = self.screens[0][1]
         weights = np.einsum("nab,na->nb", screen.W, screen.y)
@@ -467,9 +495,9 @@ class Problem:
         return self.noise.whiten_transposed(weights)[np.argsort(self.order)]
 
     def gains(self, seam: InsertionPoint, functions: Array) -> Array:
-        """Return the screened log evidence over none of laws at a place, shape (K,).
+        """Return the screened log evidence over none of K laws at a place, shape (K,) [nats].
 
-        functions : in units of their scales, as of `Form.values`
+        functions : values of `Form.values` divided by their scales
         """
         columns, functions, later = self.in_order(seam.columns * seam.size, functions)
         return self._gains(
@@ -477,7 +505,10 @@ class Problem:
         )
 
     def in_order(self, columns: Array, functions: Array) -> tuple[Array, Array, Array | None]:
-        """Return a place's columns, functions and `later`, arguments of `Screen.products`."""
+        """Return the arguments columns, functions and later of `Screen.products` for a place.
+
+        columns : those of the place, shape (n, 3, d); functions : shape (parts, n, ...)
+        """
         if self.noise is None:
             return columns, functions, None
         own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))
@@ -485,7 +516,7 @@ class Problem:
         return own * columns, functions[:, self.order], (-stays * own)[1:] * columns[:-1]
 
     def gains_of(self, columns: Array) -> Array:
-        """Return the screened log evidence over none of laws with given columns, shape (K,).
+        """Return the screened log evidence over none of K laws with given columns, (K,) [nats].
 
         columns : in units of their typical sizes, shape (n, 3, w, K)
         """
@@ -493,9 +524,11 @@ class Problem:
         return self._gains(columns.shape[-1], lambda screen, some: screen.products_of(columns[..., some]))
 
     def _gains(self, count: int, products: Callable[[Screen, Array | slice], tuple[Array, Array]]) -> Array:
-        """Return log evidences of `count` laws over the screened rhos, the most probable first.
+        """Return the log evidences of laws, averaged over the screened rhos, shape (count,) [nats].
 
-        Laws that cannot reach `least` there are not judged at the others.
+        Laws that cannot reach `least` at the most probable rho are not evaluated at the others.
+
+        products : function of a screen and indices of laws that returns their `Screen.products`
         """
         some: Array | slice = slice(None)
         gains = np.full((len(self.screens), count), NOT_JUDGED_LOG_EVIDENCE)

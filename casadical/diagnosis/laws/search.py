@@ -53,11 +53,12 @@ from casadical.measurements.derived_columns import derive
 
 @dataclass(frozen=True, eq=False)
 class _Block:
-    """Functions of drivers in forms of one number of parts, side by side.
+    """Values of the functions of drivers in forms with equal numbers of parts, concatenated.
 
-    drivers : each with a form, its values, and the form's settings
-    functions : in units of their scales, as of `Form.values`
-    edges : where each driver and form begins, and the end
+    drivers : each driver with a form, the driver's values, shape (n,), and the form's settings,
+        shape (K, settings)
+    functions : values of `Form.values` divided by their scales, all K along the last axis
+    edges : index of the first function of each driver and form, and the number of functions
     """
 
     drivers: tuple[tuple[Driver, Form, Array, Array], ...]
@@ -66,7 +67,10 @@ class _Block:
 
 
 def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form, ...]]) -> Iterator[_Block]:
-    """Yield blocks of the functions of drivers in forms of one part, and of two."""
+    """Yield the block of all forms with one part, then that with two.
+
+    drivers : each with its values, shape (n,); forms : by kind of driver
+    """
     for parts in (1, 2):
         which = [(d, f, x, f.grid(x)) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
         if not which:
@@ -77,7 +81,10 @@ def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form
 
 
 def _means(gains: Array, edges: Array) -> Array:
-    """Return the log of the mean evidence over the settings of each driver and form."""
+    """Return the log of the mean evidence over the settings of each driver and form [nats].
+
+    gains : log evidence of each function; edges : see `_Block`
+    """
     top = np.maximum.reduceat(gains, edges[:-1])
     counts = np.diff(edges)
     total = np.add.reduceat(np.exp(gains - np.repeat(top, counts)), edges[:-1])
@@ -85,7 +92,10 @@ def _means(gains: Array, edges: Array) -> Array:
 
 
 def _screened_in_block(seam: InsertionPoint, block: _Block, gains: Array, keep: int) -> list[ScreenedLaw]:
-    """Return the best laws of a block at a place by mean evidence, `keep` at most."""
+    """Return the best laws of a block at a place by mean evidence over settings, at most `keep`.
+
+    gains : log evidence of each function of the block [nats]
+    """
     means = _means(gains, block.edges)
     rough = []
     for k in ranked(means, logs=True)[:keep]:
@@ -100,7 +110,10 @@ def _screened_in_block(seam: InsertionPoint, block: _Block, gains: Array, keep: 
 def _everywhere(
     problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
 ) -> Iterator[ScreenedLaw]:
-    """Yield the best laws of all drivers and forms at all places."""
+    """Yield, for each place, the best laws of all drivers in all forms by screened evidence.
+
+    drivers : each with its values, shape (n,); seams : the places
+    """
     for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS_BY_KIND):
         for seam in seams:
             some = block
@@ -116,7 +129,7 @@ def _everywhere(
 def _fine(
     problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
 ) -> Iterator[ScreenedLaw]:
-    """Yield fine waves of each joint over its own angle."""
+    """Yield the best fine wave of each joint over its own angle; none for less than 50 poses."""
     if len(problem.evidence.r) < 50:  # fewer poses do not determine fine waves
         return
     own = {d.text: (d, x) for d, x in drivers if d.family == "angle"}
@@ -129,7 +142,7 @@ def _fine(
 def _joined_waves(
     problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
 ) -> Iterator[ScreenedLaw]:
-    """Yield waves of each joint over two drivers.
+    """Yield the best waves of each joint that depend on two drivers.
 
     The amplitude is proportional to load, moment or warmth, or the phase is linear in the load; or
     the wave is over a weighted sum of the joint's own angle and a neighbour's.
@@ -157,9 +170,9 @@ def _joined_waves(
 def _every_joint(
     problem: Problem, linear: Linearisation, known: Collection[str], seam: InsertionPoint
 ) -> Iterator[ScreenedLaw]:
-    """Yield laws of all joints at once, each with its own driver and factor.
+    """Yield the best laws of all joints at once, each joint with its own driver and factor.
 
-    known : names of the columns that are available
+    known : names in formulas whose columns are available; seam : the place "joints"
     """
     drivers = own_drivers()
     of_joint = {n: [f"{n}{j}" for j in linear.robot.numbers] for n in ("q", "tau", "approach", "move")}
@@ -177,9 +190,9 @@ def _every_joint(
 def search_laws(
     case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0
 ) -> list[ScoredLaw]:
-    """Return the most probable laws, the best first, those of the best with refined settings.
+    """Return the laws of highest score, the best first; the best ones have refined settings.
 
-    chosen : columns in the model; without : labels of laws in it
+    chosen : indices of the columns in the model; without : labels of laws in it
     least : score [nats] that a law needs to be of interest; others may be omitted, even all
     """
     # A score is refined evidence less its price. Refining a law's settings raises it by 10 nats at
@@ -233,9 +246,9 @@ def search_laws(
 
 
 def refined(problem: Problem, found: ScoredLaw) -> ScoredLaw:
-    """Return the law with refined settings, whose score rises as the evidence does.
+    """Return the law with settings and place of more evidence; its score rises by the same.
 
-    A moved place pays a price.
+    For a moved place the increase is 4 nats less, but not negative.
     """
     if not len(found.settings) and not found.tried.nearby:
         return found
@@ -258,9 +271,12 @@ def refined(problem: Problem, found: ScoredLaw) -> ScoredLaw:
 
 
 def _moved(tried: TriedLaws, seam: int, settings: Array, k: int, step: float) -> Array:
-    """Return settings with one moved by a step.
+    """Return a law's settings with the one of index k changed by a step, rounded.
 
-    A width is scaled, a frequency moves relative to the range, a position by a share of it.
+    A width w is multiplied by exp(10 step); a frequency f changes by 10 step divided by the range
+    of the driver, a phase rate p by 20 step, others by step times the range.
+
+    seam : index of the law's place
     """
     moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
     name = tried.form.settings[k]
@@ -275,20 +291,21 @@ def _moved(tried: TriedLaws, seam: int, settings: Array, k: int, step: float) ->
     return rounded(moved)
 
 
-# The laws that were tried, the index of the place, and the settings of the form.
+# One law: the laws that were tried, the index of its place in these, and its settings.
 Chosen: TypeAlias = tuple[TriedLaws, int, Array]
 
 
 def refined_settings(
     problem: Problem, tried: TriedLaws, seam: int, settings: Array, poses: Array | slice = slice(None)
 ) -> tuple[Chosen, float]:
-    """Return the best settings near some, and their log evidence over none [nats].
+    """Return the best settings and place near given ones, and their log evidence over none [nats].
 
+    seam : index of the place; settings : given settings
     poses : indices of the problem's poses among those of `tried`
     """
 
     def evidences(trial: Sequence[Chosen]) -> Array:
-        """Return the exact log evidence of each choice."""
+        """Return the exact log evidence over none of each law, shape (len(trial),) [nats]."""
         return problem.evidences([of.column(place, s)[1][poses] for of, place, s in trial])
 
     best: Chosen = (tried, seam, settings)
@@ -312,7 +329,10 @@ def refined_settings(
 
 
 def _sigmas(problem: Problem, tried: TriedLaws, seam: int, settings: Array, evidence: float) -> Array:
-    """Return the standard error of each setting, where the log evidence falls by 0.5."""
+    """Return the standard error of each setting: the change by which the log evidence falls by 0.5.
+
+    evidence : log evidence at the settings [nats]; seam : index of the place
+    """
     sigmas = np.empty(len(settings))
     for k in range(len(settings)):
         steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
