@@ -54,7 +54,7 @@ def test_expected_standard_errors_are_those_that_an_identification_reports(robot
     for k, m in enumerate(sets):
         if m.distance is None:
             sets[k] = replace(m, q=np.clip(m.q + rng.normal(0, 1e-5, m.q.shape), -2.6, 2.6))
-    found = identify(robot, sets)
+    found = identify(robot, sets, priors=False)
     assert found.names == chosen.names
     ratio = found.standard_errors / np.sqrt(found.variance) / chosen.standard_errors
     np.testing.assert_allclose(ratio, 1.0, rtol=0.02)

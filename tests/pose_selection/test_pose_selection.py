@@ -39,7 +39,7 @@ def chosen(robot):
 
 
 def test_expected_standard_errors_are_those_that_an_identification_reports(robot, chosen) -> None:
-    results = [identify(robot, replace(positions(robot, chosen.q, s, SIGMA), sigma=SIGMA)) for s in range(3)]
+    results = [identify(robot, replace(positions(robot, chosen.q, s, SIGMA), sigma=SIGMA), priors=False) for s in range(3)]
     for result in results:
         assert result.names == chosen.names
         scale = np.sqrt(result.variance)
@@ -109,7 +109,7 @@ def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
     alone = replace(found, measured=None)
     assert found.accuracy < alone.accuracy
     sigma = Noise().sigma
-    both = identify(robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma))
+    both = identify(robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma), priors=False)
     assert both.names == found.names
     np.testing.assert_allclose(both.standard_errors / np.sqrt(both.variance), found.standard_errors, rtol=0.02)
 
@@ -206,7 +206,7 @@ def test_a_forecast_begins_with_what_was_measured(robot) -> None:
     assert seen.poses[-1] == 40
     assert (np.diff(seen.error) < 0).all()
     # Its first value: what an identification of the measured poses says of poses like these.
-    result = identify(robot, replace(before, sigma=SIGMA))
+    result = identify(robot, replace(before, sigma=SIGMA), priors=False)
     _, covariance = result.predict(readings(robot, 500, 7))
     now = np.sqrt(np.trace(covariance, axis1=1, axis2=2).mean() / result.variance)
     assert seen.error[0] == pytest.approx(now, rel=0.05)
