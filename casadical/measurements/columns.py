@@ -46,7 +46,7 @@ class Source:
 
     @property
     def table(self) -> str | dict[str, Any]:
-        """The TOML value that describes this source; `Source.read` reads it back."""
+        """The TOML value that describes this source, a name or a table; `Source.read` reads it."""
         usual = Source(self.name)
         more = {k: getattr(self, k) for k in ("times", "plus", "rows", "add") if getattr(self, k) != getattr(usual, k)}
         return {"from": self.name, **more} if more else self.name
@@ -71,12 +71,19 @@ class Source:
 
 
 def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
-    """Yield every column of the file that the sources use, and where it is named, for messages."""
+    """Yield every column of the file that the sources use, and a phrase "named for ...".
+
+    sources : casadical's column name -> its source
+    """
     return ((name, f"named for {ours!r}") for ours, s in sources.items() for name in (s.name, *s.add))
 
 
 def _column_of_source(table: pd.DataFrame, source: Source) -> pd.Series:
-    """Return the column that a source describes; words stay, so that messages can quote them."""
+    """Return the column that a source computes from a table's columns.
+
+    Cells that are words stay, so that messages can quote them; cells beyond the ends of the table
+    are missing.
+    """
     if source.plain:
         return table[source.name]
     terms = {source.name: source.times + source.add.get(source.name, 0.0)}
@@ -92,9 +99,9 @@ def _stem(name: str) -> str:
     return name.rpartition("_")[0]
 
 
-# Suffixes of the units in which readings of each kind of joint may be given.
+# Kind of joint -> suffixes of the units in which its readings may be given.
 _UNITS = {"revolute": ("_deg", "_rad"), "prismatic": ("_mm", "_m")}
-# Least and largest allowed values of columns that the model and effects use [unit of the column].
+# Column that the model or effects use -> its lowest and highest allowed value [its own unit].
 POSSIBLE_RANGES = {
     "payload_kg": (0.0, 1e5),
     "temperature_degC": (-273.15, 200.0),  # room temperatures in kelvin are refused
@@ -102,9 +109,9 @@ POSSIBLE_RANGES = {
     "pose": (-1e12, 1e12),
     "weight": (-LARGEST_NUMBER, LARGEST_NUMBER),
 }
-# Largest reading of a revolute joint [turns]; greater ones are refused.
+# Largest reading of a revolute joint that is accepted, to either side [turns].
 MAX_TURNS = 4
-# One turn, rounded up [rad]: smaller numbers may be radians, whatever unit their heading names.
+# One turn, rounded up [rad]: numbers below may be radians, whatever unit their heading names.
 FULL_TURN_RAD = 6.3
 # Derived conditions that must be numbers where they are logged.
 _NUMERIC_CONDITIONS = re.compile(r"warmth_\w+|approach\d+")
@@ -163,15 +170,16 @@ class Columns:
 
     @staticmethod
     def of_file(raw: RawTable) -> Columns:
-        """Return the columns of a file. Raises InputError: a header occurs twice."""
+        """Return the columns of a file's table. Raises InputError: a heading occurs twice."""
         return Columns.of_frame(raw.frame, raw.path.name, np.array(raw.line))
 
     @staticmethod
     def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
-        """Return the columns of a pandas table. Raises InputError: a header occurs twice.
+        """Return the columns of a pandas table. Raises InputError: a heading occurs twice.
 
-        row : shape (n,), lines of a file [counted from 1]; by default as if the table stood in one,
-            from 2
+        source : what messages call it
+        row : line of a file, from 1, of each row, shape (n,); by default as below a line of
+            headings, from 2
         """
         table = table.rename(columns=lambda name: str(name).strip())
         refuse_repeated_names(table.columns, source)
@@ -180,11 +188,11 @@ class Columns:
         return Columns(filled, source, np.arange(len(table)) + 2 if row is None else row, empty)
 
     def mapped(self, columns: Mapping[str, str | Source], point_from: Sequence[str] = ()) -> Columns:
-        """Return the columns under our names, where the table's headings differ from them.
+        """Return the columns under casadical's names, where the table's headings differ from them.
 
-        Rows to which a shift of rows gives no value are left out.
+        Rows for which a shift of rows gives no value are left out.
 
-        columns : our name -> name in the table, or how it is made of the table's columns
+        columns : casadical's name -> name in the table, or how it is computed from its columns
         point_from : columns whose words, joined by "/", name the touched point
         Raises InputError: a named column is missing.
         """
@@ -211,8 +219,7 @@ class Columns:
     def without(self, rows: Collection[int], why: str) -> Columns:
         """Return the columns without some rows of the file.
 
-        rows : lines of the file
-        why : where the user names them, for the message
+        rows : lines of the file, from 1; why : where the user names them, for the message
         Raises InputError: a line that is no row of the table.
         """
         missing = sorted(set(rows) - set(self.row.tolist()))
@@ -255,14 +262,17 @@ class Columns:
 
     @property
     def _needed(self) -> pd.DataFrame:
-        """The columns of readings and observations."""
+        """The cells of the columns of joint readings and of observations."""
         names = (str(name) for name in self.table)
         return self.table[
             [name for name in names if _OBSERVATION_NAME.fullmatch(name) or _READING_NAME.fullmatch(name)]
         ]
 
     def _rows_of(self, good: pd.DataFrame) -> tuple[int, ...]:
-        """Return the lines of rows that are not all True; none if these are more than half."""
+        """Return the lines of the rows that are not all True; () if these are more than half.
+
+        good : True where a cell is usable, a row per row of the table
+        """
         bad = ~good.all(axis=1).to_numpy(dtype=bool)
         return tuple(int(k) for k in self.row[bad]) if 2 * bad.sum() <= len(bad) else ()
 
@@ -290,7 +300,10 @@ class Columns:
         return (in_seconds if name == "time_s" else numbers_of)(self.table[name])
 
     def _faults(self, name: str) -> list[Fault]:
-        """Return a column's faults: cells that are no finite numbers, else values out of range."""
+        """Return the fault of a column's cells that are no finite numbers or out of range, or [].
+
+        Values out of range are reported only where all cells are finite numbers.
+        """
         values = self._values(name)
         faults: list[Fault] = []
         least, most = POSSIBLE_RANGES.get(name, (-LARGEST_NUMBER, LARGEST_NUMBER))
@@ -374,9 +387,9 @@ class Columns:
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
-        """Return the numeric columns that are no readings or observations, (n,) [their own units].
+        """Return the numeric columns that are no readings or observations, by name, shape (n,).
 
-        Columns of words (remarks, operators) are not among them.
+        They are in their own units. Columns of words (remarks, operators) are not among them.
 
         observations : patterns of the columns that the kinds of measurement read
         Raises InputError: words among numbers.
@@ -394,21 +407,24 @@ class Columns:
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """Return an indicator [1 or 0] per name in the column `tool`, shape (n,); empty without it.
+        """Return an indicator per name in the column `tool`: "tool_NAME" -> shape (n,), 0 or 1.
 
-        Raises InputError: an empty cell.
+        Empty without that column. Raises InputError: an empty cell.
         """
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Return an indicator [1 or 0] per name in the column `session`, shape (n,); or nothing.
+        """Return an indicator per name in the column `session`: "session_NAME" -> (n,), 0 or 1.
 
-        Raises InputError: an empty cell.
+        Empty without that column. Raises InputError: an empty cell.
         """
         return self._named("session", "name the session in every row")
 
     def _named(self, column: str, remedy: str) -> dict[str, Array]:
-        """Return an indicator per name in a column; `remedy` ends the message on an empty cell."""
+        """Return an indicator per name in a column: "COLUMN_NAME" -> shape (n,), 0 or 1.
+
+        remedy : end of the message on an empty cell
+        """
         if column not in self.table:
             return {}
         names = self.table[column].map(lambda cell: "" if pd.isna(cell) else _name(str(cell)))
@@ -417,7 +433,11 @@ class Columns:
         return {f"{column}_{name}": (names == name).to_numpy(dtype=float) for name in dict.fromkeys(names)}
 
     def unused(self, conditions: Collection[str], observations: Iterable[str]) -> tuple[str, ...]:
-        """Return the columns that nothing reads: those of words, and those without any cell."""
+        """Return the names of columns that nothing reads: those of words, and those without a cell.
+
+        conditions : names of the columns that are used as conditions
+        observations : patterns of the columns that the kinds of measurement read
+        """
         used = re.compile("|".join([_NO_CONDITION_NAME, *observations]))
         left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
         return (*left, *self.empty)
@@ -432,7 +452,7 @@ def _name(cell: str) -> str:
 
 
 def is_ours(name: str, pattern: str) -> bool:
-    """Return whether a column is used under this name.
+    """Return whether a column is read under this name, so that it needs no mapping.
 
     pattern : of the columns that the kind of measurement reads
     """
@@ -466,7 +486,7 @@ def in_seconds(cells: pd.Series) -> Array:
 
 
 def _cell(text: object) -> str:
-    """Return a cell as messages show it."""
+    """Return a cell as text for messages; "an empty cell" where it is missing."""
     if isinstance(text, float) and np.isnan(text):
         return "an empty cell"
     return repr(text.item() if isinstance(text, np.generic) else text)

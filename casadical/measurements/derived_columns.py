@@ -12,7 +12,8 @@ from casadical.measurements.measurements import Measurements
 
 # Logged column of the time at which each pose was measured [s].
 TIME_COLUMN = "time_s"
-# Shorter ways of the measured point are ignored, because their direction is dominated by noise [m].
+# Minimum displacement of the measured point across the beam [m] that counts as a rotation of the
+# instrument's head; the direction of shorter ones is dominated by noise.
 MIN_WAY_M = 0.01
 # Function that returns the gravity torques as shares of the joints' peak ones, shape (n, joints),
 # from readings, shape (n, joints) [rad or m], and logged columns (see `Robot.loads`).
@@ -58,7 +59,10 @@ def derive(m: Measurements, names: Iterable[str], loads: Loads | None = None) ->
 
 
 def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
-    """Return the named column in the order of the rows, shape (n,); None if not derivable."""
+    """Return a derived column (see `derive`) in the order of rows, shape (n,), or None.
+
+    None where the name is no derived column, or a column or joint that it needs is missing.
+    """
     order = np.argsort(
         next((m.conditions[c] for c in (TIME_COLUMN, "pose") if c in m.conditions), m.row), kind="stable"
     )
@@ -81,16 +85,21 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
 
 
 def _in_row_order(values: Array, order: Array) -> Array:
-    """Return values given in the order of measuring, rearranged to the order of the rows."""
+    """Return values given in the order of measuring, rearranged to the order of the rows, (n,).
+
+    order : row index of each value, shape (n,)
+    """
     rows = np.empty(len(order))
     rows[order] = values
     return rows
 
 
 def _warmth(m: Measurements, lag: float, order: Array) -> Array | None:
-    """Return the lagged temperature less its mean, shape (n,) [K]; None if a column is missing.
+    """Return the temperature behind a first-order lag minus its mean, shape (n,) [K].
 
-    lag : time constant of the first-order lag [s]; 0 for none
+    None if the column of temperature or time is missing.
+
+    lag : time constant of the lag [s]; 0 for none; order : rows in the order of measuring
     """
     if "temperature_degC" not in m.conditions or (lag and TIME_COLUMN not in m.conditions):
         return None
@@ -102,10 +111,11 @@ def _warmth(m: Measurements, lag: float, order: Array) -> Array | None:
 
 
 def _lagged(felt: Array, time: Array, lag: float) -> Array:
-    """Return values, in the order of measuring, behind a first-order lag.
+    """Return values after a first-order lag, shape (n,), in their unit and order.
 
-    The lag starts in steady state at the first value. time : of each value [s]; lag : its time
-    constant [s]
+    The lag starts in steady state at the first value.
+
+    felt : values in the order of measuring, shape (n,); time : of each [s]; lag : time constant [s]
     """
     behind = np.empty(len(felt))
     behind[0] = felt[0]
@@ -119,10 +129,12 @@ def _lagged(felt: Array, time: Array, lag: float) -> Array:
 
 
 def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | None) -> Array | None:
-    """Return the lagged square of a joint's load, which is proportional to its motor's ohmic heat.
+    """Return the square of a joint's relative load after a first-order lag, shape (n,).
 
-    Loads that are NaN (a joint without a load) count as zero. None is returned if the column
-    cannot be derived.
+    It is proportional to the ohmic heat of the joint's motor. Loads that are NaN (a joint without
+    a load) count as zero. None is returned if the column cannot be derived.
+
+    joint : number, from 1; lag : time constant [s]; order : rows in the order of measuring
     """
     if loads is None or TIME_COLUMN not in m.conditions or not 1 <= joint <= m.q.shape[1] or not lag:
         return None
@@ -145,14 +157,19 @@ def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | No
 
 
 def _moves(q: Array) -> Array:
-    """Return the change of a joint's reading since the pose before, zero for the first pose."""
+    """Return the change of a joint's reading since the pose before, shape (n,), first one zero.
+
+    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
+    """
     return np.diff(q, prepend=q[0])
 
 
 def last_sense(ways: Array, least: float) -> Array:
-    """Return the sign of the last way longer than `least` up to each element, -1, 0 or 1.
+    """Return the sign of the last motion longer than `least` up to each element, shape (n,).
 
-    It is 0 before the first such way.
+    It is -1 or 1, and 0 before the first such motion.
+
+    ways : signed lengths of the motions, in order, shape (n,); least : in their unit
     """
     motion = np.sign(np.where(np.abs(ways) > least, ways, 0.0))
     for k in range(1, len(motion)):
@@ -161,10 +178,13 @@ def last_sense(ways: Array, least: float) -> Array:
 
 
 def _memory(q: Array, way: float) -> Array:
-    """Return a hysteresis state, -1 to 1, that follows the direction of motion.
+    """Return the hysteresis state of one joint at each pose, shape (n,), -1 to 1.
 
-    The state decays exponentially towards the direction of each motion over `way` [rad or m]. It
-    begins at zero, because the motion before the first pose is not known.
+    It approaches the direction of each motion exponentially, and begins at zero, because the
+    motion before the first pose is not known.
+
+    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
+    way : travel over which the distance from the direction falls to 1/e [rad or m]
     """
     state, states = 0.0, []
     for move in _moves(q):
@@ -174,9 +194,12 @@ def _memory(q: Array, way: float) -> Array:
 
 
 def _play(q: Array, half: float) -> Array:
-    """Return the position of a part that the joint drives through a play of `half` to each side.
+    """Return the position of a part that one joint drives through play, shape (n,) [rad or m].
 
     The part stands still until the joint takes it along; at the first pose the play is centred.
+
+    q : readings of the joint in the order of measuring, shape (n,) [rad or m]
+    half : play to each side [rad or m]
     """
     taken = accumulate(q, lambda state, reading: float(np.clip(state, reading - half, reading + half)))
     return np.array([*taken])
@@ -193,9 +216,9 @@ _JOINT_COLUMNS: Mapping[str, Callable[..., Array]] = {
 
 
 def clock_faults(m: Measurements) -> tuple[str, ...]:
-    """Return sentences on faults of `time_s` (jumps and steps back), each with rows and values.
+    """Return sentences on steps back and jumps of the column `time_s`, with rows and values.
 
-    They are empty without that column, and where the rows are not in the order of measuring.
+    There are none without that column, and where the rows are not in the order of measuring.
     """
     if TIME_COLUMN not in m.conditions or len(m) < 3:
         return ()

@@ -21,15 +21,16 @@ from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.vocabulary import UNITS, UNSPACED, WORDS
 
-# Largest deviation from unit quaternions and orthonormal matrices, which tables hold rounded.
+# Tolerance of the length of unit quaternions and of R R' = 1, as tables hold rounded numbers.
 ROTATION_TOLERANCE = 1e-2
-# Groups of columns with the lowest rank are taken.
+# Qualifier of a group of columns -> its rank; among groups that could be meant the lowest rank
+# wins.
 _QUALIFIER_RANK = {"measured": 0, "": 1, "nominal": 2}
-# Quantities that are conditions: our column's name and its unit.
+# Quantity that is a condition -> casadical's column and its unit.
 _CONDITIONS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg", "kg")}
-# Words for the axes of a position.
+# Word of a heading -> axis of a position, x, y or z.
 _AXIS_WORDS = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
-# Words for the components of an orientation.
+# Word of a heading -> component of an orientation, x, y, z or w.
 _ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
 # Our names of the columns of an orientation and of a position, without their units.
 _ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
@@ -40,10 +41,10 @@ _XYZ = ("x", "y", "z")
 class Understood:
     """The meaning of one column of a file.
 
-    ours : our name for it
+    ours : casadical's name for it, with its unit
     source : column of the file and its conversion
-    unit : in the file
-    why : how the meaning or unit was found, in words
+    unit : unit in the file, empty if it has none
+    why : how the meaning or unit was found, such as "heading"
     """
 
     ours: str
@@ -127,9 +128,9 @@ def understand(
     """Return the meaning of a table's columns whose headings are not casadical's own.
 
     joints : kind of each joint ("revolute", "prismatic")
-    given : our names whose columns the user has already named
+    given : casadical's names of columns that the user has assigned already
     names : names of the joints, as in a URDF
-    kind : kind of measurement, where it is declared
+    kind : kind of measurement, None where it is not declared
     """
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
@@ -184,7 +185,10 @@ def understand(
 
 
 def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Yield temperature and payload, each if exactly one heading names it."""
+    """Yield temperature and payload, each if exactly one heading names it.
+
+    ours : casadical's names that the table has already
+    """
     for quantity, (name, unit) in _CONDITIONS.items():
         named = [h for h in headings if h.quantity == quantity and not h.rest and UNITS.get(h.unit, (unit,))[0] == unit]
         if len(named) == 1 and name not in ours and np.isfinite(named[0].values).all():
@@ -193,9 +197,11 @@ def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator
 
 
 def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
-    """Yield the time, if one heading names it or two name its seconds and nanoseconds.
+    """Yield the column time_s, if one heading names the time, or two its seconds and nanoseconds.
 
-    Dates and time stamps are recognised by their size.
+    The unit of time stamps without one follows from their size.
+
+    ours : casadical's names that the table has already
     """
     named = [h for h in headings if h.quantity == "time" and not h.rest and UNITS.get(h.unit, ("s",))[0] == "s"]
     named = [h for h in named if np.isfinite(h.values).all()]
@@ -213,9 +219,9 @@ def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Unde
 
 
 def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
-    """Yield a column of names of the measured targets.
+    """Yield the column `tool` if a column of words names the measured target of each row.
 
-    It has few names, each at several poses.
+    Its heading has a word for a target, and it has few names, each at six poses on average.
     """
     for name in raw.header:
         words = set(words_of(name)[0])
@@ -247,7 +253,10 @@ def words_of(heading: str) -> tuple[list[str], str]:
 
 
 def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
-    """Return the headings that have a known meaning; `names` are the names of the joints."""
+    """Return the headings that have a known meaning, taken apart.
+
+    names : of the joints, empty where one has none
+    """
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
     headings = []
@@ -269,11 +278,13 @@ def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
 def _meaning(
     words: Sequence[str], said: set[str], named: Sequence[tuple[Sequence[str], str]]
 ) -> tuple[str, str, Collection[str]]:
-    """Return quantity, slot and unexplained words of a heading; the quantity may be empty.
+    """Return quantity, slot and unexplained words of a heading; all empty if it has no meaning.
+
+    Slot and quantity are as of `_Heading`.
 
     words : all words of the heading
     said : those that are neither "measured" nor "nominal"
-    named : words of the joints' names, with their numbers
+    named : words of each joint's name, and its number, from 1
     """
     starts = range(len(words))
     own = [(len(name), n, name) for name, n in named if any(words[k : k + len(name)] == name for k in starts)]
@@ -326,13 +337,13 @@ def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -
 
 
 def _best(ranked: Iterable[tuple[int, list[_Heading]]]) -> list[list[_Heading]]:
-    """Return the groups of the lowest rank."""
+    """Return the groups with the lowest rank; ranked : (rank, columns of the group)."""
     groups = list(ranked)
     return [members for rank, members in groups if rank == min(rank for rank, _ in groups)]
 
 
 def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> list[list[_Heading]]:
-    """Return the groups of columns that are the readings of all joints, in the joints' order.
+    """Return the groups of columns that may be the readings of all n joints, in the joints' order.
 
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
@@ -353,9 +364,11 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
 
 
 def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
-    """Return the joint (from 1) of each column number where columns `name[0]` hold joint names.
+    """Return column number -> joint (from 1), where columns such as `name[0]` hold joint names.
 
-    ROS writes JointState messages in this way.
+    ROS writes JointState messages in this way. Empty where there are no such columns.
+
+    names : of the robot's joints
     """
     joint_of = {}
     for heading in raw.header:
@@ -368,7 +381,10 @@ def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
 
 
 def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
-    """Return groups of numeric columns that differ only in a number, 1 to n or 0 to n - 1."""
+    """Return groups of n numeric columns whose headings differ only in a number, from 0 or 1 on.
+
+    taken : headings that are not considered
+    """
     groups: dict[str, dict[int, _Heading]] = {}
     for name in raw.header:
         numbers = re.findall(r"\d+", name)
@@ -380,7 +396,10 @@ def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_
 
 
 def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
-    """Return the readings of revolute and of prismatic joints as separate parts, with our names."""
+    """Return the readings of revolute and of prismatic joints as separate parts.
+
+    group : column of each joint; joints : kind of each joint
+    """
     return [
         (
             [h for h, kind in zip(group, joints, strict=True) if kind == each],
@@ -394,9 +413,12 @@ def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
 def _observations(
     positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]]
 ) -> tuple[_Options, str]:
-    """Return the possible observations, and what a question about them concerns.
+    """Return the possible observations, and the topic (`about`) of a question on them.
 
-    If only positions or only lengths are marked as measured, the others are dropped.
+    If only positions or only lengths are marked as measured, the others are dropped. The topic is
+    empty unless both remain.
+
+    positions, lengths : groups of columns, of three and of one
     """
     said = [any(g[0].qualifier == "measured" for g in groups) for groups in (positions, lengths)]
     if positions and lengths and said[0] != said[1]:
@@ -407,14 +429,17 @@ def _observations(
 
 
 def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
-    """Return the possible meanings of the orientation, the question, and what it concerns."""
+    """Return the possible meanings of the orientation, the question, and its topic (`about`).
+
+    headings : columns that are free; taken : names of columns in use
+    """
     which = "Which columns are the orientation?"
     triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
     quaternion_columns = ("qw", "qx", "qy", "qz")
     matrix_columns = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
     # Numbers of a rotation matrix's entries, counted from 0 and from 1.
     matrix_entries = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
-    # Possible meanings of three angles rx, ry, rz, with our names for them.
+    # Possible meaning of three angles rx, ry, rz -> casadical's names for them, without units.
     triples_by_meaning = {
         "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
         "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
@@ -452,12 +477,12 @@ def _finite(group: Sequence[_Heading]) -> Array:
 
 
 def _is_unit(group: Sequence[_Heading]) -> bool:
-    """Return whether four columns are unit quaternions."""
+    """Return whether the rows of four columns are unit quaternions, as far as they are finite."""
     return bool((np.abs(np.linalg.norm(_finite(group), axis=1) - 1) < ROTATION_TOLERANCE).all())
 
 
 def _is_rotation(group: Sequence[_Heading]) -> bool:
-    """Return whether nine columns are rotation matrices, row by row."""
+    """Return whether the rows of nine columns are rotation matrices, as far as they are finite."""
     R = _finite(group).reshape(-1, 3, 3)
     return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < ROTATION_TOLERANCE).all())
 
@@ -468,7 +493,7 @@ def _listed(group: Iterable[_Heading]) -> str:
 
 
 def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[str, list[Understood]]:
-    """Return each possible meaning, with its units, in words, and the columns that it implies.
+    """Return possible meaning in words, with its units -> columns that it implies.
 
     stated : unit of lengths and angles, where a comment states it
     asked : the question, if it is asked even for a single option; without it the choices of a
@@ -487,9 +512,12 @@ def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[s
 def _by_unit(
     members: Sequence[_Heading], names: Sequence[str], quantity: str, stated: Mapping[str, str]
 ) -> list[tuple[str, list[Understood]]]:
-    """Return the columns under our names for each possible unit, the most probable unit first.
+    """Return (unit, columns under casadical's names) of possible units, the most probable first.
 
     There is one entry, with an empty unit, where the unit is known or the quantity has none.
+
+    members, names : headings and casadical's names, without units; quantity : "angle", "length" or
+        empty; stated : quantity -> unit that a comment states
     """
     if not quantity:
         return [("", [Understood(n, Source(h.name), "", "heading") for h, n in zip(members, names, strict=True)])]
@@ -517,11 +545,15 @@ def _by_unit(
 
 
 def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
-    """Return the unit that the size of the numbers suggests, and whether it is certain."""
+    """Return the unit (deg, rad, mm or m) that the numbers' size suggests, and if it is certain.
+
+    values : shape (n, k); quantity : "angle" or "length"
+    """
     values = values[np.isfinite(values).all(axis=1)]
     if not len(values):
         return ("deg" if quantity == "angle" else "mm"), False
-    # Fewer rows do not show by the size of their numbers whether these are radians or metres.
+    # Minimum number of rows from which the size of the numbers shows that these are radians or
+    # metres.
     min_rows_for_unit = 10
     if quantity == "angle":
         largest = float(np.abs(values).max())
@@ -533,7 +565,7 @@ def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:
 
 
 def _stated_units(lines: Sequence[str]) -> dict[str, str]:
-    """Return the units that comments and titles state for lengths and angles."""
+    """Return quantity ("length", "angle") -> word of the unit that comments or titles state."""
     units: dict[str, str] = {}
     # A comment or title that states the units of the table.
     unit_line = re.compile(r"(?:units?|einheit(?:en)?|unités?|单位|単位)\s*[:=：]?\s*(.*)", re.IGNORECASE)
@@ -548,7 +580,7 @@ def _stated_units(lines: Sequence[str]) -> dict[str, str]:
 
 
 def _by_order(raw: RawTable, n: int) -> list[_Heading]:
-    """Return headings for a table without any: readings, positions, and possibly a rotation matrix.
+    """Return headings for a table without any: n readings, x, y, z, possibly a rotation matrix.
 
     A first column that counts the rows is skipped; the list is empty if the number of columns
     differs.

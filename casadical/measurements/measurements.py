@@ -46,10 +46,11 @@ SETS = ("identify", "train", "choose", "report")
 
 # Poses whose readings differ by less in every joint count as the same pose [rad or m].
 SAME_READING_TOLERANCE = 1e-6
-# Largest difference of a joint's readings at which the robot stands still, while several targets
-# are measured one after another [rad or m].
+# Largest difference of each joint's readings [rad or m] between measurements of several targets at
+# one pose of the robot, which stands still.
 STANDSTILL_TOLERANCE = 5e-4
-# Sorted readings without a gap form one cell no wider than this [multiple of the gap's width].
+# Largest width of a cell of equal readings (`same_readings`), as a multiple of the tolerance, where
+# sorted readings have no gaps.
 MAX_CELL_WIDTH = 20
 
 # Names of the fields of `Measurements` that hold observations.
@@ -163,12 +164,12 @@ class Measurements(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The observed arrays by name, from fields and extras; see `MeasurementKind.arrays`."""
+        """The observed arrays by name, from fields and `extra`, each of shape (n, ...)."""
         return {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
 
     @property
     def residuals(self) -> int:
-        """The number of observed numbers, without poses of weight zero."""
+        """Number of scalar residuals of all poses with a weight, and of given separations."""
         return int(np.count_nonzero(self.weight)) * find_kind(self.kind).numbers + len(self.separations)
 
     def positions_alone(self) -> Measurements:
@@ -179,7 +180,10 @@ class Measurements(Shown):
         return replace(self, kind="position", extra={}, separations=(), **none)  # type: ignore[arg-type]
 
     def inverse(self) -> Measurements:
-        """Return the poses inverted: those of the measuring frame in the tool, of kind pose."""
+        """Return the same measurements with each pose inverted: the measuring frame in the tool's.
+
+        They must have positions and orientations; `inverted` is negated.
+        """
         assert self.position is not None
         assert self.orientation is not None
         R = self.orientation.transpose(0, 2, 1)
@@ -216,15 +220,15 @@ class Measurements(Shown):
         )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:
-        """Return logged columns, shape (n, k) [SI]; a missing one takes its declared value.
+        """Return the k named logged columns, shape (n, k) [each in its own unit].
 
-        declared : value of each named column, shape (k,) [SI]
+        declared : values that missing columns take at all poses, shape (k,)
         """
         columns = [self.conditions.get(n, np.full(len(self), declared[k])) for k, n in enumerate(names)]
         return np.stack(columns, axis=1) if columns else np.zeros((len(self), 0))
 
     def split(self, sizes: Mapping[str, float], seed: int = 0) -> dict[str, Measurements]:
-        """Return disjoint, seeded, named sets of poses.
+        """Return disjoint sets of poses by name, drawn at random with a seed.
 
         sizes : of each set: below 1 a share of the poses, from 1 on their number
 
@@ -284,7 +288,7 @@ def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: 
 
 
 def same_readings(q: Array, within: float = SAME_READING_TOLERANCE) -> Array:
-    """Return a number for each pose, shape (n,), that is equal for poses of the same readings.
+    """Return the number of each pose's group of equal readings, shape (n,), from 0.
 
     Each joint's sorted readings are cut into cells at the gaps; poses in the same cells are the
     same.
@@ -337,7 +341,7 @@ def _refuse_malformed(m: Measurements) -> None:
 
 
 def _refuse_weights(m: Measurements) -> None:
-    """Check sigmas and weights. Raises InputError."""
+    """Check that sigmas are positive and weights are not negative. Raises InputError."""
     for name in ("sigma", "sigma_angle", "separation_sigma", "datasheet"):
         size = getattr(m, name)
         if size is not None and not 0 < size < np.inf:

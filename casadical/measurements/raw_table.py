@@ -27,7 +27,7 @@ from casadical.core.reading import (
 )
 from casadical.measurements import table_form
 
-# More columns show that the file is no table of measurements.
+# Maximum number of columns; more show that the file is no table of measurements.
 MAX_COLUMNS = 2000
 
 
@@ -61,7 +61,7 @@ def _refuse_header(header: Sequence[str], path: Path) -> None:
     """Check the headings. Raises InputError: too many, too long, or control characters in one."""
     if len(header) > MAX_COLUMNS:
         raise InputError(f"{path}: has {len(header)} columns; at most {MAX_COLUMNS} are read")
-    # A longer heading shows that the file is no table of measurements.
+    # Maximum length of a heading [characters]; a longer one shows that the file is no table.
     max_heading_characters = 1000
     for k, name in enumerate(header, 1):
         if len(name) > max_heading_characters:
@@ -117,18 +117,17 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
 
 
 def refuse_many(path: str | Path, numbers: int, most: int = MAX_TABLE_NUMBERS, remedy: str = "") -> None:
-    """Check the size of a table.
+    """Refuse a table that is too large for memory.
 
-    Raises InputError: more numbers than `most`, the limit for memory.
-
-    remedy : what the message ends with
+    numbers : of the table, rows times columns; remedy : end of the message
+    Raises InputError: more numbers than `most`.
     """
     if numbers > most:
         raise InputError(f"{path}: has more than {most} numbers; split it, or leave columns and rows out{remedy}")
 
 
 def plain_headings(line: bytes) -> tuple[str, ...]:
-    """Return the headings of a line of ASCII text with commas and no quotes; else none."""
+    """Return the headings in a line of ASCII text with commas and without quotes; else ()."""
     usual = line.isascii() and re.fullmatch(rb"[^\n\"]*[A-Za-z][^\n\"]*,[^\n\"]*", line.strip())
     return tuple(word.strip() for word in line.decode().split(",")) if usual else ()
 
@@ -153,9 +152,9 @@ def _plain(path: Path, data: bytes) -> RawTable | None:
 
 
 def _parquet(path: Path, data: bytes) -> RawTable:
-    """Return the table of a Parquet file. Raises InputError: it is unreadable.
+    """Return the table of a Parquet file, its rows numbered as in a text file, from 2 on.
 
-    Its rows are numbered as in a text file, from 2 on.
+    data : content of the file. Raises InputError: it is unreadable, too large or empty.
     """
     parquet = optional("pyarrow.parquet", f"{path}: reading Parquet needs pyarrow: pip install 'casadical[logs]'")
     with foreign(f"{path}: not a readable table", "write it again"), parquet.ParquetFile(io.BytesIO(data)) as file:
@@ -174,9 +173,10 @@ def _parquet(path: Path, data: bytes) -> RawTable:
 
 
 def _sheet(path: Path, data: bytes) -> tuple[str, str, str]:
-    """Return the sheet of a workbook with the most numbers: its CSV text, "workbook" and its name.
+    """Return a workbook's sheet with the most numbers: its CSV text, "workbook", and its name.
 
-    The lines of the CSV are the rows of the sheet.
+    The lines of the CSV are the rows of the sheet. Raises InputError: it is unreadable or too
+    large.
     """
     needed = f"{path}: reading .xlsx needs openpyxl: pip install 'casadical[xlsx]', or save it as CSV"
     openpyxl = optional("openpyxl", needed)
@@ -213,7 +213,11 @@ def _cell(value: Any) -> str:
 
 
 def _table_of(path: Path, records: list[table_form.Record], encoding: str, separator: str, sheet: str) -> RawTable:
-    """Return the table of all records: headings, units, rows and comments. Raises InputError."""
+    """Return the table in the records (lines as cells) of a text: headings, units, rows, comments.
+
+    encoding, separator, sheet : form of the file. Raises InputError: it has no rows, a row has more
+    cells than the headings, or two headings are equal.
+    """
     if not records:
         raise InputError(f"{path}: not a readable CSV table: it is empty; a header and at least one row are needed")
     comments = [(line, cells) for line, cells in records if table_form.commented(cells)]
@@ -267,9 +271,11 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
 def _headings(
     rest: list[table_form.Record], comments: list[table_form.Record]
 ) -> tuple[int, table_form.Record | None, table_form.Record | None]:
-    """Return the index of the table's first row, and the records of its headings and units.
+    """Return the index in `rest` of the table's first row, and the records of headings and units.
 
     A record is None where there are no headings or no row of units.
+
+    rest : all records that are no comments; comments : the others
     """
     first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
     if first is None:
@@ -300,7 +306,7 @@ def _headings(
 
 
 def _names_in(cells: Sequence[str]) -> int:
-    """Return how many cells are names; 0 for a row of units."""
+    """Return how many cells of a line are words, not numbers; 0 for a row of units."""
     words = sum(bool(cell.strip()) and not table_form.is_number(cell) for cell in cells)
     return 0 if table_form.is_units(cells) else words
 

@@ -52,7 +52,7 @@ def read_measurements(
 def _sources(
     raw: RawTable, joints: int | Sequence[str], columns: Mapping[str, str | Source], kind: str | None
 ) -> dict[str, str | Source]:
-    """Return the source of each of our columns: as `columns` says, else as the headings say.
+    """Return casadical's column name -> its source, as `columns` says, else as the headings say.
 
     Raises InputError where the headings leave a question.
     """
@@ -104,9 +104,10 @@ def from_columns(
     sigma_mm: float | None = None,
     sigma_deg: float | None = None,
 ) -> Measurements:
-    """Return the measurements in columns under our names; arguments as of `read_measurements`.
+    """Return the measurements in columns under casadical's names, without exact copies of rows.
 
-    Raises InputError.
+    Other arguments are as of `read_measurements`.
+    Raises InputError: columns that cannot be used, or no row.
     """
     source, each = columns.source, _kinds(joints, columns.source)
     observed = find_kind(kind, source) if kind else kind_of(columns)
@@ -174,10 +175,10 @@ def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Ar
 
 
 def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Array]:
-    """Return the conditions with the direction of gravity in the base frame.
+    """Return logged columns, completed by the direction of gravity if two tilts were logged.
 
-    Where two tilts were logged, it follows from them: the base, level at first, is rotated by
-    tilt_x about its x axis, then by tilt_y about the new y axis.
+    The direction, in the base frame, is added under GRAVITY_COLUMNS: the base, level at first, is
+    rotated by tilt_x about its x axis, then by tilt_y about the new y axis.
     Raises InputError: an accelerometer whose three values are zero.
     """
     tilts = [f"tilt_{c}_{unit}" for unit in ("deg", "rad") for c in "xy"]
@@ -196,9 +197,9 @@ def with_gravity(conditions: dict[str, Array], columns: Columns) -> dict[str, Ar
 
 
 def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurements:
-    """Return planned poses that are not measured: readings and conditions, every position zero.
+    """Return planned poses, not measured yet, as kind position with every position zero.
 
-    Raises InputError.
+    Readings and conditions are those of the columns. Raises InputError as `from_columns`.
     """
     positions = [f"{c}{unit}" for c in "xyz" for unit in ("_mm", "_m")]
     table = columns.table.drop(columns=positions, errors="ignore")
@@ -206,7 +207,10 @@ def readings_alone(columns: Columns, joints: int | Sequence[str]) -> Measurement
 
 
 def _without_copies(m: Measurements) -> Measurements:
-    """Return the measurements without rows that repeat another one exactly: copies, not repeats."""
+    """Return the measurements without rows that are equal to an earlier one to the last digit.
+
+    They are copies, not repeated measurements; the dropped rows are listed in `copies`.
+    """
     hashes = _hashes(_numbers(m))
     alike = np.flatnonzero(pd.Series(hashes).duplicated(keep=False))
     if not len(alike):
@@ -219,7 +223,7 @@ def _without_copies(m: Measurements) -> Measurements:
 
 
 def _numbers(m: Measurements) -> list[Array]:
-    """Return readings and observations, each of shape (n, k); names are replaced by hashes."""
+    """Return readings and observed arrays as numbers, each of shape (n, k); names as hashes."""
     names = {
         name: pd.util.hash_array(v.astype(str).astype(object)) >> 11
         for name, v in m.arrays.items()
@@ -249,7 +253,10 @@ def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
 
 
 def _hashes(numbers: Sequence[Array]) -> Array:
-    """Return a hash of each row over all arrays, shape (n,), equal for equal rows."""
+    """Return a hash (uint64) of each row over all arrays, shape (n,), equal for equal rows.
+
+    numbers : arrays of shape (n, k)
+    """
     hashes = np.zeros(len(numbers[0]), dtype=np.uint64)
     for column in (column for values in numbers for column in values.T):
         hashes = hashes * np.uint64(1_000_003) ^ pd.util.hash_array(column + 0.0)  # -0.0 is 0.0

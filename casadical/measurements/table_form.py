@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 from casadical.measurements.vocabulary import UNITS, hits
 
-# A line that begins with one of these is a comment.
+# Beginnings of lines that are comments.
 COMMENTS = ("#", "//", "%", "!")
 # Number of lines, without comments, from which the separator is recognised.
 SAMPLE_LINES = 200
@@ -27,7 +27,7 @@ _COMMA_NUMBER = re.compile(r"[+-]?(\d*,\d+|\d{1,3}(\.\d{3})+,\d+)(e[+-]?\d+)?", 
 # Pattern of a number with commas between thousands.
 _THOUSANDS_NUMBER = re.compile(r"[+-]?\d{1,3}(,\d{3})+(\.\d+)?")
 
-# Number of a line, and its cells.
+# Number of a line in the file, from 1, and its cells.
 Record = tuple[int, list[str]]
 
 
@@ -53,7 +53,7 @@ class Form:
 
     @property
     def words(self) -> str:
-        """The form in one line."""
+        """The form as one line of text: encoding, separator, decimal sign, headings."""
         separators = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "blanks", "|": "vertical bars"}
         parts = [f"sheet {self.sheet!r}"] if self.sheet else [self.encoding, separators[self.separator]]
         if not self.sheet:
@@ -73,7 +73,7 @@ def decoded(data: bytes) -> tuple[str, str]:
     charset-normalizer is not used: it takes "q1 [°]" in cp1252 for big5, because it needs longer
     texts.
     """
-    # Encodings by the byte order mark at the beginning of a file.
+    # Byte order mark at the beginning of a file -> its encoding.
     byte_order_marks = {
         codecs.BOM_UTF8: "utf-8-sig",
         codecs.BOM_UTF32_LE: "utf-32",
@@ -99,9 +99,10 @@ def decoded(data: bytes) -> tuple[str, str]:
 
 
 def records_of(text: str, separator: str) -> list[Record]:
-    """Return number and cells of every line that is not blank; quoted cells may span several lines.
+    """Return line number and cells of every line that is not blank.
 
-    Raises csv.Error, with its row, for a quote that is never closed.
+    A record with quoted cells may span several lines; its number is that of the first. Raises
+    csv.Error, with its row, for a quote that is never closed.
     """
     if separator == " ":
         return [(k, line.split()) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
@@ -130,7 +131,7 @@ def is_number(cell: str) -> bool:
 
 
 def separator_of(text: str) -> str:
-    """Return the separator that gives the most numbers in rows of one width.
+    """Return the separator of a text's cells: that which gives the most numbers in equal rows.
 
     For a text without rows it is the most frequent separator of the first line.
     """
@@ -171,7 +172,9 @@ def decimal_of(rows: Sequence[Record]) -> str:
 
 def as_plain_number(cell: str, decimal: str) -> str:
     """Return a number with a decimal point and no separators; other cells stay unchanged."""
-    # A longer number is rounded to a double: pandas reads longer whole numbers as Python objects.
+    # Length of a number [characters] from which on it is rounded to a double, as pandas reads
+    # longer
+    # whole numbers as Python objects.
     max_number_characters = 40
     if len(cell) < max_number_characters and _POINT_NUMBER.fullmatch(cell):
         return cell
@@ -186,7 +189,7 @@ def as_plain_number(cell: str, decimal: str) -> str:
 
 
 def is_data(cells: Sequence[str]) -> bool:
-    """Return whether at least half of the cells that are filled are numbers (of two or more)."""
+    """Return whether at least half of a line's filled cells, two or more, are numbers."""
     filled = [cell for cell in cells if cell.strip()]
     return len(filled) > 1 and 2 * sum(map(is_number, filled)) >= len(filled)
 
@@ -198,7 +201,7 @@ def is_units(cells: Sequence[str]) -> bool:
 
 
 def unit_word(cell: str) -> str:
-    """Return a unit without brackets, in lower case."""
+    """Return a cell as a key of `UNITS`: without blanks and brackets, in lower case."""
     return clean(cell).strip("[](){}<>【】").strip().casefold()
 
 

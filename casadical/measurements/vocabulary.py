@@ -7,7 +7,7 @@ from importlib.resources import files
 
 _FILE = tomllib.loads(files("casadical.measurements").joinpath("vocabulary.toml").read_text(encoding="utf-8"))
 
-# Word of a unit -> our unit, and the factor to it.
+# Word for a unit in a heading -> casadical's unit (mm, m, deg, rad, s, ...), and the factor to it.
 UNITS: Mapping[str, tuple[str, float]] = {
     word: (str(ours), float(factor)) for factor, ours, words in _FILE["units"].values() for word in words.split()
 }

@@ -50,10 +50,10 @@ class Calibration(Result):
     """The result of a calibration: identified robots, their accuracies, trained networks.
 
     problem : the calibrated problem with its measurements
-    identifications : identifications by method, in the order of the problem's methods; the last one
-        counts
-    accuracies : error figures by method, by set (of several tables SET/KIND over all tables of the
-        kind, and SET/KIND/FILE of each of them), by state: "nominal", "placed" (base and tool
+    identifications : identifications by method (KM, SKCM), in the order of the problem's methods;
+        the last one is the result
+    accuracies : error statistics by method, by set (of several tables SET/KIND over all tables of
+        the kind, and SET/KIND/FILE of each of them), by state: "nominal", "placed" (base and tool
         fitted), "calibrated"
     networks : networks trained on the residual of SKCM, None where the problem lists none
     without_prior : accuracy of the last method on the held-out poses if identified without the
@@ -107,12 +107,12 @@ class Calibration(Result):
 
     @property
     def written(self) -> Mapping[str, Identification]:
-        """Return the identifications that are written, by method: refitted ones, if any."""
+        """Return the identifications that are written, by method: refitted ones where there are."""
         return self.refitted or self.identifications
 
     @property
     def identification(self) -> Identification:
-        """Return the identification by the last method, which is the one that counts."""
+        """Return the identification by the last method, which is the calibration's result."""
         return list(self.identifications.values())[-1]
 
     @property
@@ -127,12 +127,15 @@ class Calibration(Result):
 
     @cached_property
     def hand_eye(self) -> HandEye | None:
-        """Return the hand-eye transform as it is written; None where no camera measured poses."""
+        """Return the hand-eye transform that is written; None where no camera measured poses."""
         return hand_eye_of(list(self.written.values())[-1])
 
     @property
     def worse(self) -> str:
-        """Return why held-out poses are worse than before, and the remedy; empty if not."""
+        """Return why errors of held-out poses have grown, and the remedy; empty if they have not.
+
+        Empty, too, where no poses were held out.
+        """
         _, before, after, held_out = judged_on(self.accuracies)
         return outcome.worse_than_before(self.identification, before, after) if held_out else ""
 
@@ -159,7 +162,10 @@ class Calibration(Result):
         return self._report_blocks(brief=False)
 
     def _report_blocks(self, **more: Any) -> list[Block]:
-        """Return the blocks of the report, filled into calibration.j2."""
+        """Return the blocks of the report, filled into calibration.j2.
+
+        more : further values of the template, such as `brief`
+        """
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
             fit_quality(last),
@@ -193,7 +199,7 @@ class Calibration(Result):
         return f" of {self.problem.robot.name!r}: {change}, mean of {poses}"
 
     def bars(self) -> Sequence[tuple[str, float]]:
-        """Return labels and errors [m] of the bars of the notebook view."""
+        """Return (label, error [m]) of the bars of the notebook view, before and after."""
         method, before, after, _ = judged_on(self.accuracies)
         return [("before, mean", before.mean), (f"{method}, mean", after.mean), (f"{method}, 95 %", after.p95)]
 
@@ -206,7 +212,7 @@ class Calibration(Result):
 
     @cached_property
     def where(self) -> Localisation | None:
-        """Return where the residual lies; None unless of one set of measured positions."""
+        """Return the localisation of the residual error; None unless of one table of positions."""
         return residual_localisation(self.identification)
 
     def figures(self) -> dict[str, Figure]:
@@ -219,9 +225,9 @@ class Calibration(Result):
         return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def _method(self, method: str) -> dict[str, Any]:
-        """Return a method's results as plain data.
+        """Return a method's results for JSON: its identification, and the errors of each set.
 
-        Where held-out poses are far off, the figures of their set without them are added.
+        Where held-out poses are far off, the errors of their set without them are added.
         """
         usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
         sets = {
@@ -237,7 +243,10 @@ class Calibration(Result):
 
     @property
     def _prior(self) -> dict[str, Any] | None:
-        """Return the prior as plain data, with the mean error of held-out poses without it [mm]."""
+        """Return the prior for JSON; None without one.
+
+        `without_mean_mm` is the mean error of held-out poses identified without it [mm].
+        """
         if not self.problem.prior:
             return None
         figures = self.problem.prior.to_json([m for _, m in self.problem.parts()])
@@ -246,7 +255,7 @@ class Calibration(Result):
 
     @property
     def _kinds(self) -> dict[str, str]:
-        """Return the kind of measurement of each set."""
+        """Return the kind of measurement of each set, by the names in `accuracies`."""
         kinds = {name: m.kind for name, m in self.problem.parts()}
         return {name: kinds[names[0]] for name, names in error_groups(kinds).items()}
 
@@ -280,7 +289,8 @@ class Calibration(Result):
 def with_knowledge(found: Identification) -> Robot:
     """Return the calibrated robot with its covariance and, if poses suffice, its remaining errors.
 
-    The covariance, scaled by the misfit, is added to robots without effects only.
+    Robots with effects have their covariance already; to others it is added here, with its misfit
+    factor.
     """
     robot = (
         found.robot
@@ -367,7 +377,10 @@ def calibrate(
 
 
 def _refitted(problem: Problem, results: Mapping[str, Identification], show: Show) -> dict[str, Identification]:
-    """Return the identifications from all poses by method; {} without refit, or with networks."""
+    """Return the identifications from all poses, by method; {} without refit, or with networks.
+
+    results : identifications from the set identify, by method
+    """
     if not problem.whole or problem.networks:
         return {}
     whole = replace(
@@ -421,7 +434,12 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
 
 
 def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
-    """Return the last method's held-out accuracy without the prior; None of too few poses."""
+    """Return the last method's accuracy on held-out poses if identified without the prior.
+
+    None where nothing was held out, or the poses are too few without a prior.
+
+    plain : problem without the prior; results : identifications with it, by method
+    """
     method, last = list(results.items())[-1]
     parts = {name: m for name, m in plain.parts() if name.startswith("report")}
     if not parts:

@@ -46,7 +46,8 @@ from casadical.project.problem import Problem
 from casadical.project.telling import problem_files
 from casadical.robot.robot import Robot
 
-# The residual error is localised from at most this many poses, drawn at random, to bound the time.
+# Maximum number of poses from which the residual error is localised, drawn at random, to bound the
+# time.
 MAX_LOCALISED_POSES = 5_000
 # Colour, symbol and dash of the networks in the order of their trainers; styles repeat if there are
 # many plug-ins.
@@ -63,16 +64,21 @@ Identifications = Mapping[str, Identification]
 
 
 def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
-    """Return every set by name, without the poses that any method left out as outliers."""
+    """Return set -> its measurements, without poses that any method left out as outliers.
+
+    Sets are named as in `Problem.parts`.
+    """
     inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     return {name: next(inliers) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
 
 
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
-    """Return the errors of every pose, by set, of the placed robot, each method and network.
+    """Return set -> errors at its poses of the placed robot, each method and each network.
 
-    The errors of the poses on which all methods are judged; outliers are listed apart. Refused
-    networks are included as they were trained, marked as refused.
+    The poses are those on which all methods are judged; outliers are listed apart. Refused networks
+    are included as they were trained, marked as refused.
+
+    results : identifications by method
     """
     order, robot = list(SET_TITLES), list(results.values())[-1].robot
     by_name = {}
@@ -90,7 +96,7 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
 def _models(
     m: Measurements, problem: Problem, results: Identifications, networks: Networks | None
 ) -> Iterator[ModelErrors]:
-    """Yield the errors at one set of the placed nominal robot, the methods and the networks."""
+    """Yield the errors at the poses m of the placed nominal robot, each method and each network."""
     yield _errors_of("before", list(results.values())[-1].placed, m)
     for method, result in results.items():
         yield _errors_of(method, result.robot, m)
@@ -106,7 +112,10 @@ def _models(
 
 
 def _errors_of(model: str, robot: Robot, m: Measurements) -> ModelErrors:
-    """Return one robot's errors at a set [m], with error vectors where positions were measured."""
+    """Return one robot's errors at the poses m, with error vectors where positions were measured.
+
+    model : name of the robot in figures
+    """
     vector = None if m.position is None else 1e-3 * residual_mm(robot, m)
     return ModelErrors(model, errors(robot, m), vector)
 
@@ -117,7 +126,7 @@ def network_style(method: str) -> Style:
 
 
 def residual_localisation(result: Identification) -> Localisation | None:
-    """Return where the residual error lies; None unless there is one set, of measured positions."""
+    """Return the localisation of the residual error; None unless of one set of positions."""
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
     if len(m := result.measurements[0]) > MAX_LOCALISED_POSES:

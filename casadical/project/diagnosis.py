@@ -49,14 +49,16 @@ EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Ef
 
 
 def all_effects() -> tuple[str, ...]:
-    """Return the names of all effects on a list of candidate causes."""
+    """Return the names of all effects that are on a list of candidate causes, sorted."""
     return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
 
 
 def effects_named(text: str | None) -> EffectChoice:
-    """Return the effects of a text: names, labels or effect files (`.toml`), separated by commas.
+    """Return the candidate causes that a text names; "standard" where there is no text.
 
-    Returns "standard" where there is no text. Raises InputError.
+    text : names, labels or effect files (`.toml`), separated by commas; an effect file stands for
+        its effects, or else for those that it defines
+    Raises InputError for a file that cannot be read.
     """
     named: list[str | Effect | type[Effect]] = []
     for word in text.split(",") if text else ():
@@ -99,7 +101,10 @@ class Campaign:
         return f"{', '.join(path.stem for path in self.tables) or self.name} ({self.robot.name})"
 
     def workspace(self, room: Path | None) -> Workspace | None:
-        """Return the workspace that a file describes; None without a file. Raises InputError."""
+        """Return the workspace that the file `room` describes; None without a file.
+
+        Raises InputError.
+        """
         return read_workspace(room, self.robot) if room else None
 
 
@@ -181,7 +186,7 @@ class CampaignDiagnosis(Result):
 
     @property
     def _details_without_laws(self) -> Details:
-        """Return the details, without the expression search where it is reported in full."""
+        """Return the details, without the search for an expression where that is reported apart."""
         return replace(self.details, laws=None) if self.searched else self.details
 
     @property
@@ -228,7 +233,10 @@ class CampaignDiagnosis(Result):
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the diagnosis as plain data for a JSON file."""
+        """Return the diagnosis for a JSON file.
+
+        The key `laws` is there if expressions for an unlisted effect were searched for.
+        """
         answer = as_json(self.diagnosis, self.campaign.name, self.details)
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
@@ -243,8 +251,9 @@ class CampaignDiagnosis(Result):
 
 
 def diagnose_campaign(campaign: Campaign, options: Options | None = None, show: Show = silent) -> CampaignDiagnosis:
-    """Diagnose a campaign: the one way that the command, fleets, replays and exports take.
+    """Return the diagnosis of a campaign, as the command, fleets, replays and exports make it.
 
+    options : None: the default ones; show : called with each line of progress
     Raises InputError.
     """
     asked = options or Options()
@@ -282,7 +291,7 @@ class LogCampaign:
     read: dict[Path, JointLog] = field(default_factory=dict)  # cache of `log`
 
     def log(self, path: Path) -> JointLog:
-        """Return a log, which is read once. Raises InputError."""
+        """Return the log in a file, from the cache if it was read before. Raises InputError."""
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
     def diagnosed(self, show: Show = silent) -> LogDiagnosis:
@@ -306,7 +315,10 @@ class LogCampaign:
         return replayed(self.robot, logs, withheld, show, against)
 
     def page(self, answer: LogDiagnosis | None, replay: Replay | None) -> Page:
-        """Return the page that `casadical diagnose ARM LOG... --report` writes."""
+        """Return the page that `casadical diagnose ARM LOG... --report` writes.
+
+        answer : diagnosis of the logs; replay : of the withheld logs; None: no such section
+        """
         sections = [Section("Replay", replay.blocks())] if replay else []
         sections += [Section("Causes", answer.blocks())] if answer else []
         title = f"Joint logs of {self.robot.name}"
@@ -322,7 +334,7 @@ def read_logs(
     drive: Path | None = None,
     effects: Sequence[str] = (),
 ) -> LogCampaign | None:
-    """Read the joint logs of a problem folder, or given ones; None where tables are of poses.
+    """Read the joint logs of a problem folder, or given ones; None where files are tables of poses.
 
     folder : problem folder or robot file
     tables : files in place of the folder's own
@@ -351,6 +363,7 @@ def read_logs(
 def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
     """Return the causes of joint logs that effect files define.
 
+    files : paths of effect files (`.toml`)
     Raises InputError for a word that is no file, and for effects of measured poses.
     """
     kinds: list[Cause] = []
@@ -367,6 +380,9 @@ def own_causes(files: Sequence[str]) -> tuple[Cause, ...]:
 
 
 def isolability_of(campaign: Campaign, effects: EffectChoice) -> Isolability:
-    """Return which effects the poses of a campaign could detect and isolate, before any data."""
+    """Return which effects could be detected and isolated at a campaign's poses, before any data.
+
+    campaign : of one table; effects : candidate causes
+    """
     (m,) = campaign.sets
     return isolability(campaign.robot, m, effects)

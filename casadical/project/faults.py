@@ -59,7 +59,10 @@ def every_fault(error: InputError, paths: Iterable[Path], *, later: bool = False
 
 
 def each_of(steps: Iterable[Callable[[], Read]]) -> list[Read]:
-    """Return the results of several steps. Raises InputError: the errors of all of them, joined."""
+    """Return the results of several steps, in order.
+
+    All steps are executed; raises InputError with the errors of all that failed, joined.
+    """
     given: list[Read] = []
 
     def take(step: Callable[[], Read]) -> None:
@@ -76,7 +79,10 @@ class _Collected:
     errors: list[InputError] = field(default_factory=list)
 
     def tried(self, step: Callable[Given, Read], *given: Given.args, **named: Given.kwargs) -> Read | None:
-        """Return the result of a step; None where it raised an error, which is collected."""
+        """Return the result of `step(*given, **named)`; None if it raised an InputError.
+
+        The error is collected.
+        """
         try:
             return step(*given, **named)
         except InputError as error:
@@ -85,7 +91,10 @@ class _Collected:
 
 
 def _problem_file(folder: Path, found: _Collected) -> ProblemFile:
-    """Return a folder's problem.toml without its invalid keys; their faults are collected."""
+    """Return the contents of a folder's problem.toml without its invalid keys.
+
+    The faults of these keys are collected in `found`.
+    """
     path = folder / "problem.toml"
     data = load_toml(path)
     found.tried(check, ProblemFile, data, str(path))
@@ -114,7 +123,10 @@ def _is_robot(path: Path) -> bool:
 
 
 def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None, list[str]]:
-    """Return a robot and the kinds of its joints; of an unusable file, the kinds it declares."""
+    """Return a robot and the kinds of its joints; None and the declared kinds for an unusable file.
+
+    found : collects the file's errors; urdf : [urdf] of problem.toml
+    """
     robot = found.tried(robot_of_file, path, urdf)
     if robot is not None:
         return robot, [j.kind for j in robot.joints]

@@ -70,7 +70,10 @@ class HandEye(Shown):
 
 
 def hand_eye_of(found: Identification) -> HandEye | None:
-    """Return the hand-eye transform of an identification; None where no camera measured poses."""
+    """Return the hand-eye transform of an identification, or None.
+
+    None where no camera measured poses, or the base was known.
+    """
     camera = next((m.camera for m in found.measurements if m.orientation is not None), "")
     if not camera or found.robot.base.unknown != "pose":
         return None

@@ -25,9 +25,9 @@ class NetworkResult:
     method : name of the network method
     compensator : trained network, None where there was nothing to train on
     why : reason why there is no compensator
-    errors : by set, errors of the corrected positions; those of SKCM where the network was refused,
-        as nothing is corrected then (what it would have done: `compensator.training`, `.choice`,
-        `.validation`)
+    errors : set -> statistics of the corrected positions' errors [m]; those of SKCM where the
+        network was refused, as nothing is corrected then (with it: `compensator.training`,
+        `.choice`, `.validation`)
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -81,9 +81,9 @@ class Networks:
 class Material:
     """Training data of the networks.
 
-    sets : by set (train, choose, report), joint readings (n, joints) [rad or m] and residuals (n,
-        3) [mm]
-    lent : sentence on the identification poses that were lent for training, empty if none were
+    sets : set (train, choose, report) -> joint readings (n, joints) [rad or m] and position
+        residuals of SKCM (n, 3) [mm]
+    lent : sentence on identification poses that serve as train and choose, empty if none do
     """
 
     sets: Mapping[str, tuple[Array, Array]]
@@ -99,16 +99,18 @@ def train_networks(
     show: Show = silent,
     judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
-    """Train networks on the residual that SKCM leaves in a problem's sets; return each result.
+    """Train networks on the position residual that SKCM leaves; return the result of each method.
 
-    The set train is fitted, the set choose decides on acceptance, all other sets are used for
-    neither.
+    SKCM is the paper's joint identification of geometry and compliance. The set train is fitted,
+    the set choose decides on acceptance (without it cross-validation in train). Without a set
+    train, separate parts of the identification poses serve as both; where they are too few, or no
+    positions were measured, no network is trained and the results state why.
 
-    methods : network methods, None: all
-    seed : seed of the split of lent poses and of the training
-    show : called with each line of progress, which holds the loss
+    result : identification by SKCM; methods : network methods, None: all
+    seed : of the split of identification poses and of the training
+    show : called with each line of progress, which states the loss
     judged : poses whose errors are reported, by set; None: all of the problem's
-    Raises InputError: a method that is no network, or data without positions.
+    Raises InputError: a set whose errors are to be reported has no positions.
     """
     judged = dict(problem.parts()) if judged is None else judged
     trainers = network_methods()

@@ -24,12 +24,15 @@ from casadical.project.problem import Problem, error_groups
 from casadical.project.problem_file import Paper
 from casadical.robot.robot import Robot
 
-# Error figures by method, by set, and by state (nominal, placed, calibrated).
+# Method -> set -> state ("nominal", "placed", "calibrated") -> statistics of the errors.
 Accuracies = Mapping[str, Mapping[str, Mapping[str, Accuracy]]]
 
 
 def judged_on(accuracies: Accuracies) -> tuple[str, Accuracy, Accuracy, bool]:
-    """Return the last method, errors before and after, and whether they are of held-out poses."""
+    """Return the last method, its errors before and after, and whether these are held-out poses'.
+
+    Before means the nominal robot with base and tool fitted.
+    """
     method, states = list(accuracies.items())[-1]
     name = _judging_set(states)
     return method, states[name]["placed"], states[name]["calibrated"], name.startswith("report")
@@ -63,9 +66,9 @@ def report_blocks(
 def things_to_know(
     problem: Problem, last: Identification, networks: Networks | None, accuracies: Accuracies
 ) -> list[Block]:
-    """Return at most three things that a reader must know, the most important first.
+    """Return at most three sentences that a reader must know, the most important first.
 
-    last : identification by the method that counts
+    last : identification by the last method, which is the result
     """
     return report_blocks(problem, accuracies, block="things", last=last, networks=networks)[:3]
 
@@ -109,12 +112,12 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
 
 
 def _angles(a: Accuracy) -> tuple[str, str]:
-    """Return mean and 95th percentile of the orientation errors as texts [deg]; dashes if unknown."""
+    """Return mean and 95th percentile of orientation errors as texts [deg]; dashes if unknown."""
     return ("-", "-") if a.turn is None else (mm(1e-3 * np.rad2deg(a.turn.mean)), mm(1e-3 * np.rad2deg(a.turn.p95)))
 
 
 def _error_kind(problem: Problem, name: str) -> str:
-    """Return what the errors of a set are of, such as "position error".
+    """Return the quantity whose errors a set has, as text such as "position error".
 
     name : SET or SET/KIND, as in the accuracies
     """
@@ -124,7 +127,10 @@ def _error_kind(problem: Problem, name: str) -> str:
 
 
 def network_tables(networks: Networks) -> list[Table | Words]:
-    """Return a table of mean errors with and without each network, and the training poses."""
+    """Return a table of mean errors [mm] without and with each network, and a sentence.
+
+    The sentence states on which poses they were trained, or why none was.
+    """
     rows: list[tuple[str, ...]] = []
     for name, result in networks.results.items():
         c = result.compensator
@@ -144,10 +150,10 @@ def network_tables(networks: Networks) -> list[Table | Words]:
 
 
 def paper_tables(paper: Paper | None, accuracies: Accuracies, networks: Networks | None = None) -> list[Table | Words]:
-    """Return our mean, max and std [mm] compared with the published ones.
+    """Return tables of our mean, max and std of errors [mm] next to the published ones; [] without.
 
-    The table of the calibration has the poses that each method was fitted to, the other the set
-    report.
+    The table of the calibration has the poses that each method was fitted to, that of the
+    validation the set report.
     """
     if paper is None:
         return []
@@ -199,14 +205,17 @@ def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]
 
 
 def far_held_out(problem: Problem, robot: Robot) -> tuple[list[LeftOut], float]:
-    """Return held-out poses that are far off, the worst first, and the others' mean error [m]."""
+    """Return held-out poses with ten times the median error, worst first, and others' mean [m].
+
+    The mean error of the others is zero where there are none.
+    """
     held_out = _held_out_errors(problem, robot)
     far = sorted((out for _, some in held_out.values() for out in some), key=lambda out: -out.error)
     return far, float(np.mean(np.concatenate([e for e, _ in held_out.values()]))) if far else 0.0
 
 
 def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
-    """Return the accuracy of held-out sets that have poses far off, without these poses."""
+    """Return held-out set -> accuracy without its poses far off, for sets that have such poses."""
     held_out = _held_out_errors(problem, robot)
     return {
         name: summarise(np.concatenate([held_out[n][0] for n in names]))
@@ -216,13 +225,13 @@ def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
 
 
 def _held_out_errors(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
-    """Return for each held-out set the errors of its usual poses [m], and its poses far off."""
+    """Return held-out set -> errors of its usual poses, shape (k,) [m], and its poses far off."""
     # A held-out pose is far off if its error exceeds ten times the median.
     return {name: _split_far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
 
 
 def _split_far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
-    """Return the usual poses' errors [m], and the poses above this many times the median error."""
+    """Return errors [m] up to `times` the median error, shape (k,), and the poses above that."""
     e = errors(robot, m)
     far = e > times * np.median(e)
     return e[~far], [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]

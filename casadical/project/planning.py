@@ -33,7 +33,7 @@ from casadical.project.problem_file import tables_of
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# One sigma of a coordinate that a laser tracker measures [mm]: it is planned with where none is
+# Standard deviation of a coordinate that a laser tracker measures [mm]; plans use it where none is
 # declared.
 TRACKER_SIGMA_MM = 0.02
 
@@ -54,8 +54,11 @@ def robot_of(path: Path) -> Robot:
 def circumstances_of(payloads: str | None, every_payload: bool, both_approaches: bool, repeats: int) -> Circumstances:
     """Return the payloads, approaches and repeats of a plan, from the command's options.
 
-    payloads : masses [kg], separated by commas
-    Raises InputError.
+    payloads : masses [kg], separated by commas; None: none
+    every_payload : whether each pose is measured with every payload
+    both_approaches : whether each pose is approached from both directions
+    repeats : number of measurements of each pose
+    Raises InputError for payloads that are no numbers or not possible.
     """
     try:
         numbers = tuple(float(word) for word in payloads.split(",")) if payloads else ()
@@ -89,13 +92,19 @@ class Places:
         return usual_places(robot, self.kind) if self.candidates is None else self.candidates
 
     def select(self, robot: Robot, **how: Any) -> Selection:
-        """Return the best poses and places; how : arguments of `select_with_places`."""
+        """Return the best selection of poses and places.
+
+        how : further arguments of `select_with_places`
+        """
         places = self.candidates_for(robot)
         return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
 
 
 def read_places(path: Path) -> Array:
-    """Return a table's columns x_mm, y_mm, z_mm (or _m), shape (K, 3) [m]. Raises InputError."""
+    """Return the places in a table's columns x_mm, y_mm, z_mm (or _m), shape (K, 3) [m].
+
+    They are in the measuring frame. Raises InputError.
+    """
     return Columns.of_file(read_table(path)).vector("")
 
 
@@ -140,7 +149,11 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
 
 
 def planned_with(path: Path, measured: Path | None, prior: Path | None = None) -> str:
-    """Return a sentence on the model for which the poses are chosen."""
+    """Return a sentence on the model with which poses are planned.
+
+    path : problem folder or robot file; measured : table of poses so far; prior : robot file of
+        another campaign
+    """
     if prior is not None:
         more = f" and {measured}" if measured else ""
         return f"Planned with the robot of {path} and what {prior}{more} tells of it: calibrate with the same --prior."
@@ -330,9 +343,9 @@ def plan(
 
 
 def poses_ahead(robot: Robot, folder: Path, workspace: Workspace | None, target: float | None) -> tuple[Array, str]:
-    """Return poses to measure, in order, shape (n, joints) [rad or m], and a sentence about them.
+    """Return poses to measure, in order, shape (n, joints) [rad or m], and a sentence on them.
 
-    They are as many as the stopping rule, or the target, needs.
+    Their number is what the stopping rule, or the wanted accuracy, needs.
 
     folder : problem folder, whose tables may declare the noise
     workspace : None: above the plane that the robot stands on
@@ -369,7 +382,7 @@ def poses_of_changes(
 ) -> pd.DataFrame:
     """Return the poses that determine best how a calibrated robot has changed, a row each.
 
-    n : number of poses, together with the measured ones
+    n : number of poses to choose, in addition to the measured ones
     prior : of the parameters that may change, about the robot's values
     measured : poses of the same day, to which these add
     Raises InputError.
@@ -391,7 +404,9 @@ def poses_of_changes(
 
 
 def iso9283_plan(path: Path, cube_mm: float | None, room: Path | None, seed: int) -> tuple[list[Words], pd.DataFrame]:
-    """Return notes on an ISO 9283 test of a problem folder's or a file's robot, and its table.
+    """Return instructions for a test by ISO 9283, and the table of its poses to be filled in.
+
+    path : problem folder, robot file or folder of results
 
     cube_mm : side of the test cube; None: the largest that fits
     room : file of a workspace

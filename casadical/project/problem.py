@@ -54,11 +54,13 @@ def nothing_carried(robot: Robot) -> tuple[Robot, Prior | None]:
 
 
 def carried_from(path: Path, parts: Sequence[str], frozen: bool) -> Carried:
-    """Return the function that puts a robot file's effects, or other parts, into a robot.
+    """Return a function that takes effects, or other parts, of a robot file over into a robot.
 
-    parts : what is taken from the file, as of `carry_over`
+    It returns that robot and the prior of the values (see `carry_over`).
+
+    path : robot file; parts : what is taken over, as of `carry_over`
     frozen : whether the values are fixed
-    Raises InputError.
+    Raises InputError for a file that is no robot.
     """
     other = read_robot(path)
     return lambda robot: carry_over(robot, other, parts, frozen=frozen)
@@ -74,7 +76,7 @@ class Problem(Shown):
     robot : nominal robot
     sets : measurements by set name, one `Measurements` for each table; no pose is in two sets
     methods : identification methods of `casadical calibrate`
-    loss : loss function of the residuals in `casadical calibrate`
+    loss : name of the loss of the residuals in `casadical calibrate`
     geometry_prior : whether the geometry has a prior where the poses leave it open (see `identify`)
     urdf : file, base link and tip link where the robot is from a URDF
     networks : network methods that are trained on the residual of SKCM
@@ -131,7 +133,7 @@ class Problem(Shown):
         return f"{self.data} data" if self.data else "data of unstated origin"
 
     def parts(self) -> Iterator[tuple[str, Measurements]]:
-        """Yield the share of every table in every set, with its name.
+        """Yield the name and the measurements of every table's part in every set.
 
         The name is SET; of several tables SET/KIND, and of several tables of one kind
         SET/KIND/FILE.
@@ -147,9 +149,10 @@ class Problem(Shown):
 
     @cached_property
     def table(self) -> Measurements | None:
-        """Return all positions of the only table, in the order of the file.
+        """Return all poses of the only table in the order of its rows, as kind position.
 
-        Returns None where there are several tables, or other kinds of measurement.
+        Measured orientations are included. None where there are several tables, or other kinds of
+        measurement.
         """
         parts = [part for _, part in self.parts()]
         first = parts[0]
@@ -170,9 +173,9 @@ class Problem(Shown):
 
     @cached_property
     def unnamed_targets(self) -> str:
-        """Return a sentence on the several targets that the only table does not name.
+        """Return a sentence on several targets that the only table measured but does not name.
 
-        The sentence names the remedy; it is empty where there is nothing to say.
+        It states the remedy; it is empty where there are none.
         """
         found = recognised(self.robot, self.table) if self.table is not None else None
         if self.table is None or not found or not found.turning:
@@ -192,7 +195,7 @@ class Problem(Shown):
 
 
 def error_groups(names: Iterable[str]) -> dict[str, list[str]]:
-    """Return the names of `Problem.parts` over which errors are evaluated together, by group.
+    """Return group -> names of `Problem.parts` over whose poses errors are evaluated together.
 
     Tables of one kind form the group SET/KIND; each table is a group of its own, too.
     """
@@ -302,7 +305,10 @@ def read_campaign_robot(folder: str | Path) -> Robot:
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:
-    """Return the robot that a problem folder names for calibrations, or for campaigns."""
+    """Return the robot of a problem folder, without its measurements. Raises InputError.
+
+    campaign : whether it is the robot of diagnoses (`campaign_robot`), not that of calibrations
+    """
     file = problem_file(folder)
     name = file.of_campaigns if campaign else file.robot
     return replace(robot_of_file(folder / name, file.urdf or UrdfTable()), sessions=file.sessions.sessions())
@@ -384,7 +390,11 @@ def _separations(data: DataTable) -> list[tuple[str, str, float]]:
 
 
 def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
-    """Return a table's columns under casadical's names, without rows in `leave_out`."""
+    """Return a table's columns under casadical's names, without rows in `leave_out`.
+
+    Headings are interpreted as `data` declares, else by themselves and by the nominal robot.
+    Raises InputError where a question remains open.
+    """
     meaning = understood(raw, robot, data.sources, data.kind)
     refuse_open(raw, meaning)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
@@ -395,7 +405,10 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:
-    """Return all poses of one [[measurements]], and its sets by name. Raises InputError."""
+    """Return all poses of one [[measurements]], and its split into sets by name.
+
+    Raises InputError for a table that cannot be used.
+    """
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
@@ -439,7 +452,11 @@ def _with_conditions(m: Measurements, robot: Robot) -> Measurements:
 
 
 def _by_column(found: Measurements, columns: Columns, column: str) -> dict[str, Measurements]:
-    """Return the sets that a column names. Raises InputError: no such column, or unknown name."""
+    """Return set -> its poses, as a column of the table names the set of each row.
+
+    found : the measurements; columns : of their table
+    Raises InputError: no such column, or unknown name.
+    """
     if column not in columns.table:
         raise InputError(f"{found.source}: column {column!r}, named in sets, is missing; there are {columns.names}")
     said = pd.Series(columns.table[column].astype(str).to_numpy(), index=columns.row)

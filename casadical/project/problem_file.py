@@ -64,7 +64,7 @@ class _Source(_Strict):
 
     @model_validator(mode="after")
     def _tells(self) -> _Source:
-        """Refuse a source whose factor leaves nothing of its column."""
+        """Refuse a source in which the factor of its own column is zero."""
         if self.times + self.add.get(self.name, 0.0) == 0:
             key = "times" if "times" in self.model_fields_set else "add"
             raise FaultError(key, f"leaves nothing of column {self.name!r}; leave it out, or take another factor")
@@ -125,27 +125,33 @@ class DataTable(_Strict):
 
     @property
     def sources(self) -> dict[str, Source]:
-        """Return the source of each column, by casadical's name."""
+        """Return casadical's column name -> its source, for the columns that are declared."""
         given = self.model_dump(include={"columns"}, by_alias=True)["columns"]
         return {ours: Source.read(source) for ours, source in given.items()}
 
     @property
     def noise(self) -> dict[str, float]:
-        """Return the keys that declare the instrument's noise."""
+        """Return those of sigma_mm, sigma_deg and datasheet_mm that are given, with their values.
+
+        They declare the instrument's noise.
+        """
         return self.model_dump(include={"sigma_mm", "sigma_deg", "datasheet_mm"}, exclude_none=True)
 
     @property
     def understood(self) -> dict[str, Any]:
-        """Return the keys by which another table of the same origin is interpreted."""
+        """Return the keys and values by which another table of the same origin is interpreted.
+
+        They are those that were given among file, kind, columns, point_from, inverted and camera.
+        """
         keys = ("file", "kind", "columns", "point_from", "inverted", "camera")
         given = self.model_dump(include={*keys}, exclude_defaults=True, by_alias=True)
         return {key: given[key] for key in keys if key in given}
 
     def named_in(self, header: Sequence[str]) -> DataTable:
-        """Return the declaration for another file with this header.
+        """Return the declaration as it applies to another file with these headings.
 
-        It has only those column sources that the header provides, and nothing that refers to rows
-        of its own file.
+        It has only the column sources that the headings provide, and no keys that refer to rows of
+        its own file (leave_out, tools, session).
         """
         needs = {o: {g} if isinstance(g, str) else {g.name, *g.add} for o, g in self.columns.items()}
         columns = {ours: given for ours, given in self.columns.items() if needs[ours] <= set(header)}
@@ -181,7 +187,10 @@ class SetsTable(_Strict):
         return self
 
     def sizes(self) -> dict[str, float]:
-        """Return shares or numbers of poses by set; identify = 1 alone is the whole table."""
+        """Return set -> share (below 1) or number of poses; 70 % identify, 30 % report by default.
+
+        identify = 1 alone is the whole table.
+        """
         given = self.model_dump(include={*SETS}, exclude_none=True)
         if given == {"identify": 1.0}:  # the whole table, not one pose
             return {"identify": math.nextafter(1.0, 0.0)}
@@ -263,7 +272,7 @@ class Paper(_Strict):
 
     @field_serializer("calibration", "validation")
     def _named(self, table: dict[str, Triple]) -> dict[str, dict[str, float]]:
-        """Return the published figures with their keys in JSON."""
+        """Return method -> its published figures by the JSON keys mean_mm, max_mm and std_mm."""
         return {m: dict(zip(("mean_mm", "max_mm", "std_mm"), f, strict=True)) for m, f in table.items()}
 
     @model_validator(mode="after")
@@ -314,12 +323,12 @@ class ProblemFile(_Strict):
 
     @property
     def of_campaigns(self) -> str:
-        """Return the robot file with which campaigns are diagnosed."""
+        """Return the name of the robot file with which campaigns are diagnosed."""
         return self.campaign_robot or self.robot
 
 
 def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
-    """Return the identifications that these methods need; a network learns the residual of SKCM."""
+    """Return those of KM and SKCM that the methods need; networks learn the residual of SKCM."""
     needed = {*methods, "SKCM"} if set(methods) - {*BASE_METHODS} else {*methods}
     return tuple(m for m in BASE_METHODS if m in needed)
 
@@ -342,9 +351,10 @@ def problem_file(folder: Path) -> ProblemFile:
 
 
 def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
-    """Return the problem.toml of a folder; with tables, as if it named these in place of its own.
+    """Return the problem.toml of a folder, with the given tables, if any, in place of its own.
 
-    For a robot file it is as if a problem.toml named this robot and the tables. Raises InputError.
+    For a robot file the result is as if a problem.toml named this robot and the tables. With
+    tables the robot is that of diagnoses. Raises InputError.
     """
     if not tables:
         return problem_file(source)
@@ -374,10 +384,11 @@ def own_tables(source: Path) -> list[Path]:
 
 
 def tables_of(folder: Path) -> Sequence[DataTable]:
-    """Return how the tables of a problem, or of a robot file's calibration, are interpreted.
+    """Return the [[measurements]] of a problem, or those of a robot file's calibration.
 
-    folder : problem folder, or a robot file with the result.json of its calibration beside it; []
-        where there is neither
+    [] where there is neither problem.toml nor result.json.
+
+    folder : problem folder, or a robot file with the result.json of its calibration beside it
     """
     if (folder / "problem.toml").exists():
         return problem_file(folder).measurements
@@ -389,9 +400,10 @@ def tables_of(folder: Path) -> Sequence[DataTable]:
 
 
 def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> DataTable:
-    """Return how a table is interpreted, by the declarations of a problem's tables.
+    """Return the [[measurements]] by which a table is interpreted, from those of a problem.
 
-    A copy of one of these tables is interpreted as that one.
+    A copy of one of these tables is interpreted as that one; another table by the first whose
+    columns it has, else only by kind and noise that all of them share.
 
     folder : of the problem
     raw : table
@@ -416,9 +428,9 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
 
 
 def result_in(folder: Path) -> Path:
-    """Return the robot file of the last method in a folder of results; a file is returned as it is.
+    """Return the path of the last method's robot file in a folder of results; a file is unchanged.
 
-    Raises InputError.
+    Raises InputError where the folder has no results of a calibration.
     """
     if not folder.is_dir():
         return folder

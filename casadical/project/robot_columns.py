@@ -21,20 +21,21 @@ from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns
 from casadical.robot.robot import Robot
 
-# An angle convention is accepted without a question if the nominal robot's median orientation error
-# is below this [rad] ...
+# Largest median orientation error of the nominal robot [rad] with which an angle convention is
+# accepted without a question.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
-# Every other convention must have at least this many times the error of the best one.
+# Minimum ratio of the orientation error with every other angle convention to that with the best
+# one, with which the best one is accepted without a question.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
-# Where a camera is; empty where that is not known.
+# Where a camera is: on the robot ("in hand") or fixed ("to base"); empty where it is not known.
 Camera = Literal["", "in hand", "to base"]
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
     """Return what headings mean (see `understand`), ambiguities resolved by the nominal robot.
 
-    given : columns whose source is declared
-    kind : kind of measurement, if declared
+    given : casadical's column name -> declared source
+    kind : kind of measurement, None where it is not declared
     """
     meaning = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
     for question in meaning.questions:
@@ -44,7 +45,10 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
 
 
 def poses_in_words(m: Measurements) -> str:
-    """Return a sentence on inverted poses and on the place of their camera; empty for others."""
+    """Return a sentence on whether poses are inverted and where their camera is.
+
+    Empty where poses are not inverted and the place of the camera is not known.
+    """
     where = {
         "in hand": "the camera is on the robot (eye in hand), its target stands still",
         "to base": "the camera stands still (eye to base), its target is on the robot",
@@ -58,10 +62,12 @@ def poses_in_words(m: Measurements) -> str:
 def _without_other_frame(
     raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding
 ) -> Understanding:
-    """Return `found` without orientations that were not measured with the positions.
+    """Return the meaning of columns without orientations that were not measured with positions.
 
-    They are in another frame than the positions, or the controller's own, computed by the nominal
-    model.
+    Such orientations are in another frame than the positions, or the controller's own, computed by
+    the nominal model.
+
+    given : casadical's column name -> declared source; found : meaning of all columns
     """
     turned = [c for c in found.columns if re.fullmatch(ORIENTATION, c.ours)]
     if not turned or found.questions:
@@ -101,16 +107,20 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
 
 
 def _pose_error(robot: Robot, m: Measurements) -> float:
-    """Return the median error of poses, base and tool fitted: of a turn [rad], and over the reach."""
+    """Return the dimensionless error of poses by a robot with base and tool fitted.
+
+    It is the median orientation error [rad] plus the median position error divided by the reach.
+    """
     base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
     turn = orientation_error(replace(robot, base=base, tool=tool), m)
     return turn + placed_by(robot, m)[1] / robot.reach
 
 
 def _camera_of(m: Measurements) -> Camera:
-    """Return where the camera is by which frame has the other one nearer to its z axis.
+    """Return where the camera is, by the frame (tool or fixed) that has the other near its z axis.
 
-    A camera sees its target within its field of view; how a target is turned has no such limit.
+    Empty where that is not clear. A camera sees its target within its field of view; how a target
+    is turned has no such limit.
     """
     off = {}
     for camera, poses in (("to base", m), ("in hand", m.inverse())):
@@ -129,9 +139,11 @@ def _camera_of(m: Measurements) -> Camera:
 def _by_model(
     raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding, question: Question
 ) -> Understanding:
-    """Return `found` with the question answered by the nominal robot, if its answer is clear.
+    """Return the meaning of columns with one question answered by the nominal robot, if it can.
 
-    Else the choices of the question are ordered, the best fit first.
+    Where the answer is not clear, the choices of the question are ordered, the best fit first.
+
+    given : casadical's column name -> declared source; found : meaning with the open question
     """
     error_of: dict[str, float] = {}
     for choice in question.choices:
@@ -158,7 +170,10 @@ def _by_model(
 
 
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
-    """Return the measurements of a table with these column sources, complete rows alone."""
+    """Return the measurements of a table's complete rows, read with these column sources.
+
+    sources : casadical's column name -> its source
+    """
     columns = Columns.of_file(raw).mapped(sources)
     return as_poses(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
 
@@ -169,7 +184,10 @@ def _orientation_error(robot: Robot, m: Measurements) -> float:
 
 
 def computed(robot: Robot, m: Measurements) -> bool:
-    """Return whether positions equal those of the nominal robot: computed from the readings."""
+    """Return whether positions equal the nominal robot's within rounding, so are not measured.
+
+    Base and tool may differ. False for fewer than six poses.
+    """
     if m.position is None or len(m) < 6:
         return False
     digits = next((k for k in range(3, 9) if np.abs(m.position - m.position.round(k)).max() < 1e-12), 9)
@@ -187,10 +205,10 @@ def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
 
 
 def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
-    """Return the measurements if the robot file has the targets that their column `tool` names.
+    """Return the measurements, whose targets (column `tool`) must be targets of the robot file.
 
-    A column `tool` that names a single point is removed if the robot has one tool. Raises
-    InputError where the column names a point that the robot file does not have.
+    Where the robot has a single target, a column `tool` that names one alone is removed, whatever
+    the name. Raises InputError where the column names a target that the robot file does not have.
     """
     measured = names_in(m)
     target_names = [robot.tool_name, *(t.name for t in robot.targets)]
@@ -229,9 +247,11 @@ def refuse_nameless(m: Measurements, robot: Robot) -> None:
 
 
 def unfitted(sets: Mapping[str, Sequence[Measurements]]) -> list[str]:
-    """Return a sentence for each target or session that is in held-out poses only.
+    """Return a sentence for each target or session that the set identify lacks, with a remedy.
 
     No fitted pose then determines its point, or its base and tool.
+
+    sets : set -> its measurements
     """
     fitted = {name for m in sets.get("identify", ()) for name in names_in(m) if m.conditions[f"tool_{name}"].any()}
     faults = []
@@ -264,9 +284,10 @@ def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
-    """Return the table with the readings of coupled and locked joints [rad or m].
+    """Return the table with readings of coupled and locked joints added, by the robot file.
 
-    Raises InputError where a logged reading contradicts the robot file.
+    Added columns are in rad or m. Raises InputError where a logged reading contradicts the robot
+    file.
     """
     coupled = [i for i, joint in enumerate(robot.joints, 1) if joint.coupling is not None]
     if not coupled:

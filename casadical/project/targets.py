@@ -27,9 +27,9 @@ from casadical.robot.robot import Robot
 MIN_TARGET_DISTANCE = 5e-3
 # Distances of one pair of targets at different poses are equal within this tolerance [m].
 DISTANCE_TOLERANCE = 3e-3
-# A number of targets is recognised only if at least this many poses show it.
+# Minimum number of poses whose repeated readings must show a number of targets.
 MIN_DISAGREEING_POSES = 3
-# Larger numbers of targets are not searched for: the assignments grow with the factorial.
+# Largest number of targets that is searched for: the assignments grow with its factorial.
 MAX_TARGETS = 6
 
 
@@ -79,7 +79,9 @@ class Targets:
 
 
 def recognised(robot: Robot, m: Measurements) -> Targets | None:
-    """Return the targets of a table that names none; None where repeats agree, or there are none.
+    """Return the several targets that a table measured but does not name, as repeats show them.
+
+    None where repeated readings agree, there are none, or targets are named.
 
     robot : nominal robot
     m : measured poses
@@ -112,7 +114,10 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
-    """Return the rows of each group of equal readings, and the cluster of each of these rows."""
+    """Return for each group of equal readings the indices of its rows, and each row's cluster.
+
+    Positions of one cluster are of one target.
+    """
     reading = same_readings(m.q, STANDSTILL_TOLERANCE)
     order = np.argsort(reading, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(reading[order])) + 1)
@@ -121,7 +126,12 @@ def _poses(m: Measurements) -> list[tuple[Array, Array]]:
 
 
 def _clusters(y: Array) -> Array:
-    """Return the single-linkage cluster of each point, shape (n,), in order of appearance."""
+    """Return the number of each point's single-linkage cluster, shape (n,), from 0.
+
+    Points closer than MIN_TARGET_DISTANCE are in one cluster.
+
+    y : points, shape (n, 3) [m]
+    """
     if len(y) == 1:
         return np.zeros(1, dtype=np.int64)
     part = np.full(len(y), -1)
@@ -133,7 +143,10 @@ def _clusters(y: Array) -> Array:
 
 
 def _means(y: Array, part: Array) -> Array:
-    """Return the mean position of each cluster, shape (K, 3) [m]."""
+    """Return the mean position of each of K clusters, shape (K, 3) [m].
+
+    y : positions, shape (n, 3) [m]; part : cluster of each, shape (n,)
+    """
     return np.array([y[part == k].mean(axis=0) for k in range(part.max() + 1)])
 
 
@@ -144,7 +157,10 @@ def _lengths(points: Array) -> Array:
 
 
 def _turning(points: list[Array]) -> bool:
-    """Return whether the vector between the two farthest targets changes its direction."""
+    """Return whether the vector between the two farthest targets changes direction between poses.
+
+    points : targets at each pose in the measuring frame, shape (K, 3) [m] each
+    """
     first, second = np.triu_indices(len(points[0]), 1)
     longest = [int(np.argmax(_lengths(p))) for p in points]
     ways = np.array([p[second[k]] - p[first[k]] for p, k in zip(points, longest, strict=True)])
@@ -186,7 +202,10 @@ def _distinguished(
 
 
 def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
-    """Return one measurement of the centroid of all targets at each of these poses."""
+    """Return one measurement of the centroid of all targets at each of these poses.
+
+    whole : rows and clusters of each pose, as of `_poses`
+    """
     assert m.position is not None
     first = m[np.array([rows[0] for rows, _ in whole])]
     q = np.array([m.q[rows].mean(axis=0) for rows, _ in whole])
@@ -195,7 +214,12 @@ def _middles(m: Measurements, whole: list[tuple[Array, Array]]) -> Measurements:
 
 
 def _nearest(x: Array, points: Array) -> Array:
-    """Return the target of each point of one pose, each once if the points are no more."""
+    """Return the index of the target nearest to each point of one pose, shape (k,).
+
+    Each target is assigned at most once, unless there are more points than targets.
+
+    x : points, shape (k, 3) [m]; points : targets, shape (K, 3) [m], in the same frame
+    """
     k, count = len(x), len(points)
     if k > count:
         return np.asarray(np.argmin(np.linalg.norm(x[:, None] - points, axis=2), axis=1))
@@ -216,9 +240,11 @@ def middles(m: Measurements, count: int) -> Measurements | None:
     return _middles(m, whole) if whole else None
 
 
-# The search for wrong names starts from at least this many rows; the table has twice as many.
+# Minimum number of rows from which the search for wrong names starts, half of the rows that a table
+# needs for it.
 MIN_SEARCH_ROWS = 18
-# Other names, or one more target, are accepted only if they reduce the median error to this ratio.
+# Largest ratio of the median error with other names, or with an additional target, to that without,
+# with which they are accepted.
 MAX_ERROR_RATIO = 0.5
 
 
@@ -281,11 +307,12 @@ def wrong_names(robot: Robot, m: Measurements) -> WrongNames | None:
 
 
 def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: float = 3.0) -> Array:
-    """Return the target of each row, shape (n,), by alternating assignment and placement.
+    """Return the index of each row's target, shape (n,), by alternating assignment and placement.
 
     given : index of the named target of each row, shape (n,)
     rows : rows by which base and targets are placed first
-    nearer : a row is assigned to the nearest target if its own is farther by more than this factor
+    nearer : factor by which a row's own target must be farther than the nearest one for the row to
+        be assigned to that
     """
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(5):
@@ -302,12 +329,15 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
 
 
 def _points_of(robot: Robot) -> dict[str, Array]:
-    """Return the targets in the last link's frame by name, shape (3,) [m]; the tool's first."""
+    """Return target -> point in the last link's frame, shape (3,) [m]; the tool's comes first."""
     return {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
 
 
 def _seen(placed: Robot, m: Measurements) -> Array:
-    """Return each measured position in the last link's frame, shape (n, 3) [m]."""
+    """Return each measured position in the last link's frame, shape (n, 3) [m].
+
+    placed : robot with its base fitted to the measurements
+    """
     p, R = predicted(replace(placed, targets=(), tool_name=""), m)
     assert m.position is not None
     T = placed.tool.T
@@ -323,7 +353,7 @@ def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
 def with_targets_of_rows(
     robot: Robot, sets: Sequence[Measurements]
 ) -> tuple[Robot, tuple[Measurements, ...], tuple[str, ...]]:
-    """Return a robot and its later tables with the target of each row, and what was assumed.
+    """Return robot and later tables with a target for each row, and sentences on assumptions.
 
     The target of a row is named by a column; without one it follows from repeated readings, or from
     the positions of the rows relative to each other. The returned robot has the measured targets
@@ -359,9 +389,10 @@ def with_targets_of_rows(
 
 
 def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]]:
-    """Return the points of a table's targets and their rows, by name; {} of a single target.
+    """Return name of a target -> its point and its rows, as positions show; {} for a single target.
 
     Points are in the last link's frame, shape (3,) [m]; rows are indices.
+    Raises InputError where repeats show targets that the model does not distinguish.
     """
     alone = replace(robot, targets=(), tool_name="")
     if (targets := recognised(alone, m)) and targets.turning:
@@ -385,7 +416,12 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
 
 
 def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
-    """Yield initial targets of the rows, shape (n,): by known targets, then by distant rows."""
+    """Yield initial assignments of rows to targets, shape (n,): by known targets, then by distance.
+
+    The latter have two targets and more, around rows that are far from the others.
+
+    free : robot with rigid joints and unknown base and tool
+    """
     placed = place_frames(free, m)
     if robot.targets:
         yield _by_known(placed, np.array([*_points_of(robot).values()]), m)
@@ -399,7 +435,9 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
 
 
 def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
-    """Return which of the known points, shape (K, 3) [m], was measured in each row, shape (n,).
+    """Return the index of the known point that was measured in each row, shape (n,).
+
+    points : in the last link's frame, shape (K, 3) [m]
 
     For every assignment of four rows the base is fitted to them; the one with the smallest median
     distance counts.
@@ -422,9 +460,9 @@ def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
 
 
 def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
-    """Return the refined targets, the target of each row, and the greatest median error.
+    """Return the refined targets, each row's target, and the targets' greatest median error.
 
-    which : initial target of each row, shape (n,)
+    which : index of the initial target of each row, shape (n,)
     Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where targets coincide, or
     a single one remains
     """
@@ -440,7 +478,7 @@ def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array
 
 
 def _several(free: Robot, which: Array) -> Robot:
-    """Return the robot with one target for each index, all of them at its tool point."""
+    """Return the robot with a target for each index in `which`, all of them at its tool point."""
     return replace(
         free, tool_name="0", targets=tuple(Target(str(k), free.tool.T[:3, 3]) for k in range(1, which.max() + 1))
     )

@@ -104,7 +104,10 @@ def problem_files(problem: Problem) -> list[Path]:
 
 
 def campaign_files(source: Path, campaigns: Sequence[Path]) -> list[Path]:
-    """Return the files that a diagnosis was read from: problem.toml, robot file and campaigns."""
+    """Return the files that a diagnosis was read from: problem.toml, robot file and tables.
+
+    source : problem folder or robot file; campaigns : tables
+    """
     if source.is_file():
         return [source, *campaigns]
     return [source / "problem.toml", _short(source / problem_file(source).of_campaigns), *campaigns]

@@ -50,28 +50,36 @@ class PoseExpression:
         self.observed: dict[str, Symbolic] = {}
 
     def take(self, name: str, size: int) -> Symbolic:
-        """Return a new symbol for an observed array at this pose: a column, a matrix row by row."""
+        """Return a new symbol for an observed array at this pose, a column of `size` numbers.
+
+        A matrix is given row by row. The name is the array's name in `Arrays`.
+        """
         self.observed[name] = ca.SX.sym(name, size)
         return self.observed[name]
 
     def position_at(self, q: Symbolic) -> Symbolic:
-        """Return the measured point at other readings, shape (3,) [m]."""
+        """Return the measured point at other readings in the measuring frame, shape (3,) [m].
+
+        q : joint readings, shape (joints,) [rad or m]; all else is as at this pose
+        """
         return self.pose_at(q)[0]
 
     def pose_at(self, q: Symbolic) -> tuple[Symbolic, Symbolic]:
-        """Return measured point and orientation at other readings, shapes (3,) [m] and (3, 3).
+        """Return measured point (3,) [m] and orientation (3, 3) at other readings.
 
-        All but the readings is as at this pose.
+        They are in the measuring frame.
+
+        q : joint readings, shape (joints,) [rad or m]; all else is as at this pose
         """
         p, R = self._model(q)
         return p, R
 
     def from_point(self) -> Symbolic:
-        """Return the measured point less the unknown point, shape (3,) [m]."""
+        """Return the measured point of the model minus the unknown point, shape (3,) [m]."""
         return self.p - self.unknown_point()
 
     def unknown_point(self) -> Symbolic:
-        """Return the unknown point that is identified too, in the measuring frame, shape (3,) [m].
+        """Return the unknown point, which is identified too, in the measuring frame, (3,) [m].
 
         It exists for kinds with one; for a plane it is defined at `Plane`.
         """
@@ -133,7 +141,7 @@ class MeasurementKind(ABC):
 
     @property
     def numbers(self) -> int:
-        """The number of observed numbers at a pose."""
+        """Number of scalars that are observed at a pose, lengths and angles together."""
         return self.lengths + self.angles
 
     def matches(self, names: Set[str]) -> bool:
@@ -155,12 +163,13 @@ class MeasurementKind(ABC):
 
     @abstractmethod
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return model less measurement at a pose: `lengths` numbers [m], `angles` [rad]."""
+        """Return model minus measurement at a pose: `lengths` numbers [m], then `angles` [rad]."""
 
     @abstractmethod
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
-        """Return the error of each pose that reports quote, shape (n,) [m].
+        """Return the error of each pose as reports quote it, shape (n,) [m], zero or positive.
 
+        arrays : observed arrays of the n poses
         p : positions of the model in the measuring frame, shape (n, 3) [m]
         positions_at : function that returns them at other readings, shape (n, joints)
         """
@@ -173,28 +182,32 @@ class MeasurementKind(ABC):
         return "other" not in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
-        """Return the name of each pose's unknown point; empty for kinds without any."""
+        """Return the name of each pose's unknown point, n of them; empty for kinds without any."""
         return ()
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        """Return a first estimate of each pose's unknown point, shape (n, 3) [m].
+        """Return an initial estimate of each pose's unknown point, shape (n, 3) [m].
+
+        It is in the measuring frame; poses of one point get equal rows.
 
         p : positions of the model in the measuring frame, shape (n, 3) [m]
         """
         raise NotImplementedError(f"kind {self.name!r} names unknown points but does not estimate them")
 
     def grown(self, points: Array, origin: Array) -> Array:
-        """Return how unknown points change with a scale of everything about a place, (K, 3) [m].
+        """Return the derivative of unknown points by a common scale of all lengths, (K, 3) [m].
 
-        For kinds without scale. By default it is their vector from that place.
+        All is scaled about `origin`, for kinds that do not determine the scale. By default the
+        derivative is each point's vector from the origin.
 
-        points : shape (K, 3) [m]; origin : the fixed place, shape (3,) [m]
+        points : unknown points, shape (K, 3) [m]; origin : fixed point, shape (3,) [m]
         """
         return points - origin
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """Return a sentence if the lengths must be in another unit, else an empty text.
+        """Return a sentence if the measured lengths must be in another unit, else an empty text.
 
-        p : positions of the nominal model, shape (n, 3) [m]; reach : of the robot [m]
+        p : positions of the nominal model in the measuring frame, shape (n, 3) [m]
+        positions_at : function that returns them at other readings; reach : of the robot [m]
         """
         return ""

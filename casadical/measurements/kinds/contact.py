@@ -22,7 +22,7 @@ class OfPoints(MeasurementKind):
     alone: ClassVar[str] = ""
 
     def at_rest(self, arrays: Arrays) -> bool:
-        """Return whether the points are given; unknown points move with the base."""
+        """Return whether the points are given, so that the base is identifiable."""
         return self.known in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
@@ -30,14 +30,19 @@ class OfPoints(MeasurementKind):
         return () if self.known in arrays else list(self._labels(arrays))
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
-        """Return a first estimate of each pose's unknown point, shape (n, 3) [m]."""
+        """Return an initial estimate of each pose's unknown point, shape (n, 3) [m].
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         starts = np.empty_like(p)
         for own in each_label(self._labels(arrays)):
             starts[own] = self.start({name: values[own] for name, values in arrays.items()}, p[own])
         return starts
 
     def start(self, arrays: Arrays, p: Array) -> Array:
-        """Return a first estimate of one point from its poses, shape (3,) [m]; here their mean.
+        """Return an initial estimate of one point from all poses at it, shape (3,) [m].
+
+        It is the mean of their positions.
 
         p : positions of the model in the measuring frame, shape (n, 3) [m]
         """
@@ -67,7 +72,7 @@ class Contact(OfPoints):
     touches = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the labels of the points.
+        """Return the name of the point that each pose touches, as the array `label`, shape (n,).
 
         Raises InputError: an empty label, or no point that is touched twice.
         """
@@ -90,9 +95,9 @@ class Contact(OfPoints):
 
 
 def labels_of(columns: Columns, name: str, meaning: str) -> Array:
-    """Return a column of names, shape (n,).
+    """Return a column of names as texts, shape (n,).
 
-    meaning : of the column, for the message
+    meaning : clause that says what the column names, for the message
     Raises InputError: it is missing, or a cell is empty.
     """
     if name not in columns.table:
@@ -104,10 +109,10 @@ def labels_of(columns: Columns, name: str, meaning: str) -> Array:
 
 
 def labels_touched_often(columns: Columns, name: str, fewest: int, meaning: str, remedy: str) -> Array:
-    """Return a column of names as `labels_of` does, after a check that each has enough touches.
+    """Return a column of names, shape (n,), after a check that each is at `fewest` poses or more.
 
-    remedy : what the message ends with
-    Raises InputError also where something is touched less than `fewest` times.
+    meaning : as of `labels_of`; remedy : end of the message on too few touches
+    Raises InputError also where a name occurs at fewer poses.
     """
     label = labels_of(columns, name, meaning)
     for own in each_label(label):
@@ -118,7 +123,10 @@ def labels_touched_often(columns: Columns, name: str, fewest: int, meaning: str,
 
 
 def each_label(label: Array) -> Iterator[Array]:
-    """Yield the indices of the poses of each label."""
+    """Yield for each distinct label the indices of its poses; labels in alphabetic order.
+
+    label : of each pose, shape (n,)
+    """
     _, group = np.unique(label.astype(str), return_inverse=True)
     for k in range(int(group.max()) + 1):
         yield np.flatnonzero(group.ravel() == k)

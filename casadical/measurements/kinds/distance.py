@@ -31,7 +31,10 @@ class Distance(OfPoints):
     alone = "far end"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return distances [m], and the anchors' given positions and names, if there are any."""
+        """Return `distance` (n,) [m] and, where given, `target` (n, 3) [m] and `label` (n,).
+
+        They are the anchors' positions in the measuring frame and their names.
+        """
         arrays = {"distance": positive_lengths(columns, "distance")}
         if any(str(name).startswith("to_x") for name in columns.table):
             arrays["target"] = columns.vector("to_")
@@ -40,7 +43,7 @@ class Distance(OfPoints):
         return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the model's distance less the measured one, one number [m]."""
+        """Return the model's distance from the anchor minus the measured one, one number [m]."""
         line = pose.p - pose.take("target", 3) if pose.point is None else pose.from_point()
         return ca.norm_2(line) - pose.take("distance", 1)
 
@@ -49,11 +52,14 @@ class Distance(OfPoints):
         return distance_errors(arrays, p, arrays["target"] if "target" in arrays else self.point_starts(arrays, p))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
-        """Return the anchor that fits the measured distances best, shape (3,) [m]."""
+        """Return the position of one anchor that fits its distances best, shape (3,) [m].
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         return _far_end(arrays["distance"], p)
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """Return a sentence if the distances must be in another unit.
+        """Return a sentence if the distances must be in another unit, else an empty text.
 
         For an unknown anchor this is decided by how much distances to it can differ.
         """
@@ -66,7 +72,7 @@ class Distance(OfPoints):
 
 
 def _far_end(distance: Array, p: Array) -> Array:
-    """Return the anchor that fits the distances from p best, in the frame of p, shape (3,) [m].
+    """Return the point whose distances from the points p fit best, in their frame, (3,) [m].
 
     First |p|^2 - L^2 = 2 p.P - |P|^2 is solved by least squares, with |P|^2 as one more unknown;
     then Levenberg-Marquardt steps on the distances follow. If all p lie in a plane, only the
@@ -88,7 +94,10 @@ def _far_end(distance: Array, p: Array) -> Array:
         P = np.array([0.0, 0.0, distance.mean()])
 
     def evaluate(anchors: Array) -> Evaluated:
-        """Return the sum of squares for each anchor, and its normal equations."""
+        """Return the sum of squares [m^2] of each trial anchor, and a function of normal equations.
+
+        anchors : shape (k, 3) [m], relative to the mean of p
+        """
         line = anchors[:, None] - local
         length = np.linalg.norm(line, axis=2)
         residual = distance - length
@@ -106,7 +115,7 @@ def _far_end(distance: Array, p: Array) -> Array:
 def positive_lengths(columns: Columns, name: str) -> Array:
     """Return the column NAME_mm or NAME_m, shape (n,) [m].
 
-    Raises InputError: a length is not positive."""
+    Raises InputError: it is missing, or a length is not positive."""
     lengths = columns.si(name, ("_mm", "_m"))
     if (lengths <= 0).any():
         row = int(np.argmax(lengths <= 0))
@@ -128,7 +137,8 @@ def distance_errors(arrays: Arrays, p: Array, far: Array) -> Array:
 def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
     """Return a sentence if measured distances must be in another unit, else an empty text.
 
-    They are compared with the distances from p to far, both of shape (n, 3) [m].
+    p, far : points of the model between which they were measured, in the measuring frame, shape
+        (n, 3) [m]
     """
     distance = arrays["distance"]
     ratio = np.median(distance) / max(float(np.median(np.linalg.norm(p - far, axis=1))), 1e-3)
@@ -136,7 +146,10 @@ def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
 
 
 def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> str:
-    """Return the sentence about distances in another unit; empty if they fit."""
+    """Return a sentence on distances in another unit; empty if neither flag is set.
+
+    too_long : whether metres are assumed and mm meant; too_short : the reverse
+    """
     if not (too_long or too_short):
         return ""
     used, other = ("metres", "mm") if too_long else ("millimetres", "m")
@@ -158,14 +171,15 @@ class PairDistance(MeasurementKind):
     lengths = 1
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return distances [m], and the readings at their other ends.
+        """Return `distance`, shape (n,) [m], and `other`, the readings at the other pose.
 
+        The latter have shape (n, joints) [rad or m].
         Raises InputError: a pose that is not in the table.
         """
         return {"distance": positive_lengths(columns, "distance"), "other": q[other_poses(columns)]}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the model's distance less the measured one, one number [m]."""
+        """Return the model's distance between both poses minus the measured one, one number [m]."""
         return ca.norm_2(pose.p - pose.position_at(pose.take("other", pose.joints))) - pose.take("distance", 1)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
@@ -173,7 +187,7 @@ class PairDistance(MeasurementKind):
         return distance_errors(arrays, p, positions_at(arrays["other"]))
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """Return a sentence if the distances must be in another unit."""
+        """Return a sentence if the distances must be in another unit, else an empty text."""
         return distance_fault(arrays, p, positions_at(arrays["other"]), reach)
 
 

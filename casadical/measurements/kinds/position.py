@@ -26,11 +26,11 @@ class Position(MeasurementKind):
     lengths = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the positions, shape (n, 3) [m]."""
+        """Return the array `position` in the measuring frame, shape (n, 3) [m]."""
         return {"position": columns.vector("")}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the model's position less the measured one, three numbers [m]."""
+        """Return the model's position minus the measured one, shape (3,) [m]."""
         return pose.p - pose.take("position", 3)
 
     def errors(self, arrays: Arrays, p: Array, positions_at: PositionsAt) -> Array:
@@ -38,7 +38,10 @@ class Position(MeasurementKind):
         return np.asarray(np.linalg.norm(p - arrays["position"], axis=1))
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """Return a sentence if positions spread over far more or less than the robot can move."""
+        """Return a sentence if the measured positions must be in another unit, else an empty text.
+
+        Their extent is compared with that of the model's positions p, shape (n, 3) [m].
+        """
         measured, moved = (float(np.linalg.norm(np.ptp(x, axis=0))) for x in (arrays["position"], p))
         if measured > 20 * reach:
             return (
@@ -69,7 +72,7 @@ class PositionCovariance(Position):
     arrays: ClassVar[tuple[str, ...]] = ("position", "whitening")
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return positions, shape (n, 3) [m], and whitening matrices, shape (n, 3, 3).
+        """Return arrays `position`, shape (n, 3) [m], and `whitening`, shape (n, 3, 3).
 
         Raises InputError: a covariance that is not positive definite.
         """
@@ -86,15 +89,15 @@ class PositionCovariance(Position):
         return {**super().read(columns, q), "whitening": whitening(covariance)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the whitened difference of model and measurement, three numbers [m]."""
+        """Return the whitened model position minus the measured one, shape (3,) [m]."""
         residual = super().residual(pose)
         return ca.reshape(pose.take("whitening", 9), 3, 3).T @ residual
 
 
 def whitening(covariance: Array) -> Array:
-    """Return matrices that whiten noise of these covariances, shape (n, 3, 3).
+    """Return matrices W, shape (n, 3, 3), with which W times a position error is white noise.
 
-    Whitened noise has the typical standard deviation of a coordinate (`typical_sigma`).
+    Its standard deviation is `typical_sigma` of a coordinate, at all poses.
 
     covariance : shape (n, 3, 3) [m^2]
     """
@@ -102,7 +105,7 @@ def whitening(covariance: Array) -> Array:
 
 
 def typical_sigma(covariance: Array) -> float:
-    """Return the root of the mean variance of a coordinate [m].
+    """Return the root of the mean variance of a coordinate over all poses [m].
 
     covariance : shape (n, 3, 3) [m^2]
     """
@@ -130,18 +133,20 @@ class Pose(Position):
     angles = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return positions, shape (n, 3) [m], and orientations, shape (n, 3, 3)."""
+        """Return arrays `position`, shape (n, 3) [m], and `orientation`, shape (n, 3, 3)."""
         return {**super().read(columns, q), "orientation": orientations(columns)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the residuals of position, three [m], and of orientation, three [rad]."""
+        """Return model minus measurement: position (3 numbers [m]), then rotation (3 [rad])."""
         return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
 
 
 def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:
     """Return the rotation vector from a measured orientation to R, shape (3,) [rad].
 
-    measured : nine numbers, row by row; R : shape (3, 3). It is exact to second order in the angle.
+    It is in the axes of the measured orientation, and exact to second order in the angle.
+
+    R : modelled orientation, shape (3, 3); measured : nine numbers, row by row
     """
     # CasADi fills by columns, so this is the transpose of the measured orientation.
     E = ca.reshape(measured, 3, 3) @ R
@@ -150,9 +155,10 @@ def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:
 
 
 def orientations(columns: Columns) -> Array:
-    """Return rotation matrices from whichever orientation columns there are, shape (n, 3, 3).
+    """Return the orientations of a table as rotation matrices, shape (n, 3, 3).
 
-    Raises InputError: a quaternion that is not a unit one, or a matrix that is no rotation.
+    They are read from whichever columns there are: matrix, quaternion or angles. Raises InputError:
+    a quaternion that is not a unit one, or a matrix that is no rotation.
     """
     if "R00" in columns.table:
         R = np.stack([columns.column(f"R{i}{j}") for i in range(3) for j in range(3)], axis=1).reshape(-1, 3, 3)
@@ -180,9 +186,10 @@ def orientations(columns: Columns) -> Array:
 
 
 def _from_angles(columns: Columns) -> Array:
-    """Return rotation matrices of three angles, shape (n, 3, 3), by the names of their columns.
+    """Return rotation matrices, shape (n, 3, 3), from columns of three angles.
 
-    Raises InputError.
+    These are rotvec_*, or roll, pitch, yaw, or rx, ry, rz, in _deg or _rad. Raises InputError
+    where columns are missing.
     """
     from scipy.spatial.transform import Rotation
 
@@ -216,8 +223,10 @@ class RelativePose(MeasurementKind):
     angles = 3
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return shifts [m], rotations, the other poses' readings, and which rows count.
+        """Return `shift` (n, 3) [m], `turn` (n, 3, 3), `other` (n, joints), and `counted` (n,).
 
+        Shift and rotation are of the tool in its own frame at the other pose, whose readings [rad
+        or m] are `other`; `counted` is 0 for rows that have no other pose, else 1.
         Raises InputError: a first row with a shift or rotation, though no row is before it.
         """
         arrays = {"shift": columns.vector("d"), "turn": orientations(columns)}
@@ -237,7 +246,7 @@ class RelativePose(MeasurementKind):
         return arrays | {"other": q[before], "counted": (~begins).astype(float)}
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the residuals of the shift, three [m], and of the rotation, three [rad]."""
+        """Return model minus measurement: shift (3 numbers [m]), then rotation (3 [rad])."""
         p, R = pose.pose_at(pose.take("other", pose.joints))
         shift = R.T @ (pose.p - p) - pose.take("shift", 3)
         return ca.vertcat(shift, turned_off(R.T @ pose.R, pose.take("turn", 9)))

@@ -14,7 +14,7 @@ from casadical.measurements.kinds.surfaces import Dial, Plane, Sphere
 
 @cache
 def kinds() -> Mapping[str, MeasurementKind]:
-    """Return every kind by its name, in the order in which they are tried on a table.
+    """Return every kind of measurement by its name, in the order in which a table is tested.
 
     A kind comes before those that need fewer columns.
     """
@@ -34,7 +34,7 @@ def kinds() -> Mapping[str, MeasurementKind]:
 
 
 def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
-    """Return the kind of this name. Raises InputError that lists the kinds that exist.
+    """Return the kind of measurement of this name. Raises InputError for one that does not exist.
 
     source : where the name stands, for the message
     """
@@ -44,7 +44,10 @@ def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
 
 
 def kind_of(columns: Columns) -> MeasurementKind:
-    """Return the kind that a table's columns show. Raises InputError where they show none."""
+    """Return the first kind of measurement whose columns a table has.
+
+    Raises InputError where it has those of none.
+    """
     names = set(map(str, columns.table))
     for kind in kinds().values():
         if kind.matches(names):

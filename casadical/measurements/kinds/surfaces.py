@@ -37,7 +37,7 @@ class Plane(OfPoints):
     lever = 1.0
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the labels of the planes.
+        """Return the name of the plane that each pose touches, as the array `label`, shape (n,).
 
         Raises InputError: an empty label, or a plane that is touched too few times.
         """
@@ -61,7 +61,7 @@ class Plane(OfPoints):
         return np.asarray(np.abs(self.heights(arrays, p)))
 
     def heights(self, arrays: Arrays, p: Array) -> Array:
-        """Return the signed distances from the best plane of each label, shape (n,) [m].
+        """Return the signed distance of each pose from its label's best plane, shape (n,) [m].
 
         p : positions in the measuring frame, shape (n, 3) [m]
         """
@@ -70,14 +70,20 @@ class Plane(OfPoints):
         return np.asarray((p * point).sum(axis=1) / length - (length - self.lever))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
-        """Return the unknown point that describes the best plane through p, shape (3,) [m]."""
+        """Return the unknown point (see `Plane`) of the plane that fits p best, shape (3,) [m].
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         middle = p.mean(axis=0)
         normal = np.linalg.svd(p - middle)[2][2]
         d = float(normal @ middle)
         return np.asarray((1 + abs(d)) * (normal if d >= 0 else -normal))
 
     def grown(self, points: Array, origin: Array) -> Array:
-        """Return how the planes' unknown points change with a scale of everything about a place."""
+        """Return the derivative of the planes' unknown points by a common scale, (K, 3) [m].
+
+        points : unknown points, shape (K, 3) [m]; origin : fixed point of the scale, shape (3,) [m]
+        """
         length = np.linalg.norm(points, axis=1, keepdims=True)
         normal = points / length
         return np.asarray((length - 1 - normal @ origin[:, None]) * normal)
@@ -102,7 +108,7 @@ class Sphere(Distance):
     touches = True
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the radii as distances [m], and the labels.
+        """Return the radii as `distance`, shape (n,) [m], and the balls' names as `label`, (n,).
 
         Raises InputError: no radius, or a ball that is touched too few times.
         """
@@ -113,7 +119,9 @@ class Sphere(Distance):
                 "data sheet or by a calliper"
             )
         radius = positive_lengths(columns, "radius")
-        # Required touches of a ball: one more than the four that determine a centre and a radius.
+        # Minimum number of poses that touch one ball: one more than the four that determine a
+        # centre and a
+        # radius.
         min_touches_per_sphere = 5
         remedy = f"touch it at {min_touches_per_sphere} poses at least, all around"
         label = labels_touched_often(
@@ -122,7 +130,7 @@ class Sphere(Distance):
         return {"distance": radius, "label": label}
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
-        """Return a sentence if a radius must be in another unit."""
+        """Return a sentence if a radius must be in another unit, else an empty text."""
         longest = float(arrays["distance"].max())
         # A radius beyond 20 reaches of the robot must be in another unit.
         if longest < 20.0 * reach:
@@ -155,7 +163,11 @@ class Dial(Plane):
     alone = "dial"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:
-        """Return the readings [m], and their given axes or the gauges' names. Raises InputError."""
+        """Return `reading`, shape (n,) [m], with `axis`, shape (n, 3), or `label`, shape (n,).
+
+        Axes are given unit vectors in the measuring frame, labels name gauges of unknown axes.
+        Raises InputError: an axis that is no unit vector, or too few readings of a gauge.
+        """
         arrays = {"reading": columns.si("reading", ("_mm", "_m"))}
         if any(str(name).startswith("along_") for name in columns.table):
             axis = np.stack([columns.column(f"along_{c}") for c in "xyz"], axis=1)
@@ -183,7 +195,7 @@ class Dial(Plane):
         return arrays
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the model's reading less the measured one, one number [m]."""
+        """Return the model's reading of the gauge minus the measured one, one number [m]."""
         along = ca.dot(pose.p, pose.take("axis", 3)) if pose.point is None else super().residual(pose)
         return along - pose.take("reading", 1)
 
@@ -193,15 +205,18 @@ class Dial(Plane):
         return np.asarray(np.abs(along - arrays["reading"]))
 
     def start(self, arrays: Arrays, p: Array) -> Array:
-        """Return the unknown point of the axis that fits the readings best, shape (3,) [m]."""
+        """Return the unknown point (see `Dial`) of the axis that fits the readings best, (3,) [m].
+
+        p : positions of the model in the measuring frame, shape (n, 3) [m]
+        """
         n, d = _axis(p, arrays["reading"])
         return np.asarray((self.lever + d) * n)
 
 
 def _axis(p: Array, reading: Array) -> tuple[Array, float]:
-    """Return unit vector n and distance d [m] that solve n.p - d = reading by least squares.
+    """Return unit vector n, shape (3,), and distance d [m] with n.p - d = reading in least squares.
 
-    p : shape (n, 3) [m]; reading : shape (n,) [m]
+    p : positions, shape (n, 3) [m]; reading : of the gauge at them, shape (n,) [m]
     Source: the secular equation of least squares on a sphere (Golub and Van Loan 2013, 6.2.1),
     solved by bisection.
     """

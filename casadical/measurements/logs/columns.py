@@ -18,11 +18,11 @@ from casadical.measurements.vocabulary import UNITS, WORDS
 _CANONICAL_NAME = re.compile(
     r"(command_v|command|q|v|torque|current|temperature)(\d+)_(rad_s|deg_s|m_s|mm_s|rad|deg|mm|m|Nm|N|A|mA|abs|degC)"
 )
-# Factors of units to SI; a unit that is not listed has the factor 1.
+# Unit (suffix of a column) -> factor to SI; a unit that is not listed has the factor 1.
 SI_FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
 # Units of channels of prismatic joints.
 LENGTH_UNITS = ("m", "mm", "m_s", "mm_s", "N")
-# Words of headings by channel. A column belongs to the first channel of which its heading has a
+# Channel -> words of headings. A column belongs to the first channel of which its heading has a
 # word; the empty channel collects quantities that are not used.
 _QUANTITIES: Mapping[str, frozenset[str]] = {
     "": WORDS["log_others"],
@@ -41,10 +41,10 @@ class Logged:
 
     time : shape (n,) [s]
     channels : channel -> joint -> column, shape (n,), in the unit of `units`
-    units : of channel and joint; empty if it is unknown
+    units : (channel, joint) -> unit; empty if it is unknown
     row : line of the source, shape (n,)
     source : its name
-    scalars : voltage, payload and run, shape (n,) each
+    scalars : "voltage" [V], "payload" [kg] and "run" -> column, shape (n,), as far as logged
     notes : sentences on how the file was read
     """
 
@@ -58,10 +58,10 @@ class Logged:
 
 
 def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ()) -> Logged:
-    """Return the log in a table.
+    """Return the log in a table, its columns in the file's units and order of joints.
 
     names : of the robot's joints; listed : of the joints in columns whose cells are lists
-    Raises InputError: no time, or lists of other lengths than the names.
+    Raises InputError: no time, no channel, or lists of other lengths than the names.
     """
     source, frame = raw.path.name, raw.frame
     below = dict(zip(raw.header, raw.form.units, strict=False))
@@ -139,7 +139,12 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
 
 
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
-    """Return channel, joint (a number or a name) and unit of a column; all empty if it has none."""
+    """Return channel, joint (a number or a name) and unit that a column's heading states.
+
+    All are empty if it names no channel or no joint; the unit is empty where none is stated.
+
+    names : of the robot's joints
+    """
     if ours := _CANONICAL_NAME.fullmatch(heading.strip()):
         return {"command_v": "command_speed", "q": "position", "v": "speed"}.get(ours[1], ours[1]), ours[2], ours[3]
     words, unit = words_of(heading)
@@ -149,7 +154,7 @@ def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
 
 
 def _channel(words: Sequence[str]) -> str:
-    """Return the channel that the words of a heading name; empty if they name none."""
+    """Return the channel of `CHANNELS` that the words of a heading name; empty if none."""
     said = {*words}
     channel = next((name for name, telling in _QUANTITIES.items() if said & telling), "")
     if said & _COMMANDED:
@@ -158,7 +163,10 @@ def _channel(words: Sequence[str]) -> str:
 
 
 def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the joint that the words of a heading name, and the other words."""
+    """Return the joint (a name or number) that the words of a heading name, and the other words.
+
+    names : of the robot's joints
+    """
     for name in sorted(names, key=len, reverse=True):
         part = words_of(name)[0]
         at = next((k for k in range(len(words) - len(part) + 1) if list(words[k : k + len(part)]) == part), None)
@@ -183,7 +191,10 @@ def _si_name(unit: str) -> str:
 
 
 def _time(raw: RawTable) -> Array:
-    """Return the time of each row [s]. Raises InputError: no column of it."""
+    """Return the time of each row, shape (n,) [s], from its column or columns.
+
+    Raises InputError where no heading names a time.
+    """
     frame = raw.frame
     if "time_s" in frame:
         return numbers_of(frame["time_s"])
@@ -203,7 +214,7 @@ def _time(raw: RawTable) -> Array:
 
 
 def stamp_factor(stamps: Array) -> float:
-    """Return the factor from time stamps to seconds, by the median time between rows.
+    """Return the factor from time stamps to seconds: 1, 1e-3, 1e-6 or 1e-9.
 
     It is the largest of 1, 1e-3, 1e-6 and 1e-9 with which rows come at 2 Hz or faster.
     """

@@ -15,16 +15,17 @@ from casadical.measurements.columns import MAX_TURNS
 from casadical.measurements.logs.log import JointLog
 
 DEGREES_PER_RADIAN = float(np.rad2deg(1.0))
-# Length from which on a time step is a gap [median steps].
+# Length of a time step from which on it is a gap with lost samples, as a multiple of the median
+# step.
 MIN_GAP_STEPS = 1.5
-# A joint that moves by less does not move [rad or m].
+# Minimum range of a joint's positions [rad or m] with which it counts as moving.
 MIN_MOVEMENT = 1e-4
 
 
 def quantum(column: Array) -> float:
-    """Return the quantization step of a column, in its unit; 0 if none is seen.
+    """Return the quantization step of a column, in the column's unit; 0 if none is visible.
 
-    column : shape (n,)
+    column : values, shape (n,), NaN where missing
     """
     levels = np.unique(column[np.isfinite(column)])
     steps = np.diff(levels)
@@ -39,7 +40,10 @@ def quantum(column: Array) -> float:
 
 
 def found_in(log: JointLog) -> tuple[str, ...]:
-    """Return sentences on a log: what was understood, then what is unusual and what would help."""
+    """Return sentences on a log's quality: channels, then what is unusual, with remedies.
+
+    They concern clock, positions, and the agreement of channels.
+    """
     return (*_understood(log), *_clock(log), *_readings(log), *_between(log))
 
 
@@ -93,7 +97,7 @@ def _clock(log: JointLog) -> Iterator[str]:
 
 
 def repeated_rows(log: JointLog) -> Array:
-    """Return a mask of rows that repeat the sample before while joints move, shape (n,)."""
+    """Return the mask of rows equal to the row before although joints move, shape (n,)."""
     q, same = log.position, np.zeros(len(log), dtype=bool)
     inner = slice(1, -1)
     measured = [values for values in (q, log.speed, log.current, log.torque) if values is not None]
@@ -118,9 +122,11 @@ def _readings(log: JointLog) -> Iterator[str]:
             yield "no step is seen in positions: the encoders' quanta are below the noise, or were filtered away"
         elif own:
             yield f"positions come in steps of {own[0] if len({*own}) == 1 else ', '.join(own)} {unit}"
-    # A joint that covers fewer encoder quanta shows little but its hysteresis.
+    # Minimum range of a joint's positions [encoder quanta]; of a joint that covers less, only the
+    # hysteresis is determined, which is reported.
     min_quanta_covered = 50.0
-    # A joint that never moves faster shows no effect that depends on speed [rad/s or m/s].
+    # Smallest maximum speed of a joint [rad/s or m/s] at which effects that depend on speed can be
+    # identified; slower joints are reported.
     min_speed = 0.02
     for k, name in enumerate(log.joints):
         column = log.position[:, k]
@@ -158,7 +164,10 @@ def _readings(log: JointLog) -> Iterator[str]:
 
 
 def _fastest(log: JointLog, k: int) -> float:
-    """Return the 99 % quantile of a joint's speed over 0.1 s [rad/s or m/s]."""
+    """Return the 99 % quantile of joint k's absolute speed, averaged over 0.1 s [rad/s or m/s].
+
+    k : index of the joint, from 0; 0 is returned where no speed can be computed
+    """
     rows = max(1, min(len(log) - 1, round(0.1 / max(log.step, 1e-9))))
     q, t = log.position[:, k], log.time
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -209,7 +218,10 @@ def _between(log: JointLog) -> Iterator[str]:
 
 
 def _alike(log: JointLog) -> Array:
-    """Return correlations of commands and readings, (joints, joints); NaN for joints at rest."""
+    """Return correlations of each joint's command (row) with each joint's position (column).
+
+    The shape is (joints, joints); NaN for joints at rest.
+    """
     assert log.command is not None
     good = np.isfinite(log.command).all(axis=1) & np.isfinite(log.position).all(axis=1)
     out = np.full((len(log.joints),) * 2, np.nan)
@@ -223,7 +235,7 @@ def _alike(log: JointLog) -> Array:
 
 
 def _speed_delay(log: JointLog) -> tuple[float, float] | None:
-    """Return the delay [s] of the speed behind the slope of the position, and its scale.
+    """Return the delay [s] of logged speeds behind the slope of positions, and their scale factor.
 
     To first order v(t) = scale (q'(t) - delay q''(t)); both by least squares over all joints. None
     is returned where nothing moves.
@@ -276,7 +288,10 @@ def with_signs(log: JointLog) -> JointLog:
 
 
 def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
-    """Check that angles are in the unit of their columns' names, in all rows. Raises InputError."""
+    """Refuse a log in which degrees are given as radians, in all rows or in some.
+
+    robot : its joint limits are used, if given. Raises InputError.
+    """
     # Tolerance beyond a joint's range for readings in a correct unit [rad].
     range_margin_rad = 0.3
     for k, name in enumerate(log.joints):
@@ -311,7 +326,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
 
 
 def refuse_frozen(log: JointLog) -> None:
-    """Check that some joint moves, and that no joint is constant while its commands move.
+    """Refuse a log in which no joint moves, or one is constant while its commands move.
 
     Raises InputError.
     """
@@ -333,9 +348,9 @@ def refuse_frozen(log: JointLog) -> None:
 
 
 def _refuse_change(log: JointLog, k: int) -> None:
-    """Check that a joint's readings do not change from radians to degrees between two rows.
+    """Refuse positions of joint k (index from 0) that change between radians and degrees.
 
-    Raises InputError.
+    Raises InputError with the row at which they do.
     """
     column = log.position[:, k]
     before, after = np.abs(column[:-1]), np.abs(column[1:])

@@ -19,7 +19,7 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import Shown, html
 from casadical.measurements.columns import POSSIBLE_RANGES
 
-# Channels that are logged for each joint, with their units for revolute and for prismatic joints.
+# Channel that is logged for each joint -> its unit for revolute and for prismatic joints.
 CHANNELS = {
     "command": ("rad", "m"),
     "command_speed": ("rad/s", "m/s"),
@@ -113,12 +113,12 @@ class JointLog(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The logged arrays by name: channels (n, joints), voltage and payload (n,)."""
+        """The logged arrays by name [SI]: channels (n, joints), voltage and payload (n,)."""
         names = (*CHANNELS, "voltage", "payload")
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def unit(self, channel: str, joint: int) -> str:
-        """Return the unit of a channel for the joint with this index, 0-based."""
+        """Return the unit of a channel of `CHANNELS` for a joint, given by its index from 0."""
         return CHANNELS[channel][self.kinds[joint] == "prismatic"]
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> JointLog:
@@ -127,7 +127,7 @@ class JointLog(Shown):
         return replace(self, time=self.time[which], run=self.run[which], row=self.row[which], **given)
 
     def runs(self) -> Iterator[JointLog]:
-        """Return the runs of two rows and more as logs that share the numbers of this one."""
+        """Yield each run of two rows or more as a log of its own, sharing this one's arrays."""
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1), len(self)]
         return (self[start:end] for start, end in pairwise(ends) if end > start + 1)
 
@@ -141,7 +141,7 @@ class JointLog(Shown):
 def joined(logs: Sequence[JointLog]) -> JointLog:
     """Return several logs of one arm as one, each run with a number of its own.
 
-    Only channels that every log has are there, and no findings, which are of single logs.
+    Channels that not every log has are dropped, and so are the findings, which are of single logs.
     Raises InputError: logs of other joints.
     """
     first, *others = logs
@@ -204,7 +204,10 @@ def _refuse_malformed(log: JointLog) -> None:
 
 
 def _cells(log: JointLog, name: str, values: Array) -> Iterator[Fault]:
-    """Yield a fault for the impossible cells of a channel, joint by joint."""
+    """Yield a fault for the impossible values of a channel, one for each joint.
+
+    name : of the array; values : shape (n, joints) or (n,) [SI]
+    """
     for k, column in enumerate(values.T if values.ndim == 2 else [values]):
         label = f"{name} {log.joints[k]}" if values.ndim == 2 else name
         limited = {"payload": "payload_kg", "temperature": "temperature_degC"}.get(name, "")

@@ -105,7 +105,10 @@ def _plain_headings(path: Path) -> tuple[str, ...]:
 
 
 def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
-    """Return the log of a file as it stands, by the file's form."""
+    """Return the log of a file in its own units and order of joints, read by the file's form.
+
+    names : of the robot's joints; unit : of angles, for LeRobot's files that do not state it
+    """
     if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists():
         return bag(path)
     if path.name == SAGE_STATE_FILE or (path / SAGE_STATE_FILE).exists():
@@ -121,9 +124,9 @@ def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
 
 
 def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointLog:
-    """Return the log with its joints in the robot's order, in SI, its runs numbered.
+    """Return a log as read from a file in SI, with joints in the robot's order and runs numbered.
 
-    Raises InputError without positions.
+    unit : as of `read_log`. Raises InputError without positions of the robot's joints.
     """
     if "position" not in log.channels:
         there = ", ".join(log.channels)
@@ -156,7 +159,10 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
 
 
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
-    """Return the keys of the joints' columns, the joints' names, sentences on dropped joints."""
+    """Return the log's names (keys) of the joints, the robot's names, sentences on dropped joints.
+
+    Both lists are in the robot's order. Raises InputError where the log lacks a joint.
+    """
     there = list(log.channels["position"])
     numbered = all(is_number(key) for key in there)
     if numbered:
@@ -177,7 +183,10 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
 
 
 def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
-    """Return the log's name of each of the robot's joints; fewer where one is not there."""
+    """Return the log's name of each of the robot's joints, fewer where one is missing.
+
+    there : the log's names; own : the robot's. Where no name fits, the joints are taken in order.
+    """
 
     def plain(name: str) -> str:
         return re.sub(r"[\W_]+|joint", "", name.casefold())
@@ -188,14 +197,21 @@ def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
 
 
 def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ...]:
-    """Return the kind of each joint, by the robot, else by the unit of its position."""
+    """Return the kind of each joint ("revolute", "prismatic"), by the robot or its position's unit.
+
+    keys : the log's names of the joints
+    """
     if robot:
         return tuple(joint.kind for joint in robot.joints)
     return tuple("prismatic" if log.units["position", key] in LENGTH_UNITS else "revolute" for key in keys)
 
 
 def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
-    """Return time and run of the rows that are used, their indices, and sentences on the others."""
+    """Return time (k,) [s] and run number (k,) of the used rows, their indices, and sentences.
+
+    The sentences are on new runs that were inferred, and on rows that are left out. Raises
+    InputError for a clock that cannot be used.
+    """
     run = log.scalars.get("run")
     numbers = np.zeros(len(log.time)) if run is None else run
     whole = (numbers == np.round(numbers)) & (np.abs(numbers) < 2**53)
@@ -257,7 +273,12 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
 def _into_si(
     log: Logged, keys: Sequence[str], arrays: dict[str, Any], kinds: Sequence[str], given: str | None, robot: Arm | None
 ) -> tuple[str, ...]:
-    """Convert the arrays to SI in place; return sentences on units that no heading states."""
+    """Convert the arrays to SI in place; return sentences on units that no heading states.
+
+    keys : the log's names of the joints; arrays : channel -> shape (n, joints); kinds : of each
+        joint
+    given : unit of angles that is declared, None: it is inferred from their size
+    """
     guessed: dict[str, list[str]] = {}
     # Channels whose unit contains an angle or a length.
     motion_channels = ("position", "command", "speed", "command_speed")
@@ -276,9 +297,12 @@ def _into_si(
 
 
 def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: str) -> Array:
-    """Return percentages of half the range of joint k, about its middle, as angles [rad].
+    """Return angles [rad] or speeds [rad/s] of joint k for percentages of half its range.
 
-    A gripper's are percentages of the whole range.
+    0 is the middle of the range. A gripper's are percentages of the whole range, from its lower
+    end.
+
+    values : percentages, shape (n,); k : index of the joint, from 0
     """
     if robot is None:
         raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')

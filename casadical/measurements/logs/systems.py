@@ -18,9 +18,9 @@ from casadical.measurements.table_form import clean
 
 # File of the measured states in a folder of SAGE.
 SAGE_STATE_FILE = "state_motor.csv"
-# Columns of LeRobot's datasets with their channels.
+# Column of LeRobot's datasets -> its channel.
 LEROBOT_CHANNELS = {"action": "command", "observation.state": "position"}
-# Endings of ROS bags.
+# File name endings of ROS bags.
 BAG_SUFFIXES = (".db3", ".mcap", ".bag")
 
 
@@ -42,7 +42,7 @@ def sage(folder: Path) -> Logged:
 def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
     """Return the log in a Parquet file of a LeRobot dataset.
 
-    unit : of angles
+    unit : of angles, "deg", "rad" or "percent"; None: degrees, if the numbers show it
     Raises InputError where the unit is not given and the numbers do not show it.
     """
     about = next((up / "meta" / "info.json" for up in path.parents[:4] if (up / "meta" / "info.json").exists()), None)
@@ -67,7 +67,12 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
 
 @dataclass
 class _Stream:
-    """Messages of one topic that name the same joints."""
+    """Messages of one ROS topic that name the same joints.
+
+    topic : its name; names : of the joints
+    stamps, received : time stamp and time of receipt of each message [ns]
+    rows : channel -> values of the joints in each message
+    """
 
     topic: str
     names: tuple[str, ...]
@@ -109,8 +114,11 @@ def bag(path: Path) -> Logged:
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    """Yield joint names, channel and values of a JointState message."""
-    # Words in the name of a topic whose joint states are commands.
+    """Yield joint names, channel and values for each channel of a JointState message.
+
+    Of topics whose name says so, positions and velocities are commands.
+    """
+    # Words in the name of a ROS topic that mark its joint states as commands.
     commanded_topic_words = ("command", "desired", "target", "reference", "goal", "leader", "action")
     commanded = any(word in topic.casefold() for word in commanded_topic_words)
     for field, channel in {"position": "position", "velocity": "speed", "effort": "torque"}.items():
@@ -120,7 +128,10 @@ def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
 
 
 def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
-    """Yield joint names, channel and values of a JointTrajectoryControllerState message."""
+    """Yield joint names, channel and values for each channel of a controller's state message.
+
+    The message is a JointTrajectoryControllerState of ROS 1 or 2.
+    """
     # Names of the message's fields in ROS 1 and 2: what was commanded, what was measured; our
     # channels.
     channels = (
@@ -134,12 +145,15 @@ def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
                 yield tuple(message.joint_names), name, getattr(point, values, ())
 
 
-# Readers of the ROS messages that are used, by message type.
+# Type of ROS message that is used -> its reader.
 _READERS = {"JointState": _states, "JointTrajectoryControllerState": _controller}
 
 
 def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, message: Any, received: int) -> None:
-    """Append a message's stamp and values to the stream of its topic and joints."""
+    """Append a message's stamp and values to the stream of its topic and joints.
+
+    kind : message type, a key of `_READERS`; received : time of receipt [ns]
+    """
     stamp = message.header.stamp
     for k, (names, channel, values) in enumerate(_READERS[kind](topic, message)):
         stream = streams.setdefault((topic, *names), _Stream(topic, names, [], [], {}))
@@ -178,9 +192,10 @@ def _of_stream(stream: _Stream, path: Path) -> Logged:
 
 
 def joined(logs: Sequence[Logged]) -> Logged:
-    """Return several streams as one, at the times of the first, with the others' last values.
+    """Return several streams as one log, at the times of the first, with the others' last values.
 
-    Raises InputError if they do not overlap.
+    Rows before another stream begins are dropped; times start at the first row. Raises InputError
+    if the streams do not overlap.
     """
     first, *others = logs
     start = first.time[0]

@@ -26,15 +26,15 @@ from casadical.pose_selection.information import MM, scaled_jacobian
 from casadical.pose_selection.instruments import without_base
 from casadical.robot.robot import Robot
 
-# Readings are judged by each other once there are more than this; it is also the smallest fit.
+# Minimum number of readings of an estimate; readings are judged by each other once there are more.
 MIN_READINGS_OF_FIT = 5
-# Up to this number of readings each is judged by a refit without it; with more, by its
-# leave-one-out residual of the common fit.
+# Maximum number of readings of which each is judged by a refit without it; of more, each is judged
+# by its leave-one-out residual of the common fit.
 MAX_REFITTED_READINGS = 12
-# Limits of the squared Mahalanobis distance of a reading from its prediction, by the number of
-# its coordinates: quantiles of chi-squared that noise exceeds in 1 of 700 000.
+# Number of numbers observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
+# of the reading from its prediction: quantiles of chi-squared that noise exceeds in 1 of 700 000.
 MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
-# A reading is not judged where the others predict it with a larger standard deviation [mm].
+# Maximum standard deviation [mm] with which the others predict a reading that is judged.
 MAX_PREDICTION_SIGMA_MM = 100.0
 
 
@@ -42,9 +42,11 @@ MAX_PREDICTION_SIGMA_MM = 100.0
 class LinearisedReadings:
     """Residuals of readings and the model's Jacobian about a robot.
 
-    off : residuals, measured less computed, shape (n, numbers) [mm, and angles in ratio mrad]
-    J : by the scaled parameters and then the points, shape (n, numbers, p + 3 K)
-    points : unknown points by their labels, in the order of the columns, shape (3,) each [m]
+    off : residuals, measured minus computed, shape (n, numbers) [mm, angles in `ratio` mrad]
+    J : Jacobian of the computed values by the scaled parameters and then the coordinates [mm] of
+        the points, shape (n, numbers, p + 3 K)
+    points : unknown points by their labels, in the order of the columns, in the measuring frame,
+        shape (3,) each [m]
     separated : residuals of known distances between points, and their Jacobian, in units of sigma,
         shapes (s,) and (s, p + 3 K)
     """
@@ -61,7 +63,7 @@ class Estimate:
 
     robot : robot with the estimated values
     names : names of the fitted parameters
-    points : unknown points that the readings refer to, by their labels [m]
+    points : unknown points that the readings refer to, by their labels, in the measuring frame [m]
     covariance : covariance of parameters and points, shape (p + 3 K, p + 3 K), in units of scale
         and mm
     sigma : standard deviation of a coordinate [m]
@@ -96,15 +98,15 @@ class Estimate:
 
     @property
     def limit(self) -> float:
-        """Return the greatest surprise of a reading that noise explains."""
+        """Return the limit of a reading's `surprise`, above which noise does not explain it."""
         return MAX_SURPRISE[find_kind(self.m.kind).numbers] * self.widened
 
     def misses(self, m: Measurements) -> tuple[Array, Array]:
-        """Return the residuals of readings from their predictions, and their surprise.
+        """Return residuals (n, lengths) [m] of other readings from predictions, and surprise (n,).
 
-        The residuals have shape (n, lengths) [m]; the surprise, their square with angles in units
-        of the covariance, has shape (n,). Where a four-bar cannot close the surprise is infinite;
-        for a point that no reading refers to, both are zero.
+        The surprise is the squared Mahalanobis distance of a reading, angles included, from its
+        prediction. Where a four-bar cannot close it is infinite; for a point that no reading of the
+        estimate refers to, residuals and surprise are zero.
         """
         kind, labels = find_kind(m.kind), labels_of(m)
         off, square = np.zeros((len(m), kind.lengths)), np.zeros(len(m))
@@ -123,9 +125,9 @@ class Estimate:
         return off, square
 
     def expected(self, task: Measurements) -> float:
-        """Return the expected rms position error of the robot over a task [m].
+        """Return the expected rms position error of the estimated robot over a task's poses [m].
 
-        Where the readings do not determine the base, it is where the task has it.
+        Where the readings do not determine the base, it is fitted to the task.
         """
         p, J = len(self.names), scaled_jacobian(self.robot, self.names, task)
         base = [k for k, name in enumerate(self.names) if self.robot.parameters[name].group == "base"]
@@ -135,9 +137,9 @@ class Estimate:
 
 
 def names_of(robot: Robot, m: Measurements) -> tuple[str, ...]:
-    """Return the parameters to estimate: geometry, compliance, tool and sessions.
+    """Return the names of the parameters to estimate: geometry, compliance, tool and sessions.
 
-    The base is one of them where the readings refer to something at rest.
+    Those of the base are included where the readings refer to something at rest.
     """
     excluded = () if find_kind(m.kind).at_rest(m.arrays) else ("base",)
     sessions = (n for n in robot.parameters.names if n.startswith(SESSION_PREFIX))
@@ -157,9 +159,11 @@ def linearised(
     ratio: float = 1.0,
     points: Mapping[str, Array] | None = None,
 ) -> LinearisedReadings:
-    """Return the residuals and the Jacobian of readings about a robot.
+    """Return the residuals and the Jacobian of readings, linearised at a robot's values.
 
-    points : unknown points [m]; None: where the readings put them
+    names : parameters of the Jacobian; ratio : unit of an angle's residual [mrad]
+    points : unknown points by label in the measuring frame [m]; None: as estimated from the robot's
+        positions
     """
     problem = LeastSquares(robot, (m,), names, "linear", False, ((MM, MM * ratio),))
     labels = list(dict.fromkeys(labels_of(m)))
@@ -178,10 +182,10 @@ def linearised(
 
 
 def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Estimate:
-    """Return the robot as these readings determine it.
+    """Return the robot as these readings determine it, by a linear fit that is iterated.
 
     robot : nominal robot
-    placed : robot with its frames where they are, if known
+    placed : robot with initial base and tool frames; None: they are fitted to the readings
     """
     placed, kind = placed or place_sessions(robot, (m,)), find_kind(m.kind)
     names = names_of(placed, m)
@@ -237,9 +241,9 @@ def estimate(robot: Robot, m: Measurements, placed: Robot | None = None) -> Esti
 def _by_evidence(
     J: Array, y: Array, weight: Array, free: Array, width: Array, apart: tuple[Array, Array]
 ) -> tuple[float, float, Array, Array]:
-    """Fit y = J x + noise with noise and prior width averaged by their evidence.
+    """Fit y = J x + noise, with noise and prior width averaged over grids by their evidence.
 
-    J, y : shapes (n, numbers, x) and (n, numbers)
+    J, y : shapes (n, numbers, x) and (n, numbers) [mm]
     weight : weights of the numbers of a reading, shape (numbers,)
     free : prior standard deviation of the free unknowns, zero for the others, shape (x,)
     width : prior standard deviations that the factor scales, shape (x,)
@@ -277,6 +281,8 @@ def _by_evidence(
 
 def robust_estimate(robot: Robot, m: Measurements, doubtful: Array) -> tuple[Estimate | None, Array, Array]:
     """Return the estimate without contradicted readings, a mask of these, and all residuals.
+
+    A reading is contradicted if its surprise exceeds the limit.
 
     doubtful : mask of the readings that were contradicted before, shape (n,)
     Returns the estimate, None of too few readings, the mask of contradicted readings, shape (n,),

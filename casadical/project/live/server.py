@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 REQUEST_TIMEOUT_S = 10.0
 # Length of the longest command [bytes].
 MAX_COMMAND_BYTES = 100_000
-# Time between two looks at a source for new readings [s].
+# Time between two queries of a source for new readings [s].
 POLL_INTERVAL_S = 0.2
 INSTALL_HINT = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
 
@@ -40,8 +40,8 @@ class LivePage:
 
     session : session that is shown
     source : source of readings; None: readings are typed alone
-    pause : time between two looks at the source [s]
-    token : token that the address of every request must carry
+    pause : time between two queries of the source [s]
+    token : token that the address of every request must have
     """
 
     def __init__(self, session: LiveSession, source: Source | None, pause: float, token: str) -> None:
@@ -96,7 +96,7 @@ class LivePage:
             await follow
 
     async def _follow(self) -> None:
-        """Plan, and take new readings from the source, again and again."""
+        """Plan poses, and take new readings from the source, until cancelled."""
         while True:
             try:
                 if self.session.plan is None:
@@ -127,7 +127,7 @@ class LivePage:
         self._tell()
 
     def _tell(self) -> None:
-        """Let all open pages get the new state."""
+        """Notify all open pages of a new state, which they then receive."""
         self._version += 1
         self._changed.set()
         self._changed = asyncio.Event()
@@ -168,7 +168,10 @@ class LivePage:
         return made
 
     async def _states(self) -> AsyncIterator[dict[str, str]]:
-        """Yield the state now and after each change; a slow reader gets the last one."""
+        """Yield the session's state as an event, now and after each change.
+
+        A slow reader skips states and gets the latest.
+        """
         while True:
             changed = self._changed
             state = await asyncio.to_thread(self.session.state)
@@ -176,7 +179,10 @@ class LivePage:
             await changed.wait()
 
     async def _do(self, request: Request) -> Response:
-        """Carry out one command: type, strike, restore, repeat or finish; faults are sentences."""
+        """Execute the command in a request (type, strike, restore, repeat, finish), and answer.
+
+        The answer is JSON: `said`, or `error` with a sentence.
+        """
         json_response = optional("starlette.responses", INSTALL_HINT).JSONResponse
         response: Response
         try:
@@ -194,7 +200,10 @@ class LivePage:
         return response
 
     def _done(self, asked: dict[str, Any]) -> str:
-        """Carry out a command on the session and return its answer. Raises InputError."""
+        """Execute a command on the session and return its answer as text. Raises InputError.
+
+        asked : the command, with `do` and its values
+        """
         session, do = self.session, asked.get("do")
         if do == "type":
             values = asked.get("values")
@@ -246,7 +255,7 @@ def _command(body: bytes) -> dict[str, Any]:
 
 
 def bound(host: str, port: int) -> socket.socket:
-    """Return a socket that listens at this address; port 0 is any free one.
+    """Return a TCP socket that listens at this address; port 0 means any free port.
 
     Raises InputError where the port is taken.
     """
@@ -278,8 +287,8 @@ def serve(
     source : source of readings; None: readings are typed alone
     show : called with the address of the page
     host, port : address to listen at; port 0: any free one
-    pause : time between two looks at the source [s]
-    Raises InputError.
+    pause : time between two queries of the source [s]
+    Raises InputError where packages are missing or the port is taken.
     """
     uvicorn = optional("uvicorn", INSTALL_HINT)
     token = secrets.token_urlsafe(16)

@@ -216,18 +216,18 @@ class LiveSession:
             self._wish = read[number]
 
     def _known(self, number: int) -> Reading:
-        """Return the reading of a number. Raises InputError where there is none."""
+        """Return the reading of this number, from 1. Raises InputError where there is none."""
         try:
             return self.course.reading(number)
         except ValueError:
             raise InputError(f"there is no reading {number}; the last is {len(self.course.readings)}") from None
 
     def _read(self) -> dict[int, Array]:
-        """Return the joints [rad or m] of the readable readings by number."""
+        """Return number of each readable reading -> its joints, shape (joints,) [rad or m]."""
         return {} if self.m is None else dict(zip(map(self._number, self.m.row), self.m.q, strict=True))
 
     def _number(self, row: int) -> int:
-        """Return the number of the reading in a row of the file."""
+        """Return the number of the reading in a row (line, from 1) of `measured.csv`."""
         return int(row) - 1 - bool(self.course.units)
 
     @property
@@ -240,8 +240,9 @@ class LiveSession:
         return {name: ColumnSource(name) for name in raw.header if name not in sources} | sources
 
     def _as_file(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Return typed values as cells of the file's columns, other columns empty.
+        """Return heading of `measured.csv` -> cell, for typed values; other cells are empty.
 
+        values : casadical's column name -> typed text
         Raises InputError where a value is no column of the file by itself.
         """
         sources, row = self._sources, dict.fromkeys(self.course.header, "")
@@ -276,7 +277,10 @@ class LiveSession:
                 self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
 
     def _table(self) -> Measurements:
-        """Return all readings that are not left out. Raises InputError."""
+        """Return the measurements of all readings that are not left out, after writing the table.
+
+        Raises InputError where they cannot be read.
+        """
         self._write()
         m = read_campaign(self.folder, self.folder / TABLE_FILE, self.robot, later=True, words=True)
         refuse_nameless(m, self.robot)
@@ -290,9 +294,10 @@ class LiveSession:
         return str(error).replace(f"{self.folder}/", "")
 
     def _table_without_unreadable(self, new: Sequence[int], why: str) -> Measurements | None:
-        """Return the table without new readings that make it unreadable; None without any.
+        """Return the measurements without new readings that make the table unreadable, or None.
 
-        Older readings that waited for more may have become readable; they are tried first.
+        None where no readings can be read. Older readings that waited for more may have become
+        readable; they are tried first.
 
         new : numbers of the new readings
         why : error of the table with all of them
@@ -325,7 +330,7 @@ class LiveSession:
         return table
 
     def _judge_readings(self, m: Measurements, new: int) -> None:
-        """Judge every reading by the others, and put the verdicts into words.
+        """Judge every reading by the others, and store estimate, doubtful readings and reasons.
 
         new : number of the only new reading, 0 of several
         """
@@ -400,7 +405,11 @@ class LiveSession:
             return np.asarray(remaining[0] if len(remaining) else self.plan[len(self.course.readings) % len(self.plan)])
 
     def doubted(self) -> bool:
-        """Return whether the whole table is to be checked for slips now (see `check`)."""
+        """Return whether the whole table is to be checked for slips now (see `check`).
+
+        That is so at certain numbers of readings, and at every third one where many readings are
+        doubtful or the noise is large.
+        """
         n = len(self.course.readings)
         gross = self.estimate is not None and self.estimate.sigma > 0.003 * self.robot.reach
         many = sum(self._doubtful.values()) > max(2, n / 3)
@@ -412,7 +421,10 @@ class LiveSession:
         )
 
     def check(self) -> None:
-        """Check the whole table as `casadical check` does; a search for slips takes seconds."""
+        """Check the whole table as `casadical check` does, and store the errors in `checked`.
+
+        A search for slips takes seconds.
+        """
         n = len(self.course.readings)
         checked = precheck(self.folder)
         texts = [f"{f.topic}: {f.text}" for f in checked.findings if f.level == "error" and f.topic != "too few poses"]
@@ -487,13 +499,15 @@ class LiveSession:
 
     @property
     def _of_table(self) -> list[str]:
-        """Return the faults of the whole table at its last check, and of its clock now."""
+        """Return sentences on the faults of the whole table at its last check, and of its clock."""
         return [*self.checked[1], *(clock_faults(self.m) if self.m is not None else ())]
 
     def _reading_json(self, r: Reading, at: Array | None) -> dict[str, Any]:
-        """Return a reading as plain data.
+        """Return a reading for the page: number, at, from, state, why, off_mm and joints.
 
-        at : its joints [rad or m]; None where they cannot be read
+        The state is good, doubtful, unread or struck.
+
+        at : its joints, shape (joints,) [rad or m]; None where they cannot be read
         """
         state = "struck" if r.struck else "doubtful" if self._doubtful.get(r.number) else "good"
         if at is None and not r.struck:
@@ -514,7 +528,10 @@ class LiveSession:
         return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
 
     def _next_json(self) -> dict[str, Any]:
-        """Return the planned poses, the move command and a sentence, as plain data."""
+        """Return the planned poses for the page: poses, program, to_go and words.
+
+        Poses [deg or mm] begin with the next one, whose move command is `program`.
+        """
         poses, remaining = (
             [self._joints(q) for q in (self.next_pose(), *self._poses_left()[1:])],
             len(self._poses_left()),
@@ -544,7 +561,10 @@ def finished(session: LiveSession) -> str:
 
 
 def _refuse_measured(folder: Path) -> None:
-    """Refuse a folder whose tables are of an earlier campaign. Raises InputError."""
+    """Refuse a folder whose tables are measured poses of an earlier campaign.
+
+    Raises InputError.
+    """
     file = problem_file(folder)
     others = [t.file for t in file.measurements if t.file != TABLE_FILE]
     if others and file.data != "synthetic":

@@ -63,7 +63,10 @@ class Course:
         self.readings: list[Reading] = []
 
     def follow(self, event: dict[str, Any]) -> None:
-        """Apply one event. Raises KeyError, TypeError or ValueError for an invalid one."""
+        """Apply one event of the journal (begin, read, strike or restore) to the state.
+
+        Raises KeyError, TypeError or ValueError for an invalid one.
+        """
         do = event["do"]
         if do == "begin":
             self.header, self.units, self.data = tuple(event["header"]), tuple(event["units"]), str(event["data"])
@@ -126,9 +129,9 @@ class Row:
 
 @dataclass
 class News:
-    """What a source has that is new.
+    """The answer of a source that is asked for news.
 
-    rows : rows
+    rows : rows of the table, new ones and often earlier ones too
     said : sentences on what cannot be read
     """
 
@@ -247,7 +250,7 @@ class SimulatedSource:
         return self.left == 0
 
     def news(self) -> News:
-        """Return the next reading."""
+        """Return the next simulated reading as a row; none after the last."""
         if self.ended:
             return News()
         self.left -= 1
@@ -277,7 +280,10 @@ def source_of(path: str, stdin: BinaryIO) -> Source:
 
 
 def rows_of(path: Path, data: bytes) -> News:
-    """Return the rows of a table, but a last line without its end. Raises InputError."""
+    """Return the rows of a table as read so far, without a last line that has no line end.
+
+    path : name of the table, for messages; data : its content. Raises InputError.
+    """
     text = not data.startswith((b"PK\x03\x04", b"PAR1", b"\x1f\x8b"))
     whole = data[: data.rfind(b"\n") + 1] if text else data
     said: list[str] = []
@@ -298,9 +304,10 @@ def rows_of(path: Path, data: bytes) -> News:
 
 
 def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
-    """Return a table with its unreadable lines blank, and a sentence on each of these.
+    """Return a table's content with its unreadable lines blank, and a sentence on each of these.
 
-    Such lines come of two writers of one file. Raises InputError.
+    Such lines result from two writers of one file. Raises InputError if the first two lines cannot
+    be read.
     """
     lines = data.splitlines(keepends=True)
     good, said = 2, []

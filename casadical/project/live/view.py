@@ -6,12 +6,15 @@ from typing import Any
 from casadical.core.telling.blocks import Table, Words
 from casadical.project.live.estimate import MIN_READINGS_OF_FIT
 
-# The 95 % quantile of errors is stated from this number of readings on.
+# Minimum number of readings with which the 95 % quantile of their errors is stated.
 MIN_READINGS_FOR_QUANTILE = 20
 
 
 def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a session's data with its sentences, as `casadical measure --json` stores it."""
+    """Return a session's data with sentences added, as `casadical measure --json` stores it.
+
+    data : as `LiveSession.state` assembles it
+    """
     known = data["known"]
     good = sum(r["state"] == "good" for r in data["readings"])
     origin = "measured" if data["data"] == "real" else "SYNTHETIC"
@@ -37,7 +40,10 @@ def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def summary(state: Mapping[str, Any]) -> list[Words | Table]:
-    """Return what is known and which readings are not good, at the end of a session."""
+    """Return sentences and a table at the end of a session: the estimate, and doubtful readings.
+
+    state : as of `LiveSession.state`
+    """
     known = state["known"]
     blocks: list[Words | Table] = [Words(f"{state['about']}.", "verdict"), Words(f"{state['known_words']}.")]
     blocks += [Table("", ("known by now", ""), known["figures"], frozenset({1}))] if known else []
@@ -46,7 +52,10 @@ def summary(state: Mapping[str, Any]) -> list[Words | Table]:
 
 
 def answer(state: Mapping[str, Any], number: int) -> str:
-    """Return the judgement of a reading in a line or two."""
+    """Return the judgement of the reading of this number as text.
+
+    state : as of `LiveSession.state`
+    """
     reading = next(r for r in state["readings"] if r["number"] == number)
     left = state["known"] and state["known"]["left_out_mean_mm"]
     words = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])

@@ -28,7 +28,7 @@ from casadical.measurements.vocabulary import UNITS, WORDS
 from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
 
-# Columns of a table under casadical's names: DH row, joint limits, body, and all of them.
+# Names of the columns of a table of DH rows: of the rows, of joint limits and of bodies.
 _ROW_COLUMNS = [
     f"{stem}{unit}"
     for stem, units in (
@@ -86,7 +86,11 @@ def _refuse_non_finite(table: RawTable) -> None:
 
 
 def _joint_text(row: Mapping[str, Any], where: str) -> str:
-    """Return the [[joint]] of one row as text. Raises InputError."""
+    """Return the [[joint]] table of one row of the DH table as TOML text.
+
+    row : cells by casadical's column name; where : file and row, for messages
+    Raises InputError.
+    """
     keys = [key for key in (*_ROW_COLUMNS, *_LIMIT_COLUMNS, *_BODY_COLUMNS, "stiffness_Nm_per_rad") if key in row]
     numbers = zip(keys, each_of(partial(_number, row, key, where) for key in keys), strict=True)
     given = {key: value for key, value in numbers if value is not None}
@@ -134,16 +138,16 @@ def _word(row: Mapping[str, Any], key: str) -> str:
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
 
-# Stems of one physical quantity, whose columns have the same unit.
+# Names, without units, of the columns that are lengths and angles; one table has one unit of each.
 _LENGTH_STEMS = ("a", "d")
 _ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
 
 
 def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """Return the table under casadical's names and units, and sentences on what was recognised.
+    """Return the table under casadical's names and units, and clauses on recognised columns.
 
-    known : casadical's names
-    Raises InputError.
+    known : casadical's names of all allowed columns
+    Raises InputError for a column that is not recognised, or two of one meaning.
     """
     frame = table.frame
     stems = {name: _stem(name) for name in table.header if name not in known}
@@ -173,7 +177,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
 
 
 def _stem(heading: str) -> str:
-    """Return casadical's name of a heading without its unit; empty for an unknown heading."""
+    """Return casadical's column name, without its unit, for a heading; empty if unknown."""
     words = set(words_of(heading)[0])
     # Stems in the order in which headings are compared with them: a "mass centre" is no mass, and a
     # "twist angle" is no joint angle.
@@ -188,10 +192,13 @@ def _stem(heading: str) -> str:
 
 
 def _assumed_unit(frame: pd.DataFrame, stems: dict[str, str], units: dict[str, str], stem: str) -> str:
-    """Return the unit of a column that states none.
+    """Return the unit (mm, m, deg, rad) of a column that states none; empty if it needs none.
 
     It is that of another column of the same quantity, else it follows from the size of all their
     numbers.
+
+    stems, units : heading -> casadical's name without unit, and unit that it states; stem : of the
+        column
     """
     # Lengths without a unit are in millimetres if their median is above 10, else in metres;
     # angles are in degrees if one is above a full turn, else in radians.

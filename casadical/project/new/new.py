@@ -36,12 +36,15 @@ from casadical.robot.robot_file import robot_from
 
 # Number of the poses that are simulated for a first run.
 SYNTHETIC_POSE_COUNT = 60
-# One sigma of a simulated coordinate, as of a laser tracker [m].
+# Standard deviation of the noise of a simulated coordinate [m], as of a laser tracker.
 SYNTHETIC_NOISE_M = 2e-5
 
 
 def synthetic_poses(robot: Robot, seed: int = 0) -> str:
-    """Return a CSV table of readings and noisy positions of a robot that departs from nominal."""
+    """Return the text of a CSV table of simulated poses: readings and noisy positions [mm].
+
+    The simulated robot departs from nominal (`as_built`).
+    """
     rng = np.random.default_rng(seed)
     built = as_built(robot, rng)
     q = draw(one_turn(robot), SYNTHETIC_POSE_COUNT, Workspace(), rng)
@@ -170,7 +173,13 @@ def _understood(
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
 ) -> Given:
-    """Return what a table holds; what it does not say is asked, and the findings are shown."""
+    """Return the interpretation of a table by which the files of the folder are written.
+
+    Questions that it leaves open are asked by `ask` (None: the first choice is taken), and findings
+    are shown by `show`.
+
+    camera : where the camera is, empty if unknown
+    """
     meaning = understood(raw, robot, {})
     if show:
         for block in shown_columns(raw, meaning):
@@ -211,9 +220,9 @@ def _understood(
 
 
 def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[Words], Measurements | None]:
-    """Return the angle [deg] from the base's z axis to the instrument's, findings, and the poses.
+    """Return the angle [deg] between the z axes of base and measuring frame, findings, and poses.
 
-    The angle is NaN where it cannot be seen; the poses are None where they cannot be read.
+    The angle is NaN where the data do not show it; the poses are None where they cannot be read.
     """
     try:
         m = as_poses(from_columns(columns, [j.kind for j in robot.joints]), robot, camera=camera)
@@ -231,9 +240,9 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
 
 
 def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
-    """Return the names of the targets, the most measured first, and rows of those with too few.
+    """Return the targets with three poses or more, the most measured first, and the others' rows.
 
-    The rows are given with the reason for which they are left out.
+    The latter map row of the file -> reason why it is left out.
     """
     flags = columns.tools()
     order = sorted(flags, key=lambda name: -flags[name].sum())
@@ -272,7 +281,10 @@ def _cell(value: object) -> str:
 def _robot_files(
     name: str, urdf: Path | None, base_link: str | None, tip_link: str | None, dh: Path | None, convention: str
 ) -> tuple[dict[str, str | bytes], Robot]:
-    """Return the text of the robot's file by its name, and the robot. Raises InputError."""
+    """Return file name -> content of the robot's file, and the robot. Raises InputError.
+
+    Arguments are as of `new_problem`; missing masses are estimated in robot.toml.
+    """
     if urdf:
         from casadical.robot.urdf import read_urdf
 

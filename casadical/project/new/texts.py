@@ -11,7 +11,7 @@ from casadical.measurements.columns import Source
 from casadical.project.problem_file import as_toml
 from casadical.robot.robot import Robot
 
-# robot.toml where neither a URDF nor a DH table is given.
+# Text of robot.toml where neither a URDF nor a DH table is given: an example arm.
 EXAMPLE_ROBOT = """\
 # An example arm with six joints: change the numbers to those of yours. Every key: docs/robot-file.md.
 # Units stand in the keys (_mm or _m, _deg or _rad); a wrong or missing one is refused with a message.
@@ -75,7 +75,7 @@ limits_deg = [-170, 170]
 body = { mass_kg = 2, com_mm = [0, 0, -30] }
 """
 
-# The part of robot.toml before the [[joint]] tables, for a DH table.
+# Beginning of robot.toml, before the [[joint]] tables, where a DH table is given; a format string.
 ROBOT_HEAD = """\
 # Made from {table}. Every key: docs/robot-file.md. Units stand in the keys (_mm or _m, _deg or _rad).
 casadical = 1
@@ -140,8 +140,8 @@ class Given:
     left_out : reason for each row of the file that is left out
     tools : names of the measured points
     kind : kind of measurement
-    turned : whether the kind has orientations of the tool
-    tilted : whether the instrument is not levelled
+    turned : whether orientations of the tool were measured
+    tilted : whether the measuring instrument was not levelled
     inverted : whether poses are inverted in the table
     camera : where the camera is that saw them, "in hand", "to base" or unknown
     """
@@ -168,7 +168,7 @@ def problem_text(
 ) -> str:
     """Return the text of problem.toml.
 
-    given : what was measured; None where poses are simulated
+    given : interpretation of the measured table; None where poses are simulated
     links : base and tip link of a URDF; None for a robot file
     named_sets : whether the table has a column `set`
     seed : seed of the split, and of simulated poses
@@ -234,8 +234,9 @@ def _urdf_lines(links: tuple[str | None, str | None], given: Given) -> str:
 
 
 def readme_text(name: str, robot: str, file: str, data: str | None, urdf: str | None, dh: str | None) -> str:
-    """Return the text of README.md: the origin of each file, and what to do next.
+    """Return the text of README.md: the origin of each file, and the commands to run next.
 
+    name : of the folder; robot : of the robot; file : of the table of poses
     data, urdf, dh : names of the files that the folder was made from, None for an example
     """
     origin = f"from `{urdf}`" if urdf else f"from the DH table `{dh}`" if dh else "an example, every number made up"
@@ -262,7 +263,10 @@ Next:
 
 
 def with_measured(robot: str, given: Given) -> str:
-    """Return a robot file's text with the tools and the gravity frame that were measured."""
+    """Return a robot file's text, changed to the tools and the frame of gravity of a table.
+
+    robot : text of the robot file; given : interpretation of the table
+    """
     start, rest = robot.split("[tool]", 1)
     own, after = rest.split("\n\n", 1)
     own = own.replace('"position"', '"pose"') if given.turned else own
