@@ -45,7 +45,7 @@ def precheck(
     show: Show = silent,
     tables: Sequence[str | Path] = (),
 ) -> Precheck:
-    """Examine a problem folder and its data without solving anything.
+    """Return what a check of a problem folder and its data finds, before a calibration.
 
     folder : problem folder or robot file
     noise : one sigma of a measured coordinate [m] for the forecasts; None: the residual of a linear
@@ -142,9 +142,12 @@ def _outlooks(
 def _slips(
     robot: Robot, table: Measurements, targets: Targets | None, others: Sequence[Robot], show: Show
 ) -> Slips | None:
-    """Return several slips of a table at once.
+    """Return the slips, one or several, that explain a table; None if it cannot be fitted.
 
-    Of several targets, the table is that of the most measured one, or of their centroid.
+    Of several targets, the poses are those of the most measured one, or of the targets' centroid.
+
+    targets : targets that the table does not name, if there are any
+    others : robots that the file may have meant
     """
     if targets and targets.turning:
         middle = middles(table, targets.count)
@@ -162,6 +165,9 @@ def _plausible(
     """Return a finding on how well the nominal model explains a table, and its best single slip.
 
     The latter is None where there are too few poses, or where the model itself explains the table.
+
+    others : robots that the file may have meant
+    standard : whether the robot file has the standard DH convention
     """
     judged = facts.plausible(robot, m, others) if len(m) >= facts.MIN_PLAUSIBILITY_POSES else None
     if judged is None:
@@ -177,8 +183,9 @@ def _plausible(
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
 ) -> tuple[list[Finding], Slips | None]:
-    """Return findings on the fitted data, and the single slip that explains the first table.
+    """Return findings on the fitted data, and the best single slip of the first table or None.
 
+    sets : fitted poses; others, standard : as of `_plausible`
     table : all positions of the only table, held-out poses included; None where there is no such
         table
     """
@@ -200,7 +207,10 @@ def _data_findings(
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:
-    """Return the known noise of a coordinate [m], and where it is from, in words."""
+    """Return the noise of a coordinate [m] and its origin as text; None where it is not known.
+
+    It is the given one, the declared one, or that of repeated readings.
+    """
     if given is not None:
         return given, "as given"
     stated = next((m.sigma for m in sets if m.sigma), None)

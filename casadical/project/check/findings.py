@@ -33,8 +33,8 @@ Level = Literal["error", "warning", "note"]
 class Finding:
     """One finding.
 
-    level : error (no use to go on), warning (look at it) or note (good to know)
-    topic : one word or two
+    level : error (a calibration would be useless), warning (to be examined) or note
+    topic : one word or two, such as "units"
     text : sentence
     """
 
@@ -44,13 +44,21 @@ class Finding:
 
 
 def fault_findings(error: InputError, topic: str) -> list[Finding]:
-    """Return an error's faults as findings."""
+    """Return each fault of an error as a finding of level error.
+
+    topic : of these findings
+    """
     faults = [*error.faults, *error.others] if isinstance(error, FaultsError) else [error]
     return [Finding("error", topic, str(fault)) for fault in faults]
 
 
 def target_findings(targets: Targets | None, wrong: WrongNames | None, source: str) -> list[Finding]:
-    """Return findings on several targets without names, or on rows with a wrong name."""
+    """Return findings on a table that measures several targets without naming them, or wrongly.
+
+    targets : what repeated readings show, if they disagree
+    wrong : rows whose position fits another target of the robot file than the named one
+    source : name of the table, for the text
+    """
     if wrong:
         return [Finding("error", "targets", wrong.in_words(source))]
     if not targets:
@@ -68,6 +76,7 @@ def target_findings(targets: Targets | None, wrong: WrongNames | None, source: s
 def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) -> Finding:
     """Return the finding on data that contradict the nominal robot, with the slips that explain it.
 
+    m : the table, for its name and kind
     standard : whether the rows of the robot file are of the standard DH convention
     """
     before, best = slips.before, slips.best
@@ -106,9 +115,9 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_r
 
 
 def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
-    """Return a finding on rows that are far off.
+    """Return a finding on rows with more than five times the median error, or [].
 
-    It is an error where no robot of this size measures them.
+    It is an error where some are off by more than half the robot's reach, else a warning.
     """
     far, e = far_off(robot, m)
     if not far.any():
@@ -144,7 +153,7 @@ def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """Return a finding on a four-bar that is nearly folded; an open one is refused elsewhere."""
+    """Return a finding if a four-bar is nearly folded in some pose, else []."""
     smallest = margin(robot, m)
     if smallest is None or not MIN_LOOP_MARGIN <= smallest < 5 * MIN_LOOP_MARGIN:
         return []
@@ -187,7 +196,7 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
 
 
 def limits_findings(robot: Robot) -> list[Finding]:
-    """Return a finding on joints with default limits, as none are given."""
+    """Return a note on joints for which the robot file gives no limits, or []."""
     assumed = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
     wide = [str(i) for i, j in enumerate(robot.joints, 1) if (j.lower, j.upper) == assumed[j.kind]]
     if not wide:
@@ -226,8 +235,9 @@ def held_out_findings(problem: Problem) -> list[Finding]:
 
 
 def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[Finding]:
-    """Return findings on the expected accuracy by one method.
+    """Return findings on what one method is expected to determine: data, confounding, misfit.
 
+    view : the expectation
     noise : known noise of a coordinate [m], None where it is not known
     """
     p = view.unknowns

@@ -30,9 +30,9 @@ from casadical.robot.robot import Robot
 class Outlook:
     """What one method is expected to determine.
 
-    method : method
+    method : name of the method
     names : parameters that will be identified
-    held : the other parameters, each with its reason
+    held : parameters that will not be identified, each with its reason
     numbers : number of observed values
     unknowns : number of independent parameters and coordinates of unknown points
     condition : condition number of the scaled Jacobian
@@ -41,7 +41,8 @@ class Outlook:
     noise : noise of a coordinate for the forecasts [m]: the given one, else the scatter
     of_points : whether positions were measured, not distances
     errors : expected standard errors of `names` [SI]
-    accuracy : rms position error to expect of the parameters [m], NaN where none is identified
+    accuracy : expected rms position error over the joint ranges due to the errors of the
+        parameters [m], NaN where none is identified
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -72,9 +73,9 @@ class Outlook:
 
     @property
     def held_out(self) -> float | None:
-        """Return the mean error to expect on other poses like these [m]; None for other kinds.
+        """Return the expected mean position error on other poses like these [m]; None for lengths.
 
-        It is that of three coordinates with this scatter.
+        It is that of three coordinates with this scatter. None, too, where nothing is identified.
         """
         if not (self.enough and self.of_points and self.names):
             return None
@@ -143,10 +144,10 @@ def outlook(
 
 
 def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
-    """Return the problem with the angles' sigma estimated, residuals (m,) and Jacobian.
+    """Return the problem with estimated sigmas, and its residuals (m,) and Jacobian (m, size).
 
-    Positions and angles have different units: if their sigmas were guessed, one would hide the
-    other.
+    Sigmas are estimated for kinds with angles, and all is at nominal values. Positions and angles
+    have different units: if their sigmas were guessed, one would hide the other.
     """
     for _ in range(6):  # until their logarithms change by less than 0.03
         residuals, J = problem.evaluate(np.zeros(problem.size))
@@ -167,9 +168,12 @@ def _weighted(problem: LeastSquares) -> tuple[LeastSquares, Array, Array]:
 
 
 def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
-    """Return the mask of rows of each set that a linear step does not leave far off, shapes (n,).
+    """Return for each set the mask of the rows with small residuals after a linear step, (n,).
 
-    All rows are near where there are too few degrees of freedom, or too many far rows.
+    Small is up to five times the median. All rows count as such where there are too few degrees of
+    freedom, or too many rows with large residuals.
+
+    r, J : residuals and Jacobian of all sets, shapes (m,) and (m, size)
     """
     residual = r - J @ np.linalg.lstsq(J, r, rcond=None)[0]
     masks = []
@@ -184,9 +188,11 @@ def _near(sets: Sequence[Measurements], r: Array, J: Array) -> list[Array]:
 
 
 def _parts(m: Measurements, r: Array, J: Array) -> tuple[tuple[float, float], ...]:
-    """Return the square sum and the degrees of freedom of a linear step's residuals.
+    """Return (sum of squares, degrees of freedom) of residuals of lengths, and those of angles.
 
-    They are of the lengths and of the angles of the first set.
+    They are those of the first set's residuals after a linear step.
+
+    m : the first set; r, J : residuals and Jacobian of all sets, shapes (m,) and (m, size)
     """
     Q = np.linalg.qr(J)[0]
     residual, free = r - Q @ (Q.T @ r), 1 - (Q**2).sum(axis=1)

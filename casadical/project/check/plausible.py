@@ -25,10 +25,11 @@ from casadical.project.check.slips import MIN_ERROR_REDUCTION, outside, slip_fit
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# With fewer poses, base and tool alone fit any model or none.
+# Minimum number of poses by which a model's plausibility is judged; with fewer, base and tool alone
+# fit any model or none.
 MIN_PLAUSIBILITY_POSES = 4
-# The data contradict the nominal robot where its median error, base and tool fitted, is above this
-# share of its reach.
+# Largest median error of the nominal robot, base and tool fitted, as a share of its reach, with
+# which the data do not contradict it.
 MAX_MEDIAN_ERROR_OF_REACH = 0.02
 
 
@@ -60,9 +61,11 @@ def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tu
 
 
 def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, Fit]:
-    """Return the first and the best fit; of tied fits the one with fewest shifted zeros.
+    """Return the first and the best of the fits; of tied fits the one with fewest shifted zeros.
 
-    A fit with readings out of the joint ranges must be better by a factor.
+    A fit with readings out of the joint ranges must be better by MIN_ERROR_REDUCTION.
+
+    some : the fitted poses; tried : fits, the first one without slips
     """
     before = tried[0]
     tried.sort(key=lambda fit: sum(z != 0 for z in fit.hypothesis.zero))
@@ -71,9 +74,10 @@ def _simplest(robot: Robot, some: Measurements, tried: list[Fit]) -> tuple[Fit, 
 
 
 def far_off(robot: Robot, m: Measurements) -> tuple[Array, Array]:
-    """Return the mask of rows far off the placed nominal model, and all errors [m], shapes (n,).
+    """Return the mask of rows far off the placed nominal model, and all errors [m], both (n,).
 
-    With few poses, or where half of them were far off, the mask is empty.
+    A row is far off if its error exceeds five times the median. With few poses, or where half of
+    them were far off, the mask is empty.
     """
     inliers = np.ones(len(m), dtype=bool)
     e = np.zeros(len(m))
@@ -108,11 +112,11 @@ def convention_of(path: Path) -> str:
 class JointCoverage:
     """The readings of one joint.
 
-    joint : number of the joint
+    joint : number of the joint, from 1
     unit : deg or mm
-    low, high : least and greatest reading [deg or mm]
+    low, high : lowest and highest reading [deg or mm]
     lower, upper : joint limits [deg or mm]
-    share : share of the range that is covered
+    share : covered share of the range between the limits, 0 to 1
     """
 
     joint: int
@@ -125,7 +129,7 @@ class JointCoverage:
 
 
 def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
-    """Return the range that the readings of each joint cover.
+    """Return for each joint the range of its readings and the share of its limits that it covers.
 
     A joint that turns more than once is fully covered by one turn.
     """
@@ -139,9 +143,9 @@ def coverage(robot: Robot, m: Measurements) -> tuple[JointCoverage, ...]:
 
 
 def repeats(m: Measurements) -> tuple[int, float | None]:
-    """Return the number of distinct readings, and the noise of a coordinate from repeats [m].
+    """Return the number of distinct poses, and the noise of a coordinate by repeated ones [m].
 
-    The noise is None where too few readings are repeated.
+    The noise is a standard deviation, None where too few poses are repeated.
     """
     tools = [values for name, values in m.conditions.items() if name.startswith("tool_")]
     reading = same_readings(np.column_stack([m.q, *tools]))

@@ -27,9 +27,10 @@ from casadical.robot.urdf import read_urdf
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
-    """Return the text of problem.toml and, for wrong rows, of the robot file, repaired.
+    """Return path -> text of problem.toml and, for wrong rows or lengths, of the robot file.
 
-    The first table alone is repaired. Raises InputError.
+    They have the slips of a fit undone, of the first table alone; unchanged files are not
+    included. Raises InputError where the repair cannot be written.
     """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
@@ -59,10 +60,10 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
 
 
 def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
-    """Return the sources of the columns that the repair changes, by casadical's name.
+    """Return casadical's column name -> its new source, for the columns that the repair changes.
 
-    known : sources of all columns now
-    Raises InputError.
+    known : casadical's column name -> its present source, for all columns
+    Raises InputError where a column is missing, or is a sum of columns already.
     """
     h = fit.hypothesis
     names = [_column_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
@@ -112,17 +113,17 @@ def _column_present(known: Mapping[str, Source], stem: str, units: tuple[str, ..
 
 
 def _without_sum(source: Source) -> Source:
-    """Return a source that is no sum of columns. Raises InputError for a sum."""
+    """Return the source unchanged if it is no sum of columns. Raises InputError for a sum."""
     if source.add:
         raise InputError(f"column {source.name!r} is a sum already (columns in problem.toml); repair it by hand")
     return source
 
 
 def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
-    """Return the text of a robot file with its rows repaired.
+    """Return the text of a robot file with convention, link lengths or unit of a fit repaired.
 
-    times : factor of all lengths, where they are in another unit
-    Raises InputError.
+    times : factor on all lengths, 1 where their unit is right
+    Raises InputError for a file that is no TOML.
     """
     if path.suffix != ".toml":
         raise InputError(f"{path}: the repair changes rows of the robot, which is not a robot file; change it by hand")
@@ -146,7 +147,10 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
 
 
 def write_repair(texts: Mapping[Path, str]) -> str:
-    """Write repaired files and return the changed lines. Raises InputError."""
+    """Write repaired files and return the changed lines as a unified diff. Raises InputError.
+
+    texts : path -> new text
+    """
     lines: list[str] = []
     for path, text in texts.items():
         before = read_text(path).splitlines()
@@ -156,7 +160,7 @@ def write_repair(texts: Mapping[Path, str]) -> str:
 
 
 def repaired(found: Precheck) -> str:
-    """Write the repair that a check has found, and return the changed lines.
+    """Write the repair that a check has found; return the changed lines and a sentence.
 
     Targets are repaired before slips; the text is empty where there is no repair. Raises
     InputError.
@@ -191,9 +195,9 @@ def not_repaired(found: Precheck) -> str:
 
 
 def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: Sequence[Array]) -> dict[Path, str]:
-    """Return the texts of problem.toml and robot file with several targets.
+    """Return path -> text of problem.toml and robot file with several targets.
 
-    Of a URDF, problem.toml has the targets alone.
+    For a URDF, problem.toml alone is changed.
 
     points : in the last link's frame, shape (K, 3) [m]
     rows : rows of the file at which each target was measured
@@ -214,9 +218,9 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
 
 
 def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -> dict[Path, str]:
-    """Return the text of problem.toml with the rows at which each target was measured.
+    """Return path -> text of problem.toml with the rows at which each target was measured.
 
-    rows : rows of the file, for each name
+    names : of the targets; rows : rows of the first table's file, for each name
     """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
@@ -229,7 +233,7 @@ def file_with_names(folder: Path, names: Sequence[str], rows: Sequence[Array]) -
 
 
 def _tools(names: Sequence[str], points: Array, flange: Array, unknown: str) -> Any:
-    """Return the tables [[tool]] of these points.
+    """Return the tables [[tool]] of these points, in TOML.
 
     points : in the last link's frame, shape (K, 3) [m]
     flange : pose in the last link of the frame in which the file gives its tool, shape (4, 4)

@@ -26,13 +26,13 @@ class Precheck(Result):
     poses : number of poses in each set
     noise : noise of a coordinate [m], as far as it is known beforehand
     noise_source : where it is from, in words
-    joints : covered joint ranges in the set that is fitted
-    margin : smallest margin of the four-bars
+    joints : joint ranges that the fitted poses cover
+    margin : smallest margin of the four-bars over the poses; None without four-bars
     outlooks : expected accuracy by each method, () where the data are unusable
     nominal : nominal robot
-    slips : slips that explain data that contradict the robot, where several were searched for
-    targets : several targets on one flange that the table does not name
-    wrong_names : rows that name another target
+    slips : slips that explain data that contradict the robot; None where none were searched for
+    targets : several targets on one flange that the table does not name; None if there are none
+    wrong_names : rows that name another target than was measured; None if there are none
     tables : tables given in place of the folder's own
     more : command that plans more poses
     """
@@ -73,7 +73,7 @@ class Precheck(Result):
         return not self.of_level("error")
 
     def words_of(self, findings: Sequence[Finding]) -> list[Words]:
-        """Return findings as sentences, errors first."""
+        """Return findings as sentences with their level: errors, then warnings, then notes."""
         marks: dict[Level, str] = {"error": "ERROR", "warning": "WARNING", "note": "note"}
         ordered = [f for level in marks for f in findings if f.level == level]
         return [Words(f"{f.topic}: {f.text}", f.level, mark=marks[f.level]) for f in ordered]

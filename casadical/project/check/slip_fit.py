@@ -62,7 +62,7 @@ class Hypothesis(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """Return the improbability, counted in slips.
+        """Return how improbable the hypothesis is, as an equivalent number of slips.
 
         Joints that count the other way occur together, and together with coupled readings.
         """
@@ -72,14 +72,17 @@ class Hypothesis(NamedTuple):
         return self.slips - 0.6 * max(0, reversed_ - 1) - 0.5 * together
 
     def at(self, what: str, i: int, value: float) -> Hypothesis:
-        """Return the hypothesis with another value at joint index i."""
+        """Return the hypothesis with another value of a field for the joint of index i, from 0.
+
+        what : name of the field, such as "sign" or "zero"
+        """
         entries = list(getattr(self, what))
         entries[i] = value
         entry: dict[str, Any] = {what: tuple(entries)}
         return self._replace(**entry)
 
     def readings(self, q: Array) -> Array:
-        """Return the readings as they are meant, shape (n, joints) [rad or m].
+        """Return the readings with the slips undone, shape (n, joints) [rad or m].
 
         q : readings of the table, of the same shape
         """
@@ -105,7 +108,10 @@ class Fit:
 
     @property
     def cost(self) -> float:
-        """Return the improbability, counted in slips; no instrument's frame is left-handed."""
+        """Return how improbable the fit is, as an equivalent number of slips.
+
+        A mirrored frame counts as half a slip more, as no instrument's frame is left-handed.
+        """
         return self.slips - self.hypothesis.slips + self.hypothesis.cost + 0.5 * self.mirrored
 
     @property
@@ -138,7 +144,10 @@ class SlipFit:
     beam: ClassVar[int] = 800
 
     def _aligned(self, shift: int) -> tuple[Array, Array]:
-        """Return readings and positions that belong together after a shift of rows."""
+        """Return readings (k, joints) and positions (k, 3) that belong together after a shift.
+
+        shift : number of rows by which the readings precede their positions
+        """
         n = len(self.q)
         if shift >= 0:
             return self.q[shift:], self.y[: n - shift]
@@ -168,7 +177,11 @@ class SlipFit:
         return p, np.stack([x, y, z], axis=3), along_a, along_d
 
     def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return the share of the motion that each hypothesis does not explain, shape (k,)."""
+        """Return the share of the motion that each of k hypotheses does not explain, shape (k,).
+
+        It is the rms residual of the best three quarters of the rows over the extent of the flange
+        positions, with base and tool fitted.
+        """
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
             residual, turn, _ = _project_out_frame(y, p, R)
@@ -180,9 +193,10 @@ class SlipFit:
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return for each length the share of the error that is left if it is free, and its change.
+        """Return the effect of freeing each link length under each of k hypotheses.
 
-        The shape is (k, 2 joints, 2), all a before all d; changes are departures [m].
+        The shape is (k, 2 joints, 2), all a before all d: the remaining error over that without
+        freeing, and the departure of the length [m].
         """
         departures = np.empty((len(hypotheses), 2 * self.q.shape[1], 2))
         for part, y, p, R, along in self._parts(hypotheses):
@@ -221,10 +235,10 @@ class SlipFit:
     def _parts(
         self, hypotheses: Sequence[Hypothesis]
     ) -> Iterator[tuple[list[int], Array, Array, Array, tuple[Array, Array]]]:
-        """Yield hypotheses with equal rows in batches, with what `_flange` returns for them.
+        """Yield hypotheses of equal shift and rows in batches, with their flange poses.
 
-        Yields their indices, the measured positions, flange positions, orientations, and directions
-        of the lengths
+        A batch has their indices, the measured positions (n, 3), and flange positions, orientations
+        and directions of the lengths as of `_flange`.
         """
         keys = [(h.shift, h.rows) for h in hypotheses]
         for shift, rows in dict.fromkeys(keys):
@@ -245,9 +259,10 @@ class SlipFit:
         return a, d
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:
-        """Return the fit of a hypothesis with base and tool as frames.
+        """Return the fit of a hypothesis, with base and tool fitted as frames in closed form.
 
-        as_given : whether the positions are taken to be right, in unit and hand
+        as_given : whether the positions are taken to be right in unit and handedness, which are
+            fitted otherwise
         """
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
@@ -266,9 +281,9 @@ class SlipFit:
         return Fit(h, error, scale, mirrored, self._turn(h.shift, T[:3, :3] @ R[0]))
 
     def _turn(self, shift: int, R: Array) -> float:
-        """Return the median orientation error [rad], the tool rotated to fit.
+        """Return the median orientation error [rad], the tool rotated to fit; 0 if not measured.
 
-        R : modelled orientations, shape (n, 3, 3)
+        shift : of the rows; R : modelled orientations, shape (n, 3, 3)
         """
         if self.orientation is None:
             return 0.0
@@ -293,7 +308,11 @@ class LengthFit(SlipFit):
     beam: ClassVar[int] = 60
 
     def shares(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return the share of the motion that each hypothesis does not explain, shape (k,)."""
+        """Return the share of the motion that each of k hypotheses does not explain, shape (k,).
+
+        It is the rms residual of the best three quarters of the lengths over the extent of the
+        flange positions.
+        """
         share = np.empty(len(hypotheses))
         for part, y, p, R, _ in self._parts(hypotheses):
             square = np.sort(self._residuals(p, R, y) ** 2, axis=1)[:, : max(1, int(0.75 * len(y)))]
@@ -301,11 +320,11 @@ class LengthFit(SlipFit):
         return share
 
     def departures(self, hypotheses: Sequence[Hypothesis]) -> Array:
-        """Return that no length of the robot departs: lengths are not searched for."""
+        """Return ratios of 1 and departures of 0, shape (k, 2 joints, 2): no length is freed."""
         return np.tile([1.0, 0.0], (len(hypotheses), 2 * self.q.shape[1], 1))
 
     def zeros(self, hypotheses: Sequence[Hypothesis], joint: int) -> Array:  # noqa: ARG002
-        """Return zero corrections: only quarter turns are searched for."""
+        """Return corrections of 0, shape (k,): only quarter turns of zeros are searched for."""
         return np.zeros(len(hypotheses))
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:  # noqa: ARG002
@@ -321,18 +340,23 @@ class LengthFit(SlipFit):
     def _residuals(self, p: Array, R: Array, y: Array, inliers: Array | None = None, steps: int = 12) -> Array:
         """Return the residuals of the lengths after the fit of tool and points, shape (k, n) [m].
 
-        inliers : mask of the rows that are fitted
+        p, R : flange poses of each hypothesis, shapes (k, n, 3) and (k, n, 3, 3); y : lengths and
+            indices of points, shape (n, 2)
+        inliers : mask of the rows that are fitted, all by default; steps : of the fit
         """
         length, place = y[:, 0], np.eye(int(y[:, 1].max()) + 1)[y[:, 1].astype(int)]
         weight = np.ones(len(y)) if inliers is None else inliers.astype(float)
 
         def lines(x: Array) -> tuple[Array, Array]:
-            """Return the vectors from the points to the tool [m] and their lengths."""
+            """Return the vectors from the points to the tool, (k, n, 3) [m], and lengths (k, n)."""
             line = p + (R @ x[:, None, :3, None])[..., 0] - place @ x[:, 3:].reshape(len(p), -1, 3)
             return line, np.maximum(np.linalg.norm(line, axis=2), 1e-9)
 
         def evaluate(x: Array) -> Evaluated:
-            """Return the cost of each hypothesis, and the function for its normal equations."""
+            """Return the cost of each hypothesis, shape (k,), and a function of normal equations.
+
+            x : tool and points of each hypothesis, shape (k, 3 + 3 K) [m]
+            """
             line, size = lines(x)
             residual = length - size
 
@@ -368,7 +392,7 @@ class LengthFit(SlipFit):
 
 
 def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
-    """Return the readings as they are meant, shape (k, n, joints).
+    """Return the readings with the slips of each of k hypotheses undone, shape (k, n, joints).
 
     q : readings of the table, shape (n, joints) [rad or m]
     """
@@ -382,9 +406,12 @@ def _readings(hypotheses: Sequence[Hypothesis], q: Array) -> Array:
 
 
 def _project_out_frame(y: Array, p: Array, R: Array, more: Array | None = None) -> tuple[Array, Array, Array]:
-    """Return p, R and further columns less their least-squares fit by M y + c.
+    """Return p, R and further columns minus their least-squares fit by M y + c, without the frame.
 
     The results have shapes (k, 3 n), (k, 3 n, 3) and (k, 3 n, columns).
+
+    y : measured positions, shape (n, 3); p, R, more : shapes (k, n, 3), (k, n, 3, 3) and (k, n, 3,
+        columns)
     """
     basis = np.linalg.qr(np.column_stack([y - y.mean(axis=0), np.ones(len(y))]))[0]
     x = np.concatenate([R, p[..., None], *([] if more is None else [more])], axis=3)
@@ -394,18 +421,24 @@ def _project_out_frame(y: Array, p: Array, R: Array, more: Array | None = None) 
 
 
 def _least_squares(A: Array, b: Array) -> Array:
-    """Return the regularised least-squares solutions of A x = b."""
+    """Return the regularised least-squares solutions of A x = b, shape (k, x, 1).
+
+    A, b : shapes (k, rows, x) and (k, rows, 1)
+    """
     At = np.swapaxes(A, 1, 2)
     return np.asarray(np.linalg.solve(At @ A + 1e-9 * np.eye(A.shape[2]), At @ b))
 
 
 def _spread(p: Array) -> float:
-    """Return the root of the summed squared distances from the mean point."""
+    """Return the root of the sum of squared distances of points (n, 3) from their mean [m]."""
     return float(np.linalg.norm(p - p.mean(axis=0)))
 
 
 def _rotated(first: Array, second: Array, angle: Array | float) -> tuple[Array, Array]:
-    """Return two axes, shape (k, n, 3), rotated about the third from the first to the second."""
+    """Return two axes of frames, shape (k, n, 3) each, rotated in their plane by an angle.
+
+    angle : [rad], from the first to the second axis; a number or shape (k, n)
+    """
     c, s = (f(angle)[..., None] if isinstance(angle, np.ndarray) else f(angle) for f in (np.cos, np.sin))
     return c * first + s * second, c * second - s * first
 
@@ -426,7 +459,9 @@ def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
 
 
 def _units_and_hand(M: Array) -> tuple[tuple[float, float, float], bool]:
-    """Return the unit factors of x, y and z that make M a rotation, and whether M mirrors.
+    """Return the unit factors of x, y and z by the columns of M, and whether M mirrors.
+
+    M : from the measuring to the base frame, shape (3, 3), as of `_frame_matrix`
 
     A factor that is near no unit is 1.
     """

@@ -23,7 +23,7 @@ QUARTER_TURNS = tuple(np.deg2rad(v) for v in (0.0, 90.0, -90.0, 180.0))
 
 
 def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
-    """Yield every single slip, as a fit whose error is not known.
+    """Yield every single slip of a table, as a fit with infinite (unknown) error.
 
     others : number of other robots that the file may have meant
     """
@@ -35,25 +35,29 @@ def single_slips(robot: Robot, others: int) -> Iterator[Fit]:
 
 
 def undone(fit: Fit, m: Measurements) -> Measurements:
-    """Return the measurements with the slips of a fit undone."""
+    """Return the measurements with the slips of a fit undone in readings and positions.
+
+    They must have positions; the rows of the robot, and shifts of rows, are not changed.
+    """
     assert m.position is not None
     turns = np.array([*fit.scale]) * [1, -1 if fit.mirrored else 1, 1]
     return replace(m, q=fit.hypothesis.readings(m.q), position=m.position * turns)
 
 
 def inner(turning: Sequence[bool]) -> list[int]:
-    """Return the indices of revolute joints but the first and the last.
+    """Return the indices (from 0) of the revolute joints except the first and the last joint.
 
-    The zeros of those two cannot be distinguished from base and tool.
+    turning : whether each joint is revolute. The zeros of those two cannot be distinguished from
+        base and tool.
     """
     return [i for i in range(1, len(turning) - 1) if turning[i]]
 
 
 def further_slips(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int], rows: int) -> Iterator[Hypothesis]:
-    """Yield every hypothesis that differs from `h` by one slip.
+    """Yield every hypothesis that differs from `h` by one slip of readings, or by the robot's rows.
 
     turning : whether each joint is revolute
-    shifts : shifts of rows to try
+    shifts : shifts of rows that are tried
     rows : number of robots that may be meant
     """
     n = len(turning)
@@ -78,7 +82,7 @@ def further_slips(h: Hypothesis, turning: Sequence[bool], shifts: Sequence[int],
 
 
 def in_words(fit: Fit, robot: Robot, standard: bool = False) -> list[str]:
-    """Return every slip of a fit, as what is wrong and what to do.
+    """Return a clause on each slip of a fit: what is wrong and how it is corrected.
 
     standard : whether the rows of the robot file are of the standard DH convention
     """
@@ -92,7 +96,7 @@ MIRROR_WARNING = (
     "is corrected by it"
 )
 
-# The same where lengths were measured, which a mirrored robot fits as well.
+# The warning where lengths were measured, which a mirrored robot fits as well.
 LENGTHS_MIRROR_WARNING = (
     "Lengths fit the mirror image of a robot as well: look which way joint 1 turns before a program is corrected by it"
 )
@@ -132,7 +136,7 @@ def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
 
 
 def other_lengths(fit: Fit, robot: Robot) -> float:
-    """Return the unit factor of the robot's lengths, where they are in another unit; else 0.
+    """Return the factor that corrects the robot's lengths, if they are in another unit; else 0.
 
     That is assumed where it gives the robot a usual size, and all positions have the inverse
     factor.
@@ -144,7 +148,7 @@ def other_lengths(fit: Fit, robot: Robot) -> float:
 
 
 def error_in_mm(fit: Fit, robot: Robot) -> str:
-    """Return the error of a fit as text [mm], in units of the robot as it is meant."""
+    """Return the error of a fit as text [mm], corrected where the robot is in another unit."""
     return f"{1e3 * fit.error * (other_lengths(fit, robot) or 1.0):.3g} mm"
 
 
@@ -165,7 +169,10 @@ def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
 
 
 def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
-    """Yield the slips of the robot's rows, in words."""
+    """Yield the slips of the robot's DH rows (convention, lengths), in words.
+
+    standard : whether the robot file has the standard DH convention
+    """
     if fit.hypothesis.rows:
         said = ("standard", "modified") if standard else ("modified", "standard")
         yield f"the DH rows are of the {said[1]} convention, not {said[0]} (convention in the robot file)"
@@ -177,9 +184,12 @@ def _of_rows(fit: Fit, robot: Robot, standard: bool) -> Iterator[str]:
 
 
 def meant_length(value: float, departure: float) -> float:
-    """Return a departing length as it is meant [m].
+    """Return the length that is meant [m] where a robot file's differs from the data.
 
-    It is a thousand times, or a thousandth of, the value where the departure says so within 5 %.
+    It is the value times 1000 or 1/1000 where the departure agrees with that within 5 %, else the
+    value plus the departure.
+
+    value : of the robot file [m]; departure : correction by the data [m]
     """
     for unit in (1e3, 1e-3):
         if value and abs((value + departure) / (unit * value) - 1) < 0.05:
@@ -187,17 +197,19 @@ def meant_length(value: float, departure: float) -> float:
     return value + departure
 
 
-# Returns the residuals of readings from their predictions, shape (n, lengths) [m], and their
-# squares in units of the covariance, shape (n,).
+# Function of readings that returns their residuals from predictions, shape (n, lengths) [m], and
+# their squared Mahalanobis distances, shape (n,).
 Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
 def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, known: Sequence[str]) -> str:
-    """Return what the k-th reading looks like, in words: slips that make it plausible if undone.
+    """Return a sentence on the single slips that make the k-th reading plausible if undone.
+
+    Where there are none, the sentence states other causes.
 
     robot : robot as the other readings determine it
-    misses : returns residuals and squared residuals, by the other readings
-    limit : greatest squared residual of a plausible reading
+    misses : function of readings that predicts them by the other readings, see `Misses`
+    limit : largest squared Mahalanobis distance of a plausible reading
     known : labels of points that the other readings refer to
     """
     listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, known), *_of_joints(robot, m, k)]
@@ -220,9 +232,9 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
 
 
 def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]]) -> Measurements:
-    """Return the k-th reading once for each change.
+    """Return the k-th reading once for each change, as measurements with as many poses.
 
-    changes : arrays and columns of one reading by name
+    changes : name of an array or column -> its new value for the reading
     """
     some = replace(m[np.full(len(changes), k)], separations=())
     given = {"q": some.q, **some.arrays, **some.conditions}
@@ -238,9 +250,10 @@ def _with_changes(m: Measurements, k: int, changes: Sequence[Mapping[str, Any]])
 
 
 def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield slips of what was observed, in words and as changes.
+    """Yield possible slips of what the k-th reading observed, each in words and as its undoing.
 
-    They are swapped axes, signs and units; of full poses also the inverse.
+    The latter is name of an array -> corrected value. They are swapped axes, signs and units; of
+    full poses also the inverse.
     """
     vectors_and_lengths: tuple[str, ...] = ("position", "shift", "distance", "reading")
     name = next((n for n in vectors_and_lengths if n in m.arrays), None)
@@ -268,7 +281,13 @@ def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]
 
 
 def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield slips of the names: another target, session, touched point or anchor."""
+    """Yield possible slips of names in the k-th reading, each in words and as its undoing.
+
+    They are another target, session, touched point or anchor; the undoing is name -> corrected
+    value.
+
+    known : labels of points that other readings refer to
+    """
     for kind, word in (("tool_", "target"), ("session_", "session")):
         names = [name for name in m.conditions if name.startswith(kind)]
         for other in (name for name in names if not m.conditions[name][k]):
@@ -283,7 +302,10 @@ def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[s
 
 
 def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the slips of the joints, and a robot that did not move, in words and as changes."""
+    """Yield possible slips of the k-th reading's joints, each in words and as its undoing.
+
+    A robot that did not move is among them; the undoing is name -> corrected value.
+    """
     for fit in single_slips(robot, 0):
         if fit.hypothesis.slips:
             yield "; ".join(in_words(fit, robot)), {"q": fit.hypothesis.readings(m.q[[k]])[0]}
@@ -293,15 +315,19 @@ def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dic
 
 
 def _joints_elsewhere(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
-    """Return single joints that stood elsewhere than they read, in words.
+    """Return sentences on single joints whose true position differs from their k-th reading.
 
-    The position is found by Gauss-Newton steps from the best of 121 places in the joint's range.
+    With such a joint moved, the reading is plausible; the best comes first. The position is found
+    by Gauss-Newton steps from the best of 121 places in the joint's range.
     """
     n, read = robot.n, m.q[k]
     lower, upper = np.maximum(robot.limits[0], -2 * np.pi), np.minimum(robot.limits[1], 2 * np.pi)
 
     def missed(stood: Array) -> tuple[Array, Array]:
-        """Return residuals (n, places, lengths) [m] and squares with one joint moved."""
+        """Return residuals (n, places, lengths) [m] and surprise (n, places), one joint moved.
+
+        stood : trial positions of each of n joints, shape (n, places) [rad or m]
+        """
         q = np.tile(read, (*stood.shape, 1))
         q[np.arange(n), :, np.arange(n)] = stood
         off, square = misses(_with_changes(m, k, [{"q": each} for each in q.reshape(-1, n)]))

@@ -17,9 +17,9 @@ from casadical.project.check.slip_fit import Fit, Hypothesis, LengthFit, SlipFit
 from casadical.project.check.slip_list import QUARTER_TURNS, further_slips, inner
 from casadical.robot.robot import Robot
 
-# Errors below this share of the reach are those of a nominal robot without slips.
+# Median error, as a share of the reach, up to which a nominal robot has no slips.
 NOMINAL_ERROR_OF_REACH = 0.001
-# One more slip is accepted only if it reduces the error by this factor.
+# Minimum factor by which an additional slip must reduce the error to be accepted.
 MIN_ERROR_REDUCTION = 2.0
 
 
@@ -43,7 +43,7 @@ class Slips:
 
 
 def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), show: Show = silent) -> Slips | None:
-    """Return what is wrong with a table; None where it cannot be fitted (see `slip_fit`).
+    """Return the slips that best explain a table; None where it cannot be fitted (see `slip_fit`).
 
     robot : nominal robot
     others : robots that the file may have meant
@@ -76,9 +76,11 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
 
 
 def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> SlipFit | None:
-    """Return the fast fit to positions, or to lengths to a few points.
+    """Return the fast fit of slips to a table of positions, or of distances to a few points.
 
-    Returns None for other kinds, for robots with loops, and for too few rows.
+    None for other kinds, for robots with loops, and for too few rows.
+
+    others : robots that the file may have meant
     """
     rows = [robot.joints, *(o.joints for o in others if not o.loops)]
     if robot.loops or m.q.shape[1] != robot.n or len(m) < 15:
@@ -94,7 +96,10 @@ def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Sli
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
-    """Return whether more than a few readings, as they are meant, are out of the joint ranges."""
+    """Return whether a hypothesis puts more than 5 % of the rows out of the joint ranges.
+
+    q : readings of the table, shape (n, joints) [rad or m]
+    """
     lower, upper = robot.limits
     meant = h.readings(q)
     # A few rows outside of the ranges are outliers.
@@ -102,7 +107,10 @@ def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
 
 
 def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
-    """Return the fits of the best hypotheses on each level, base and tool placed."""
+    """Return the fits of the best hypotheses of each number of slips, base and tool fitted.
+
+    shifts : shifts of rows that are tried
+    """
     none = Hypothesis.none(robot.n)
     turning = [j.kind == "revolute" for j in robot.joints]
     # A column whose range is this small compared with the others may be in radians.
@@ -135,7 +143,7 @@ def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> li
 
 
 def _reversed_joints(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypothesis]:
-    """Yield every choice of joints that count the other way, for each of the robots.
+    """Yield every choice of joints with reversed sign, for each start and each robot.
 
     The third joint's reading is also coupled to the second's, as parallelogram arms have it.
     """
@@ -148,7 +156,10 @@ def _reversed_joints(starts: Sequence[Hypothesis], rows: int) -> Iterator[Hypoth
 def _all_moves(
     fit: SlipFit, parents: Sequence[Hypothesis], robot: Robot, turning: Sequence[bool], shifts: Sequence[int]
 ) -> Iterator[Hypothesis]:
-    """Yield all hypotheses with one slip more than these: readings, rows, lengths and zeros."""
+    """Yield all hypotheses that differ from these by one slip of readings, rows, lengths or zeros.
+
+    turning : whether each joint is revolute; shifts : shifts of rows that are tried
+    """
     lengths = fit.departures(parents)
     for h, of_each in zip(parents, lengths, strict=True):
         yield from further_slips(h, turning, shifts, len(fit.rows))
@@ -161,7 +172,7 @@ def _all_moves(
 
 
 def _rounded_zero(angle: float) -> float:
-    """Return an angle from -180 to 180 deg, or the multiple of 90 deg that it is close to."""
+    """Return the angle [rad] within +- pi, or the multiple of pi/2 if that is closer than 4 deg."""
     away = [abs(np.arctan2(np.sin(angle - v), np.cos(angle - v))) for v in QUARTER_TURNS]
     nearest = int(np.argmin(away))
     # Smaller errors of zeros are found by the calibration.
@@ -171,7 +182,7 @@ def _rounded_zero(angle: float) -> float:
 
 
 def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list[int]:
-    """Return the indices of the best hypotheses, and of the best for each shift and robot.
+    """Return the indices of the best hypotheses of all, and of each shift and robot.
 
     share : share of the motion that each leaves unexplained, shape (k,)
     beam : number of hypotheses that are kept
@@ -187,7 +198,10 @@ def _best_of_level(level: Sequence[Hypothesis], share: Array, beam: int) -> list
 
 
 def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypothesis]:
-    """Yield the hypotheses with one of the three lengths whose departure explains most."""
+    """Yield the hypothesis with each of the three link lengths whose departure explains most.
+
+    lengths : effect of freeing each length, shape (2 joints, 2), as of `SlipFit.departures`
+    """
     n = robot.n
     order = ranked(-lengths[:, 0])[:3]
     for k in order:
