@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from casadical.project.diagnosis import CampaignDiagnosis, LogCampaign
 
 
-# Parameters that only one kind of table has.
+# Kind of tables -> names of the parameters that are allowed for it alone.
 MODE_OPTIONS = {
     "joint logs": ("reference", "drive", "against"),
     "measured poses": (
@@ -202,7 +202,10 @@ def _diagnose_logs(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Diagnose joint logs together, replay them from their commands, and write what was asked for."""
+    """Diagnose joint logs together, replay them from their commands, and write requested files.
+
+    against : files of drive parameters that are replayed, too
+    """
     console = wrapped(quiet)
     texts: dict[Path, str] = {}
     with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
@@ -239,7 +242,10 @@ def _diagnose_logs(
 
 
 def _print_diagnosis(found: CampaignDiagnosis, details: bool, file: Path | None, console: Console) -> dict[Path, str]:
-    """Print a diagnosis, and return the file of its next poses, if there are any to measure."""
+    """Print a diagnosis, and return path -> text of the table of poses to measure next, or {}.
+
+    details : whether all results are printed; file : of that table, None: it was not asked for
+    """
     tell(console, *found.detailed() if details else found.brief())
     if found.searched:
         tell(console, *found.searched.blocks())

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from casadical.project.live.session import LiveSession
     from casadical.project.live.sources import Source
 
-# Time between two looks at the source of readings [s].
+# Time between two queries of the source of readings [s].
 POLL_INTERVAL_S = 0.2
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from casadical.project.problem import Problem
 
 
-# Name of the mode without a robot of the user, in messages.
+# Name, in messages, of the mode in which the user gives no robot.
 EXAMPLE = "an example (--example, or no robot)"
 
 

@@ -33,7 +33,9 @@ DriveFile = Annotated[
 
 
 def _completion_of(module: str, name: str, *, listed: bool = False) -> Callable[[str], list[str]]:
-    """Return a function that completes words of a module's function or constant in the shell.
+    """Return a function for the shell that completes a word of an option.
+
+    The possible words are those of `casadical.MODULE.NAME`, a function or a constant.
 
     listed : whether the option is a list by commas, of which the last word is completed
     """
@@ -120,7 +122,10 @@ Json = Annotated[
 
 
 def _with_report(path: Path | None) -> Path | None:
-    """Return the path after a check that a report can be written. Raises InputError."""
+    """Return the path of --report unchanged, after a check that plotly is installed.
+
+    Raises InputError if it is not.
+    """
     if path:
         from casadical.core.telling.page import require
 
@@ -140,7 +145,7 @@ Report = Annotated[
 
 
 def robot_of(path: Path) -> Path:
-    """Return the robot file that counts in a folder of results, or any other path unchanged."""
+    """Return the last method's robot file in a folder of results, or any other path unchanged."""
     if (path / "result.json").is_file() and not (path / "problem.toml").exists():
         from casadical.project.problem_file import result_in
 
@@ -242,9 +247,10 @@ def need(given: object, other: object, words: str) -> None:
 
 
 def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
-    """Return problem folders and robot files with the tables after each, by result names.
+    """Return name of a result -> problem folder or robot file, and the tables given after it.
 
-    Raises InputError.
+    paths : as typed, tables after their folder or file. The name is that of the first table, else
+    of the folder. Raises InputError for tables without a robot, and for a name given twice.
     """
     given: list[tuple[Path, list[Path]]] = []
     for path in map(robot_of, paths):
@@ -266,7 +272,15 @@ def problems_of(paths: Sequence[Path]) -> dict[str, tuple[Path, list[Path]]]:
 
 
 def carried_prior(prior: Path | None, parts: str | None, frozen: bool) -> "Carried":
-    """Return what puts the prior of these options into a robot. Raises InputError."""
+    """Return a function that takes parts of a robot file over into a robot.
+
+    It returns that robot and the prior of the parts' parameters; without a file, the robot
+    unchanged and None.
+
+    prior : the file; parts : comma-separated names, None for "effects" (see `carry_over`)
+    frozen : whether the values are fixed
+    Raises InputError: parts or frozen without a file, or a file that cannot be read.
+    """
     from casadical.project.problem import carried_from, nothing_carried
 
     if prior is None:

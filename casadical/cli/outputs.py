@@ -20,9 +20,12 @@ from casadical.core.reading import load_toml, number_fault, read_bytes, text_fau
 
 
 def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[..., Any]:
-    """Return a command that checks and claims what it will write before it works.
+    """Return a command that first checks its arguments and claims the files that it will write.
 
-    also : names of further parameters that name outputs
+    Its InputErrors are joined with the faults of all its input files.
+
+    command : function with the parameters of the command line
+    also : names of parameters that are outputs of this command alone
     """
     # Parameters of commands that name outputs; every other path parameter is an input.
     output_parameters = ("out", "json_file", "report_file", "measure_next", "figure", "priors")
@@ -55,7 +58,10 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
 
 def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None:
-    """Check that numbers, texts and paths of options are usable. Raises InputError."""
+    """Check that numbers, texts and paths of options are usable. Raises InputError.
+
+    given : parameter -> value; outputs : names of parameters that are outputs
+    """
     for name, value in given.items():
         for one in value if isinstance(value, list) else [value]:
             fault = ""
@@ -74,11 +80,12 @@ def _refuse_unusable(given: Mapping[str, Any], outputs: Collection[str]) -> None
 
 
 def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path], overwrite: bool | None) -> None:
-    """Check that no output replaces an input, another output, or a file of others.
+    """Check that no output replaces an input, another output, or a file not by casadical.
 
     Raises InputError.
 
-    overwrite : whether files of others may be replaced; None: the command has no such option
+    files, folders : outputs; inputs : paths that are read
+    overwrite : whether foreign files may be replaced; None: the command has no such option
     """
     read = {real: path for path in inputs for real in _inputs(path)}
     taken: dict[Path, Path] = {}
@@ -108,7 +115,7 @@ def _check(files: Sequence[Path], folders: Sequence[Path], inputs: Sequence[Path
 
 
 def _of_a_set(name: str) -> bool:
-    """Return whether a file name is among those of a folder of outputs."""
+    """Return whether a file of this name may be written into a folder of outputs (--out DIR)."""
     # Patterns of file names in a folder of outputs, which no other output and no input may have.
     output_file_patterns = (
         *("result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json"),
@@ -119,7 +126,10 @@ def _of_a_set(name: str) -> bool:
 
 
 def _real(path: Path, done: str = "written") -> Path:
-    """Return the real path of an output or input. Raises InputError."""
+    """Return the real path of an output or input. Raises InputError where there can be none.
+
+    done : participle in the message, "written" or "read"
+    """
     try:
         return real_path(path)
     except (OSError, ValueError, RuntimeError) as error:
@@ -163,7 +173,10 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
-    """Check that an existing file is an earlier output of casadical. Raises InputError."""
+    """Check that an existing file is an earlier output of casadical. Raises InputError if not.
+
+    remedy : end of the message
+    """
     try:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
@@ -176,7 +189,7 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
 
 
 def _ours(path: Path, text: str) -> bool:
-    """Return whether a file was written by casadical, by its text."""
+    """Return whether a file was written by casadical, judged by its content `text`."""
     # Sets of keys by which each kind of JSON that `--json` writes is recognised.
     json_signatures = (
         *({"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}),

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from casadical.project.planning import Places
 
 
-# Name of the usual mode, in messages.
+# Name, in messages, of the mode that plans poses for a calibration.
 CALIBRATION_MODE = "poses to calibrate with (--measured: those that there are)"
-# Parameters of each mode of the command.
+# Mode of the command -> names of the parameters that are allowed in it.
 MODE_OPTIONS = {
     CALIBRATION_MODE: (
         *("n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches"),

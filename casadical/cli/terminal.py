@@ -35,7 +35,8 @@ BAD_INPUT = 2
 NO_CONVERGENCE = 3
 # Exit code where held-out poses are worse than before the calibration.
 WORSE = 4
-# Exit code where the robot is no longer valid or has changed.
+# Exit code where a robot is no longer valid or has changed, where touches leave that undecided, or
+# where campaigns differ in a way that is unexplained.
 NOT_VALID = 5
 # Exit code for a bug in casadical.
 OUR_BUG = 70
@@ -45,6 +46,8 @@ def refusal(error: object) -> None:
     """Print to standard error why a command ends, as wide as the terminal.
 
     Several faults of tables are printed as one table.
+
+    error : an exception or a sentence
     """
     # Number of rows of a table that the message about a fault names.
     max_rows_named = 6
@@ -102,9 +105,10 @@ def with_json(
     path: Path | None,
     figures: Mapping[str, Any] | Sequence[Mapping[str, Any]],
 ) -> dict[Path, Any]:
-    """Return files with that of `--json` added, if there is one.
+    """Return path -> content of files, with the file of `--json` added if it was asked for.
 
-    A list of one entry is written as this entry.
+    texts : the other files; path : of the JSON file, None without one
+    figures : its content; a list of one entry is written as this entry
     """
     if path is None:
         return dict(texts)
@@ -117,8 +121,8 @@ def with_json(
 def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
     """Write files, all or none, and print their names.
 
-    about : words on some of the files
-    Raises InputError.
+    texts : path -> content; about : path -> words that are printed after its name
+    Raises InputError where one cannot be written.
     """
     write_together(texts)
     for path in texts:
@@ -126,19 +130,19 @@ def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] 
 
 
 def tell(console: Console, *blocks: Block) -> None:
-    """Print words and tables."""
+    """Print sentences and tables to a console."""
     console.print(terminal(blocks))
 
 
 def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:
-    """Print the command to continue with; see `next_step`."""
+    """Print the command to run next; purpose : what it is for (see `next_step`)."""
     tell(console, next_step(purpose, command, *arguments))
 
 
 def suggest_later(console: Console, robot: Path) -> None:
-    """Print what a robot file is for on a later day.
+    """Print the command for a robot file and poses that are measured on a later day.
 
-    It can be verified if its results contain a promised accuracy, else calibrated.
+    It is `verify` if the file's folder has results that state an accuracy, else `calibrate`.
     """
     if (robot.parent / "result.json").exists():
         suggest(console, "when some ten poses were measured again", "verify", robot, "LATER.csv")
@@ -154,7 +158,7 @@ def print_written(path: Path | None, console: Console, about: str = "") -> None:
 
 
 def html(pages: Sequence[Page]) -> str:
-    """Return pages of results as one HTML file, with the command as it was typed."""
+    """Return the text of one HTML file with pages of results and the command as it was typed."""
     from casadical.core.telling.page import html_of
 
     return html_of(pages, ["casadical", *sys.argv[1:]])
@@ -186,7 +190,7 @@ DIAGNOSIS: Steps = {
 }
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
-# Words of a step that count its items, and the iterations of a solve.
+# Patterns in the words of a step: "k of n" items, and the number of an iteration of a solve.
 _COUNT = re.compile(r"(\d+) of (\d+)")
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
@@ -219,7 +223,10 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
 
 
 def share(text: str, steps: Steps) -> float:
-    """Return the share of the work that is done when a step begins, 0 to 1; 0: unknown."""
+    """Return the share of the work that is done when a step begins, 0 to 1; 0: unknown.
+
+    text : words of the step; steps : beginning of such words -> share at which the step begins
+    """
     named = next((k for k, words in enumerate(steps) if text.startswith(words)), None)
     ends = [*steps.values(), 1.0]
     first, last = (0.0, 1.0) if named is None else (ends[named], ends[named + 1])

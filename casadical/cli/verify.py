@@ -25,8 +25,8 @@ from casadical.core.basics import InputError
 if TYPE_CHECKING:
     from casadical.project.acceptance.acceptance import Acceptance
 
-# Parameters of each mode, in addition to robot, tables and quiet; the first mode that is given
-# counts.
+# Mode of the command -> names of its parameters, in addition to robot, tables and quiet; the first
+# mode that is given is taken.
 MODE_OPTIONS = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
     "--touches": (

@@ -19,7 +19,7 @@ Workers = Annotated[int | None, Option(min=1, max=1000, help="Processes; default
 
 
 def _counted(show: Show) -> Callable[[str, int, int], None]:
-    """Return a function that shows the progress of campaigns."""
+    """Return a function of campaign, number done and count that shows this progress."""
     return lambda name, done, count: show(f"{done} of {count} ({name})")
 
 

@@ -281,7 +281,7 @@ def _tiles(accuracies: Accuracies) -> Iterator[Tile]:
 def _verdict(
     problem: Problem, results: Identifications, accuracies: Accuracies, networks: Networks | None
 ) -> Iterator[Block]:
-    """Yield the sentences on accuracy, fit, trained networks and the robot's notes."""
+    """Yield the sentences of the section "Verdict": accuracy, fit, networks, notes of the robot."""
     yield from report_blocks(problem, accuracies, block="verdict")
     for result in results.values():
         bad = result.at_bounds or "DOES NOT FIT" in result.verdict
@@ -295,7 +295,7 @@ def _verdict(
 
 
 def _where(figures: Iterable[Figure], result: Identification) -> Iterator[Block]:
-    """Yield the figures that localise the residual error, or why there are none."""
+    """Yield the figures that localise the residual error of a result, or why there are none."""
     if not figures:
         yield Words("Localising the gap needs exactly one set of measured positions.", "note")
         return

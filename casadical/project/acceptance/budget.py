@@ -35,7 +35,8 @@ from casadical.identification.remaining_errors import residuals_and_jacobian
 from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measurements, same_readings, unmeasured
 from casadical.robot.robot import Knowledge, Robot
 
-# With fewer held-out poses the scatter of the mean square is not known.
+# Minimum number of held-out poses of a budget; with fewer the scatter of the mean square is not
+# known.
 MIN_HELD_OUT_POSES = 8
 # Stands for infinitely many degrees of freedom.
 INFINITE_FREEDOM = 1e6
@@ -176,9 +177,9 @@ class Budget:
 
 
 def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float]:
-    """Return the scatter of a coordinate at repeated readings [m], and its degrees of freedom.
+    """Return the standard deviation of a coordinate at repeated readings [m], and its freedom.
 
-    Both are zero without repeats.
+    The second number is its degrees of freedom; both are zero without repeats.
 
     robot : robot by which the small differences between the readings are removed
     """
@@ -268,7 +269,7 @@ def budget_of(
 
 
 def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
-    """Return F with F F' the covariance of parameters in a robot file, shape (k, k) [SI].
+    """Return F, shape (k, k) [SI], with F F' the covariance of parameters in a robot file.
 
     known : covariance blocks and misfit, as the robot file states them from its calibration
     names : parameters, in the order of rows and columns
@@ -283,7 +284,9 @@ def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
 
 
 def _interpolation_uncertainty(robot: Robot, sets: Sequence[Measurements]) -> float:
-    """Return the standard uncertainty of E^2 between the poses [m^2], zero without a covariance.
+    """Return the standard uncertainty of E^2 due to interpolation between the poses [m^2].
+
+    It is zero without a covariance in the robot file.
 
     The robot file's covariance gives the variance at new poses between the measured ones; its
     difference from that at the measured ones is the half-width of a rectangular distribution.

@@ -87,7 +87,7 @@ class Details(TomlTable):
 
     @property
     def known(self) -> Conditions:
-        """Return the stated uncertainties for the budget [SI].
+        """Return the stated standard uncertainties for the budget [SI], zero where not stated.
 
         The temperature range is the half-width of a rectangular distribution. Raises InputError for
         a value of zero or less.
@@ -110,10 +110,10 @@ class Certificate(Acceptance):
     problem : calibrated problem
     method : method by which the robot was calibrated
     details : what the operator stated
-    before : budget of the nominal robot, base and tool placed
-    after : budget of the calibrated robot
+    before : uncertainty budget of the nominal robot, base and tool fitted
+    after : uncertainty budget of the calibrated robot
     places : held-out positions in the robot's base frame, shape (n, 3) [m]
-    files : files from which it was made
+    files_ : paths of the files from which it was made
     iso9283 : figures of a test by ISO 9283, None without one
     refit : number of poses to which the robot file was fitted once it was judged; 0: the file's
         robot is the one that was judged
@@ -159,7 +159,10 @@ class Certificate(Acceptance):
 
     @property
     def missing(self) -> list[str]:
-        """Return the keys of the missing statements; each has a sentence in the words."""
+        """Return the names of statements that are missing, such as "traceability".
+
+        For each, the words of the certificate have a sentence, `no_NAME`.
+        """
         d = self.details
         stated = {line.source: line.stated for line in self.after.lines}
         given = {
@@ -219,13 +222,16 @@ class Certificate(Acceptance):
 
     @property
     def findings(self) -> list[Words | Table]:
-        """Return decision, budget and what is not stated, in English."""
+        """Return the decision, the budget and the missing statements, in English."""
         w = words_of("en")
         missing = [Words(w[f"no_{key}"], "warning") for key in self.missing]
         return [*self._refit(w), *self._decided(w), self.budget_table(w), *missing]
 
     def _fields(self, w: Mapping[str, str]) -> Table:
-        """Return the table of who, what, where and with which instrument."""
+        """Return the table of certificate number, robot, operator, instrument, place and method.
+
+        w : words of the certificate's language
+        """
         d, c, i = self.details, self.details.conditions, self.details.instrument
         degrees = "" if c.temperature_degC is None else f"{c.temperature_degC:g} °C, +- {c.range_K:g} K"
         made_by = f"casadical {dict(provenance_of(()).versions).get('casadical', '')}"
@@ -316,14 +322,14 @@ class Certificate(Acceptance):
 
 @cache
 def words_of(language: Literal["en", "de"]) -> Mapping[str, str]:
-    """Return all sentences of a language by their keys."""
+    """Return the words and sentences of a certificate in a language, by their keys."""
     text = Path(__file__).with_name("certificate_words.toml").read_text(encoding="utf-8")
     words: dict[str, dict[str, str]] = tomllib.loads(text)
     return words[language]
 
 
 def _many(freedom: float) -> str:
-    """Return degrees of freedom as a text."""
+    """Return degrees of freedom as text, "> 1000" for many."""
     return f"{freedom:.0f}" if freedom < 1000 else "> 1000"
 
 
@@ -374,9 +380,11 @@ def certificate(
 def _refuse_others(
     stated: Mapping[str, Any], method: str, robot: Robot, sets: Sequence[Measurements], place: Path
 ) -> None:
-    """Refuse measurements that do not give the figures of the results. Raises InputError.
+    """Refuse held-out poses whose errors differ from those that the results state.
 
-    They were then split by another seed, or are of another table.
+    They were then split by another seed, or are of another table. Raises InputError.
+
+    stated : content of result.json; robot : calibrated by `method`; place : its file
     """
     report = dict(stated.get("methods", {}).get(method, {}).get("sets", {})).get("report", {})
     n, mean = report.get("n"), report.get("mean_mm")

@@ -33,12 +33,14 @@ from casadical.project.acceptance.acceptance import Acceptance
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.robot import Robot
 
-# Visits of each pose in the accuracy test of the standard.
+# Number of visits of each pose in the standard's tests of accuracy and of directions.
 STANDARD_CYCLES = 30
 
 
 def poses_in(centre: Array, side: float) -> Array:
-    """Return P1 to P5 on the plane C1-C2-C7-C8 of a cube, shape (5, 3) [m]; P1 is its centre.
+    """Return the test poses P1 to P5 of a cube, shape (5, 3) [m]; P1 is the cube's centre.
+
+    They lie on its plane C1-C2-C7-C8 (the names of the standard).
 
     centre : of the cube, shape (3,) [m], in the frame of its edges
     side : of the cube [m]
@@ -51,7 +53,9 @@ def poses_in(centre: Array, side: float) -> Array:
 def planned_test(
     robot: Robot, side: float | None = None, workspace: Workspace | None = None, seed: int = 0
 ) -> tuple[pd.DataFrame, Array, float]:
-    """Return the table of a test to measure, the cube's centre in the base frame, and its side [m].
+    """Return the table of a test to measure, and centre and side [m] of its cube.
+
+    The centre has shape (3,) and is in the robot's base frame.
 
     side : side of the cube [m]; None: the largest of the standard that the robot reaches
     workspace : where poses may lie; None: everywhere
@@ -110,7 +114,10 @@ def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> 
 
 
 def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float) -> list[Words]:
-    """Return what the operator must know of a planned test."""
+    """Return sentences for the operator of a planned test: size, place and conditions.
+
+    table : of the planned visits; centre, side : of the cube in the base frame [m]
+    """
     x, y, z = (f"{1e3 * v:.0f}" for v in centre)
     return [
         Words(
@@ -130,7 +137,7 @@ def words_of_plan(robot: Robot, table: pd.DataFrame, centre: Array, side: float)
 
 
 def _test_table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
-    """Return every visit in the order of the standard, with nothing measured.
+    """Return the table of all visits in the order of the standard, its measured columns empty.
 
     P5 to P1 in each cycle; P1, P2 and P4 from three paths; P1 for 8 h.
 
@@ -159,9 +166,9 @@ class PoseFigures:
 
     pose : 1 to 5
     n : number of visits
-    AP : accuracy [m]
-    parts : its components in the base frame, shape (3,) [m]
-    RP : repeatability [m]
+    AP : pose accuracy, distance of the mean position from the command [m]
+    parts : components of that distance in the base frame, measured minus command, shape (3,) [m]
+    RP : pose repeatability, mean distance from the mean position plus three sigma [m]
     """
 
     pose: int = field(metadata=WRITTEN)
@@ -291,7 +298,11 @@ def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> 
 
 
 def _by_pose(pose: Array, p: Array, command: Array, own: Array) -> tuple[PoseFigures, ...]:
-    """Return the figures of each pose over the visits that `own` selects."""
+    """Return AP and RP of each pose over the visits that the mask `own` selects.
+
+    pose : number of each visit's pose, shape (n,); p, command : measured and commanded positions in
+        the base frame, shape (n, 3) [m]
+    """
     return tuple(
         pose_figures(int(k), p[own & (pose == k)], command[own & (pose == k)].mean(axis=0))
         for k in np.unique(pose[own])
@@ -303,7 +314,10 @@ def _model_error(
 ) -> float | None:
     """Return the rms error of the calibrated model at the mean positions of the poses [m].
 
-    Returns None where the table has no joint readings.
+    None where the table has no joint readings.
+
+    own : mask of the visits that count, shape (n,); measured : positions in the measuring frame,
+        shape (n, 3) [m]
     """
     if any(key not in columns.table for key in robot.reading_units):
         return None

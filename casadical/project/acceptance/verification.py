@@ -28,7 +28,7 @@ from casadical.project.targets import with_targets_of_rows
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# The kind of measurement as which full poses are judged, too.
+# Kind of measurement as which full poses are verified, too: by their positions alone.
 POSITION_KIND = "position"
 
 
@@ -40,15 +40,16 @@ class Verification(Acceptance):
     promised : rms error on the held-out poses of the calibration [m]
     found : rms error now, base and tool fitted again, corrected for the degrees of freedom of that
         fit [m]
-    limit : greatest `found` that is within chance [m]
+    limit : largest `found` with which the robot is valid, 99 % quantile of chance [m]
     n : number of poses
-    far : poses that are far off
-    without : `found` without the far ones, where the robot is not valid with them [m]
-    lost : file and row of each row in which a cell is no number
+    far : poses with more than four times the promised error, or outliers of a robust fit
+    without : `found` without outliers, where the robot is not valid with them [m]; None: not
+        computed
+    lost : file and row of each row that was left out because a cell is no number
     tables : names of the tables
-    again : what was fitted again, in words
-    gone : labels of effects of the instrument, which are left out
-    seen : error that these poses reveal as too great in nine of ten cases [m]
+    again : beginning of a sentence on the frames that were fitted again
+    gone : labels of effects of the instrument, which are left out of the model
+    seen : true rms error that these poses reveal as too large in nine of ten cases [m]
     sources : robot file and tables, as they were given
     notes : assumptions about the tables, in words
 
@@ -94,7 +95,7 @@ class Verification(Acceptance):
 
     @property
     def far_rows(self) -> str:
-        """Return the rows that are far off, with their errors."""
+        """Return the rows of the poses `far` with their errors, as text."""
         return rows_in_words(self.far, of=self.tables)
 
     @property
@@ -185,7 +186,7 @@ def verify(
 
 
 def without_instrument(robot: Robot) -> tuple[Robot, tuple[str, ...]]:
-    """Return the robot without the effects of the instrument, and the labels of these."""
+    """Return the robot without effects of the measuring instrument, and the labels of these."""
     gone = tuple(e.label for e in robot.effects if e.from_kind)
     return robot.with_only(e for e in robot.effects if not e.from_kind) if gone else robot, gone
 
@@ -207,13 +208,13 @@ def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
 
 @dataclass(frozen=True)
 class _Refit:
-    """What is fitted again to the later poses.
+    """The frames and points that are fitted again to the later poses.
 
-    groups : groups of parameters
+    groups : groups of parameters (base, tool, sessions)
     numbers : number of their parameters
     points : number of coordinates of unknown points
     n : number of poses
-    lengths : lengths that are observed in each pose
+    lengths : number of lengths that are observed at each pose
     base : whether the base is one of the groups
     touched : whether unknown points are touched, and not anchors of distances
     """
@@ -228,7 +229,7 @@ class _Refit:
 
     @classmethod
     def needed_by(cls, prepared: Prepared) -> _Refit:
-        """Return what must be fitted again for these measurements."""
+        """Return the frames and points that must be fitted again for a prepared problem's sets."""
         robot, sets = prepared.robot, prepared.sets
         kind = find_kind(sets[0].kind)
         # Readings of unknown places alone do not determine the base.
@@ -240,7 +241,10 @@ class _Refit:
         return cls(groups, numbers, points, sum(map(len, sets)), kind.lengths, base, kind.name != "distance")
 
     def refuse_too_few(self, tables: str) -> None:
-        """Refuse poses that leave fewer than six degrees of freedom. Raises InputError."""
+        """Refuse poses that leave fewer than six degrees of freedom. Raises InputError.
+
+        tables : names of the tables, for the message
+        """
         # The judgement needs at least this many degrees of freedom.
         min_freedom = 6
         if self.freedom(self.n, self.numbers) >= min_freedom:
@@ -264,14 +268,14 @@ class _Refit:
 
     @property
     def again(self) -> str:
-        """Return what was fitted again, as the beginning of a sentence."""
+        """Return the beginning of a sentence on what was fitted again, such as "The tool was"."""
         if self.base:
             return "Base and tool were"
         return "The tool was" if not self.points else "The tool and the unknown places were"
 
 
 def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
-    """Return the rms error of held-out poses [m] that the results beside a robot file state.
+    """Return the rms error of held-out poses [m] that the results in a robot file's folder state.
 
     Of METHOD.robot.toml it is that of the report set in result.json, without poses that were far
     off. Of diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state

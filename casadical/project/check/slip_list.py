@@ -47,8 +47,9 @@ def undone(fit: Fit, m: Measurements) -> Measurements:
 def inner(turning: Sequence[bool]) -> list[int]:
     """Return the indices (from 0) of the revolute joints except the first and the last joint.
 
-    turning : whether each joint is revolute. The zeros of those two cannot be distinguished from
-        base and tool.
+    The zeros of those two cannot be distinguished from base and tool.
+
+    turning : whether each joint is revolute
     """
     return [i for i in range(1, len(turning) - 1) if turning[i]]
 

@@ -214,7 +214,10 @@ def _length_moves(h: Hypothesis, lengths: Array, robot: Robot) -> Iterator[Hypot
 
 
 def _refined(fit: SlipFit, h: Hypothesis) -> Hypothesis:
-    """Return the hypothesis with its free zeros and lengths refined."""
+    """Return the hypothesis with its link lengths, and zeros that are no quarter turns, refined.
+
+    They are fitted in turns, as they depend on each other.
+    """
     n = len(h.zero)
     free = [i for i, z in enumerate(h.zero) if z and z not in QUARTER_TURNS]
     for _ in range(8 * (len(free) + len(h.lengths) > 0)):  # in turns, as they depend on each other

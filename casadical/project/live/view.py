@@ -72,7 +72,10 @@ def answer(state: Mapping[str, Any], number: int) -> str:
 
 
 def outlook(state: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with the whole table, and the next pose, as lines."""
+    """Return lines of text on faults of the whole table and on the next pose with its joints.
+
+    state : as of `LiveSession.state`
+    """
     lines, ahead = [*state["table"]], state["next"]
     if ahead is not None:
         pairs = zip(state["fields"], ahead["poses"][0], strict=False)  # first the joints
@@ -82,12 +85,15 @@ def outlook(state: Mapping[str, Any]) -> list[str]:
 
 
 def _off(reading: Mapping[str, Any]) -> str:
-    """Return the distance of a reading from its prediction, in words."""
+    """Return a reading's distance from its prediction as text [mm]; empty where it is not known."""
     return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
 
 
 def _figures(known: Mapping[str, float | None]) -> list[tuple[str, str]]:
-    """Return names and values of the expected errors, as texts."""
+    """Return (name, value) of the expected errors as texts [mm]; a dash where one is not known.
+
+    known : the key `known` of a session's data
+    """
     named = {
         "mean, left out one by one": known["left_out_mean_mm"],
         "95 % below, to promise": known["promise_mm"],
