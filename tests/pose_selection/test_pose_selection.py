@@ -39,7 +39,9 @@ def chosen(robot):
 
 
 def test_expected_standard_errors_are_those_that_an_identification_reports(robot, chosen) -> None:
-    results = [identify(robot, replace(positions(robot, chosen.q, s, SIGMA), sigma=SIGMA), priors=False) for s in range(3)]
+    results = [
+        identify(robot, replace(positions(robot, chosen.q, s, SIGMA), sigma=SIGMA), priors=False) for s in range(3)
+    ]
     for result in results:
         assert result.names == chosen.names
         scale = np.sqrt(result.variance)
@@ -109,7 +111,9 @@ def test_measured_poses_count_and_are_not_measured_again(robot) -> None:
     alone = replace(found, measured=None)
     assert found.accuracy < alone.accuracy
     sigma = Noise().sigma
-    both = identify(robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma), priors=False)
+    both = identify(
+        robot, replace(positions(robot, np.concatenate([found.q, before.q]), 1, sigma), sigma=sigma), priors=False
+    )
     assert both.names == found.names
     np.testing.assert_allclose(both.standard_errors / np.sqrt(both.variance), found.standard_errors, rtol=0.02)
 

@@ -212,3 +212,24 @@ def test_a_plan_takes_the_kind_of_a_table_that_says_none(tmp_path: Path) -> None
         (tmp_path / name / "problem.toml").write_text(text.replace('kind = "position"', kind))
         shutil.copy(PLANAR / "robot.toml", tmp_path / name)
         assert declared_kinds_and_noise(tmp_path / name, robot)[0] == ("position",)
+
+
+def test_a_robot_that_is_as_its_drawing_needs_no_calibration(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    first, second = rng.uniform(-np.pi, np.pi, (2, 40))
+    x, y = (0.4 * f(first) + 0.3 * f(first + second) + rng.normal(0, 5e-5, 40) for f in (np.cos, np.sin))
+    columns = [np.rad2deg(first), np.rad2deg(second), 1e3 * x, 1e3 * y, rng.normal(0, 0.05, 40)]
+    np.savetxt(
+        tmp_path / "poses.csv",
+        np.column_stack(columns),
+        "%.6f",
+        ",",
+        header="q1_deg,q2_deg,x_mm,y_mm,z_mm",
+        comments="",
+    )
+    shutil.copy(PLANAR / "robot.toml", tmp_path)
+    text = (PLANAR / "problem.toml").read_text().replace("../../data/planar/planar.csv", "poses.csv")
+    (tmp_path / "problem.toml").write_text(text)
+    said = " ".join(plain_text(calibrate(tmp_path).brief()).split())
+    assert "only the frames were found, and there is nothing to calibrate" in said
+    assert "keep the nominal robot" not in said
