@@ -22,30 +22,36 @@ from casadical.diagnosis.motion.response import Response, fitted
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Parameters of a set, as the columns of a table name them.
+# Names of the parameters of a set in tables and files: gain, dry friction, damping, rotor inertia,
+# delay.
 PARAMETERS = ("kp", "friction", "damping", "armature", "delay")
-# What logs tell of each of them, in the order of `Response.log_values`.
+# Quantities that logs determine in place of each of them, as shown in tables, in the order of
+# `Response.log_values`: friction F, damping b and inertia J divided by the gain.
 RATIOS = ("kp [N m/rad]", "F/kp [mrad]", "b/kp [s]", "J/kp [s^2]", "delay [ms]")
-UNITS = np.array([1.0, 1e3, 1.0, 1.0, 1e3])  # from SI to the units of `RATIOS`
-# A log parameter is determined if its standard deviation is below this share of the prior's, and
-# below `MAX_DETERMINED_SIGMA`.
+UNITS = np.array([1.0, 1e3, 1.0, 1.0, 1e3])  # factors from SI to the units of `RATIOS`
+# A quantity counts as determined if the standard deviation of its logarithm is below this fraction
+# of the prior's, and below `MAX_DETERMINED_SIGMA`.
 DETERMINED_SHARE = 0.5
 MAX_DETERMINED_SIGMA = 0.5
-# Standard deviation of a delay by the sampling of the log, as a share of the time between samples.
+# Standard deviation of a delay by the sampling of the log, divided by the time between samples.
 DELAY_SAMPLE_SHARE = 0.15
-CONTRADICTED_SIGMAS = 3.0  # a value further from the logs' by this many deviations is contradicted
-INTERVAL_SIGMAS = 1.96  # half-width of the told interval, in standard deviations
-SMALLEST = 1e-9  # a value of zero counts as this [SI], for logarithms
+# A value is contradicted if its logarithm differs from the identified one by more standard
+# deviations.
+CONTRADICTED_SIGMAS = 3.0
+INTERVAL_SIGMAS = 1.96  # half-width of the reported 95 % interval, in standard deviations
+SMALLEST = 1e-9  # value that replaces smaller ones in logarithms [SI]
 
 
 @dataclass(frozen=True, eq=False)
 class Arbitration:
-    """A set of parameters beside the response that logs show.
+    """Comparison of a published set of drive parameters with the response identified from logs.
 
-    source : file of the set; rms : of its replay of the withheld runs, shape (joints,) [rad]
-    values : of the set as `RATIOS`, shape (joints, 5), NaN where the file gives none
-    low, high : 95 % interval of the logs, shape (joints, 5)
-    verdicts : of each: "contradicted", "agrees", "not determined", or "" where there is no value
+    source : file of the set
+    rms : rms of reading minus its replay in the held-out runs, shape (joints,) [rad]
+    values : its values of `RATIOS`, shape (joints, 5), NaN where the file gives none
+    low, high : 95 % interval identified from the logs, shape (joints, 5)
+    verdicts : for each joint and ratio "contradicted", "agrees", "not determined", or "" where
+        there is no value
     """
 
     source: str
@@ -56,11 +62,14 @@ class Arbitration:
     verdicts: tuple[tuple[str, ...], ...]
 
     def count(self, verdict: str) -> int:
-        """Return the number of parameters with a verdict."""
+        """Return the number of parameters of all joints with this verdict."""
         return sum(row.count(verdict) for row in self.verdicts)
 
     def plain(self, joints: Sequence[str]) -> dict[str, object]:
-        """Return the replay's errors, and of each parameter value, interval and verdict."""
+        """Return plain data for JSON with the keys file, rms_rad and parameters.
+
+        Each parameter has joint, parameter, value, low, high and verdict. joints : their names
+        """
         rows = [
             {
                 "joint": joint,
@@ -77,9 +86,12 @@ class Arbitration:
 
 
 def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
-    """Return a set of parameters from a file, each of shape (joints,), NaN where there is none.
+    """Return the drive parameters in a file by name (`PARAMETERS`), shape (joints,) each [SI].
 
-    Raises InputError: what is wrong with the file, or no joint in it that the robot has.
+    They are NaN for joints that the file lacks; a name is missing where a TOML file lacks it. The
+    suffix of the file decides: .toml, .xml (MJCF) or else a table.
+
+    Raises InputError: a faulty file, or no joint in it that the robot has.
     """
     names, n = [row.name or f"joint{i}" for i, row in enumerate(robot.joints, 1)], robot.n
     if not path.is_file():
@@ -102,7 +114,7 @@ def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
 
 
 def _of_table(path: Path) -> dict[str, Mapping[str, float]]:
-    """Return the parameters of each joint from a table. Raises InputError."""
+    """Return the parameters [SI] in a table by name of the joint. Raises InputError."""
     table = pd.read_csv(StringIO(read_text(path)), comment="#", skipinitialspace=True)
     if "joint" not in table or not {*PARAMETERS} & {*table}:
         raise InputError(f"{path.name}: needs a column joint, and some of {', '.join(PARAMETERS)} in SI units")
@@ -111,9 +123,9 @@ def _of_table(path: Path) -> dict[str, Mapping[str, float]]:
 
 
 def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
-    """Return the parameters of each driven joint of an MJCF, with its default classes.
+    """Return the parameters [SI] in an MJCF by name of the driven joint.
 
-    What it does not give is zero, as in MuJoCo. Raises InputError.
+    Default classes are applied; missing attributes are zero, as in MuJoCo. Raises InputError.
     """
     with foreign(f"{path.name}: malformed XML"):
         root = ET.fromstring(read_xml(path))
@@ -170,12 +182,15 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
 
 
 def _first(attributes: Mapping[str, str], name: str) -> float:
-    """Return the first number of an attribute; zero where it is not there."""
+    """Return the first number of an XML attribute; zero if it is missing."""
     return float(attributes.get(name, "0").split()[0])
 
 
 def with_parameters(response: Response, given: Mapping[str, Array]) -> Response:
-    """Return a response with the parameters of a set; what the set lacks is as the logs show it."""
+    """Return a response with the parameters of a set; those missing there are unchanged.
+
+    given : values by name (`PARAMETERS`), shape (joints,) each [SI], NaN where missing
+    """
 
     def chosen(name: str, own: Array) -> Array:
         values = given.get(name)
@@ -192,10 +207,13 @@ def with_parameters(response: Response, given: Mapping[str, Array]) -> Response:
 def arbitrated(
     robot: Robot, files: Sequence[Path], fit: Sequence[JointLog], runs: Sequence[JointLog], response: Response
 ) -> Iterator[Arbitration]:
-    """Yield for each file how its parameters replay runs, and which ones the logs contradict.
+    """Yield the comparison of each file's parameters with the response identified from logs.
 
-    fit : logs of the response; runs : withheld ones. The deviation of a parameter has that of the
-    fit, and half the difference between the fits of both halves of the logs. Raises InputError.
+    The standard deviation of a parameter combines that of the fit, half the difference between fits
+    to both halves of the logs, and, for a delay, that by sampling.
+
+    fit : logs from which `response` was identified; runs : held-out runs that are replayed
+    Raises InputError.
     """
     assert response.log_values is not None
     assert response.log_covariance is not None
@@ -230,7 +248,11 @@ def arbitrated(
 
 
 def arbitration_tables(joints: Sequence[str], after: Array, found: Sequence[Arbitration]) -> Iterator[Table]:
-    """Yield the tables of the sets: their replays beside the fit's, and their parameters."""
+    """Yield the tables of the rms replay errors and of the parameters of all files.
+
+    joints : names of the joints; after : rms replay error of the identified response, (joints,)
+        [rad]
+    """
     rows = [("this fit", *(f"{1e3 * v:.3g}" for v in after))]
     rows += [(Path(a.source).name, *(f"{1e3 * v:.3g}" for v in a.rms)) for a in found]
     title = "Parameters of files in the same replay, rms of each joint [mrad]"

@@ -14,16 +14,17 @@ from casadical.core.basics import Array
 from casadical.core.statistics import best_of
 from casadical.diagnosis.motion.signals import Arm, Motion, lagged, servo_error
 
-# Half-widths [rad] of the play operators that model the memory of friction, over measured angles.
+# Half-widths [rad] of the play operators (see `play_operator`) of measured angles that model
+# hysteretic friction.
 MEASURED_PLAY_WIDTHS_RAD = (3e-4, 3e-3, 2e-2)
-# Half-widths [rad] of play operators over commands, for logs without torque.
+# Half-widths [rad] of the play operators of commanded angles, for logs without torque.
 COMMANDED_PLAY_WIDTHS_RAD = (4e-3, 1.2e-2, 3e-2, 6e-2, 1e-1)
-# Speeds [rad/s] over which friction falls from rest (Stribeck effect).
+# Speeds [rad/s] at which the excess of friction at rest has fallen to 1/e (Stribeck effect).
 DIP_SPEEDS_RAD_S = (0.05, 0.3)
-RELAXATION_TIMES_S = (0.3, 2.0)  # time constants [s] of friction relaxing at rest
-# Prior standard deviation of each friction coefficient, as a share of the peak torque.
+RELAXATION_TIMES_S = (0.3, 2.0)  # time constants [s] with which friction relaxes at rest
+# Prior standard deviation of each friction coefficient, divided by the joint's peak torque.
 SIGMA_FRICTION = 0.3
-# Prior standard deviation of a constant torque, as a share of the peak torque.
+# Prior standard deviation of a constant torque, divided by the joint's peak torque.
 SIGMA_TORQUE_OFFSET = 0.1
 SIGMA_TORQUE_SCALE = 0.02  # prior standard deviation of the relative scale error of a logged torque
 SIGMA_DECLARED_ROTOR = 0.05  # relative prior standard deviation of a declared rotor inertia
@@ -36,27 +37,29 @@ SIGMA_DECLARED_DELAY_S = 1e-3
 SIGMA_UNKNOWN_DELAY_S = 0.03  # prior standard deviation of an undeclared command delay [s]
 SIGMA_FILTER_S2 = 2e-4  # prior standard deviation of a command filter's squared time constant [s^2]
 SIGMA_CONSTANT_ERROR_RAD = 1e-3  # prior standard deviation of a constant position error [rad]
-# Prior standard deviation of position errors that follow direction or load [rad].
+# Prior standard deviation of the coefficient of a position error that is proportional to the
+# direction of motion or to the load divided by the peak torque [rad].
 SIGMA_DIRECTION_ERROR_RAD = 2e-4
-SIGMA_UNKNOWN_FILTER_S2 = 2e-3  # as SIGMA_FILTER_S2 [s^2], for logs without torque
+SIGMA_UNKNOWN_FILTER_S2 = 2e-3  # the same as SIGMA_FILTER_S2 [s^2], for logs without torque
 # Relative prior standard deviation of the scale of a torque that was computed from the position
 # error with a declared gain.
 SIGMA_ROUGH_TORQUE_SCALE = 0.2
-# Typical mass of an undeclared payload, as a share of the arm's mass.
+# Mass of an undeclared payload that counts as one unit, divided by the arm's mass.
 UNDECLARED_PAYLOAD_SHARE = 0.05
-# Distance of an undeclared payload's centre of mass from the flange [m], typically.
+# Distance of an undeclared payload's centre of mass from the flange that counts as one unit [m].
 PAYLOAD_LEVER_M = 0.1
-LIMIT_SHARE = 0.97  # share of its maximum from which on a torque or speed counts as at its limit
-AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a limit decays
+# A torque or speed is at its limit above this fraction of its largest absolute value in the log.
+LIMIT_SHARE = 0.97
+AFTER_LIMIT_S = 0.15  # time constant [s] with which the effect of a reached limit decays
 
 
 @dataclass(frozen=True, eq=False)
 class BaseColumn:
     """A column of the base at one joint.
 
-    kind : what it stands for; joint : 0-based
+    kind : name of the effect that it models; joint : number of the joint, 0-based
     size : prior standard deviation of its coefficient
-    samples : value at each sample, shape (samples,), as a share of the peak torque or [rad]
+    samples : value at each sample, shape (samples,), torque divided by peak torque, or [rad]
     response : whether it acts on the position error; otherwise on the torque
     """
 
@@ -74,17 +77,19 @@ class BaseColumn:
 
 @dataclass(frozen=True, eq=False)
 class LogView:
-    """A log as the arm's model sees it: residuals, and the variables of which causes are functions.
+    """Residuals of a log by the arm's nominal model, and the variables on which causes depend.
 
+    motion, arm : signals of the log; bodies and drives
     peak_torque : peak torque of each joint, shape (joints,) [N m]
-    torque : torque residual, shape (samples, joints), as a share of the peak torque
-    response : residual of the position error, shape (samples, joints) [rad], or None
+    torque : torque residual divided by peak torque, shape (samples, joints)
+    response : residual of the position error, shape (samples, joints) [rad]; None unless both
+        torques and commands were logged
     variables : arguments of effects' formulas by name, shape (samples, joints)
     Y : regressor of the rigid bodies, shape (samples, joints, 10 joints) [SI]
-    gain : of each servo, shape (joints,) [N m/rad]; ones where torques were logged and no gain is
-        declared
-    frictions : friction found by the base, by name, shape (samples, joints), as a share of the peak
-        torque
+    gain : gain of each servo, shape (joints,) [N m/rad]; ones where torques were logged and no gain
+        is declared
+    frictions : friction torques fitted by the base, divided by peak torque, by name, shape
+        (samples, joints)
     """
 
     motion: Motion
@@ -98,9 +103,9 @@ class LogView:
     frictions: Mapping[str, Array] = field(default_factory=dict)
 
     def as_torque(self, error: Array, joint: int) -> Array:
-        """Return the torque equivalent of a joint's position error [rad], shape (samples,).
+        """Return the servo's torque at a joint's position error, divided by the peak torque.
 
-        It is a share of the peak torque, as in the rows of a log without torque.
+        error : shape (samples,) [rad], as the result; joint : 0-based
         """
         every = np.zeros_like(self.motion.q)
         every[:, joint] = error
@@ -109,7 +114,7 @@ class LogView:
     def by_angle(self, joint: int) -> Array:
         """Return the derivative of all torques by one joint's angle [1/rad], (samples, joints).
 
-        The torques are shares of the peak torques.
+        The torques are those of the bodies, divided by the peak torques. joint : 0-based
         """
         m, arm = self.motion, self.arm
         step, bodies = np.zeros(arm.joints), np.append(arm.inertial, np.zeros(arm.joints))
@@ -121,7 +126,7 @@ class LogView:
 def log_view(motion: Motion, arm: Arm, peak_torque: Array | None = None) -> LogView:
     """Return residuals and variables of a log.
 
-    peak_torque : of each joint [N m]; None: the 99 % quantile of this log's torques
+    peak_torque : peak torque of each joint [N m]; None: the 99 % quantile of this log's torques
     """
     m = motion
     Y = arm.regressor(m.q, m.v, m.a)
@@ -147,21 +152,29 @@ def log_view(motion: Motion, arm: Arm, peak_torque: Array | None = None) -> LogV
 
 
 def _servo_torque(m: Motion, arm: Arm, kp: Array, error: Array) -> Array:
-    """Return the torque [N m] that a servo gives at a position error [rad]."""
+    """Return the torque of each servo at a position error, kp e + kd e' [N m].
+
+    kp : shape (joints,) [N m/rad]; error : shape (samples, joints) [rad], as the result
+    """
     kd = 0.0 if arm.kp is None or arm.kd is None else arm.kd
     return np.asarray(kp * error + kd * m.by_run(lambda e: np.gradient(e, m.step, axis=0), error))
 
 
 def _servo_error_of(m: Motion, arm: Arm, torque: Array) -> Array:
-    """Return the position error [rad] at which a servo gives a torque [N m]."""
+    """Return the position error [rad] at which each servo gives a torque [N m], run by run.
+
+    torque : shape (samples, joints), as the result; see `servo_error`
+    """
     assert arm.kp is not None
     return m.by_run(lambda u: servo_error(u, arm, m.step, u[0] / arm.kp), torque)
 
 
 def _servo_gains(m: Motion, model: Array, arm: Arm) -> Array:
-    """Return the gain of each servo, shape (joints,) [N m/rad].
+    """Return the gain of each servo, declared or estimated, shape (joints,) [N m/rad].
 
     Undeclared gains follow from the position error and the model's torque, by least squares.
+
+    model : torque of the bodies, shape (samples, joints) [N m]
     """
     if arm.kp is not None:
         return arm.kp
@@ -174,9 +187,10 @@ def _servo_gains(m: Motion, model: Array, arm: Arm) -> Array:
 
 
 def _response_residual(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array | None]:
-    """Return the position error that the servo's equation leaves, and the one that it explains.
+    """Return the residual of the position error, and its part by the servo's equation.
 
-    Both have shape (samples, joints) [rad]; the second is None where the gain is not declared.
+    Both have shape (samples, joints) [rad]; the second is None where the gain is not declared. The
+    deflection of the gears, if their stiffness is declared, is subtracted, too.
     """
     assert m.command is not None
     assert m.command_v is not None
@@ -197,7 +211,11 @@ def _response_residual(m: Motion, arm: Arm, torque: Array) -> tuple[Array, Array
 
 
 def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Array, Y: Array) -> dict[str, Array]:
-    """Return the variables of effects' formulas by name, shape (samples, joints)."""
+    """Return the variables of effects' formulas by name, shape (samples, joints) each.
+
+    torque, model : torques, logged or by the servo, and of the bodies, (samples, joints) [N m]
+    Y : regressor of the bodies [SI]
+    """
     n = len(m.time)
     ones = np.ones((n, arm.joints))
     fast = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9
@@ -230,7 +248,7 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
 
 
 def base_columns(log_view: LogView) -> list[BaseColumn]:
-    """Return the base's columns of a log, without the rigid bodies."""
+    """Return the base's columns of a log, without those of the rigid bodies."""
     parts = [p for j in range(log_view.arm.joints) for p in _torque_columns(log_view, j)]
     if log_view.response is not None:
         parts += [p for j in range(log_view.arm.joints) for p in _servo_columns(log_view, j)]
@@ -238,18 +256,17 @@ def base_columns(log_view: LogView) -> list[BaseColumn]:
 
 
 def body_columns(log_view: LogView) -> Array:
-    """Return the rigid bodies' columns, shape (windows, joints, parameters).
+    """Return the columns of the rigid bodies' parameters, shape (windows, joints, parameters).
 
-    Each is the torque, as a share of the peak torque, of one prior standard deviation of a
-    parameter.
+    Each is the torque, divided by peak torque, by one prior standard deviation of a parameter.
     """
     return np.asarray(log_view.motion.averaged(log_view.Y) / log_view.peak_torque[:, None] @ log_view.arm.spread)
 
 
 def _torque_columns(log_view: LogView, j: int) -> list[BaseColumn]:
-    """Return the torque columns of joint j: friction, servo, offset and scales.
+    """Return the torque columns of joint j (0-based): friction, offset, scale and rotor.
 
-    The servo's columns are among them if no torque was logged.
+    Columns of the servo are among them if no torque was logged.
     """
     m, variables = log_view.motion, log_view.variables
     slip, speed, load = (variables[k][:, j] for k in ("slip", "speed", "load"))
@@ -294,7 +311,7 @@ def _torque_columns(log_view: LogView, j: int) -> list[BaseColumn]:
 
 
 def _servo_columns(log_view: LogView, j: int) -> list[BaseColumn]:
-    """Return the position-error columns of joint j."""
+    """Return the position-error columns of joint j (0-based), for logs with torque and commands."""
     m, arm, variables = log_view.motion, log_view.arm, log_view.variables
     assert m.torque is not None
     delay = SIGMA_DECLARED_DELAY_S if arm.delay is not None else SIGMA_UNKNOWN_DELAY_S

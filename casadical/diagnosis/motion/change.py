@@ -18,8 +18,9 @@ from casadical.diagnosis.motion.response import Response, fitted
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Cause, what the response shows alike, change of the five logarithms for a positive size, prior
-# standard deviation of the size.
+# Possible changes of a joint's response: name of the cause, names of causes that a response cannot
+# distinguish from it, change of the five logarithms of `Response.log_values` for the size one, and
+# prior standard deviation of the size.
 HYPOTHESES: tuple[tuple[str, tuple[str, ...], tuple[float, ...], float], ...] = (
     ("servo_stiffness", (), (-1, 1, 1, 1, 0), 0.5),
     ("coulomb_friction", ("load_friction",), (0, 1, 0, 0, 0), 1.0),
@@ -28,18 +29,18 @@ HYPOTHESES: tuple[tuple[str, tuple[str, ...], tuple[float, ...], float], ...] = 
     ("transport_delay", ("lag",), (0, 0, 0, 0, 1), 1.5),
     ("payload", ("link_mass", "spring", "torque_constant"), (-1, 0, 0, 0, 0), 0.5),
 )
-# Standard deviation of each logarithm from one day to another.
+# Standard deviation of the change of each logarithm from one day to another.
 DAILY_SIGMAS = (0.03, 0.15, 0.15, 0.05, 0.1)
 SIGMA_UNLISTED = 0.5  # prior standard deviation of each logarithm's change by a cause on no list
-# Standard deviation of a delay, as a share of the time between samples; and of dry friction divided
-# by the gain, as a share of the resolution of the readings.
+# Standard deviation of an identified delay, divided by the time between samples; and of identified
+# dry friction over gain, divided by the resolution of the readings.
 DELAY_SAMPLE_SHARE = 0.1
 FRICTION_QUANTUM_SHARE = 0.5
-# A response fits if it leaves less than this share of reading minus command; otherwise the search for
-# its parameters has failed, and they say nothing.
+# A response fits a joint if the rms of its replay's error is below this fraction of that of reading
+# minus command; otherwise its identification has failed.
 MAX_ERROR_SHARE = 0.5
 MIN_EVIDENCE = 15.0  # smallest log evidence [nats] of a clear change
-MIN_MARGIN = 3.0  # by which it exceeds every other cause of its joint
+MIN_MARGIN = 3.0  # margin [nats] by which a clear change exceeds every other one of its joint
 WORDS = {
     "servo_stiffness": "servo gain x {:.2f}",
     "coulomb_friction": "dry friction x {:.2f}",
@@ -54,10 +55,11 @@ WORDS = {
 class Change:
     """The most probable change of a joint since the reference.
 
-    joint : number, from 1; None: of several joints; effect : name of the cause; alike : causes that
-        such a log does not distinguish from it
-    factor : by which the parameter has changed; evidence : log Bayes factor against none [nats]
-    margin : log Bayes factor against the best other cause; unlisted : against a general change
+    joint : number of the joint, from 1; None: several joints
+    effect : name of the cause; alike : causes that such a log does not distinguish from it
+    factor : present value of the changed parameter, divided by that of the reference
+    evidence : log Bayes factor against no change [nats]; margin : that against the best other cause
+        [nats]; unlisted : that against a general change of all five logarithms [nats]
     """
 
     joint: int | None
@@ -70,21 +72,24 @@ class Change:
 
     @property
     def clear(self) -> bool:
-        """Return whether the evidence is large, and no other cause nor a general change fits."""
+        """Return whether the evidence is large and exceeds that of other and general changes."""
         return self.evidence >= MIN_EVIDENCE and self.margin >= MIN_MARGIN and self.unlisted > 0
 
     @property
     def words(self) -> str:
-        """Return the change in words, with what it cannot be distinguished from."""
+        """Return a text of joint, factor and cause, with those indistinguishable from it."""
         which = " or ".join(name.replace("_", " ") for name in (self.effect, *self.alike))
         place = "several joints" if self.joint is None else f"joint {self.joint}"
         return f"{place}: {WORDS[self.effect].format(self.factor)} since the reference ({which})"
 
 
 def changes_since(robot: Robot, log: JointLog, healthy: Robot, reference: JointLog) -> tuple[Change, ...]:
-    """Return the most probable change of each joint whose response fits both logs, the clearest first.
+    """Return the most probable change of each joint whose response fits both logs.
 
-    robot, healthy : of the log, and of the reference. Raises InputError.
+    That with the largest evidence is first.
+
+    robot, healthy : robots of the log and of the reference, which differ by their payload only
+    Raises InputError: logs without commands, or without a run of two seconds.
     """
     responses = fitted(robot, [log], [reference]) if healthy is robot else [
         *fitted(robot, [log]), *fitted(healthy, [reference]),
@@ -99,7 +104,7 @@ def changes_since(robot: Robot, log: JointLog, healthy: Robot, reference: JointL
 
 
 def _fits(response: Response, log: JointLog) -> Array:
-    """Return which joints moved, and follow their response: shape (joints,)."""
+    """Return the mask of the joints that moved and whose replay fits, shape (joints,)."""
     assert log.command is not None
     error, before = (np.nanmean((log.position - q) ** 2, axis=0) for q in (response.predicted(log), log.command))
     return np.asarray(response.moved & (error < MAX_ERROR_SHARE**2 * before))
@@ -113,7 +118,11 @@ def _quanta(log: JointLog) -> list[float]:
 
 
 def _change(responses: Sequence[Response], j: int, step: float, quantum: float) -> Change:
-    """Return the most probable change of one joint, 0-based, between two responses."""
+    """Return the most probable change of joint j (0-based) between two responses.
+
+    responses : of the log, then of the reference
+    step : time between samples [s]; quantum : resolution of the joint's readings [rad]
+    """
     difference, covariance = np.zeros(5), np.diag(np.square(DAILY_SIGMAS))
     for sign, r in zip((1, -1), responses, strict=True):
         assert r.log_values is not None
@@ -143,7 +152,7 @@ def _change(responses: Sequence[Response], j: int, step: float, quantum: float) 
 
 
 def clear_changes(changes: Sequence[Change]) -> Iterator[Change]:
-    """Yield the clear changes; a load or a delay of several joints is one change."""
+    """Yield the clear changes; that of a payload or a delay at several joints is one change."""
     clear = [change for change in changes if change.clear]
     for effect, alike in (("payload", ("link_mass",)), ("transport_delay", ("lag",))):
         own = [change for change in clear if change.effect == effect]
@@ -155,7 +164,10 @@ def clear_changes(changes: Sequence[Change]) -> Iterator[Change]:
 
 
 def change_table(joints: Sequence[str], changes: Sequence[Change]) -> Table:
-    """Return the table of the most probable change of each joint."""
+    """Return the table of the most probable change of each joint with positive evidence.
+
+    joints : names of the joints
+    """
     rows = [
         (joints[change.joint - 1], WORDS[change.effect].format(change.factor), f"{change.evidence:.0f}",
          f"{change.margin:.0f}", f"{change.unlisted:.0f}")

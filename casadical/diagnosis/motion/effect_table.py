@@ -16,7 +16,7 @@ from casadical.diagnosis.motion.response import Response
 from casadical.diagnosis.motion.signals import Arm, motion_of
 from casadical.measurements.logs.log import JointLog
 
-# Effects of a response, and the response without each of them.
+# Function that removes an effect from a response, by the effect's name in tables.
 WITHOUT: Mapping[str, Callable[[Response], Response]] = {
     "dry friction": lambda r: replace(r, friction=0 * r.friction),
     "gravity": lambda r: replace(r, gravity=False),
@@ -25,23 +25,27 @@ WITHOUT: Mapping[str, Callable[[Response], Response]] = {
     "inertia": lambda r: replace(r, inertia=0 * r.inertia),
     "surface": lambda r: replace(r, floor=None),
 }
-NAMED_SHARE = 0.8  # the sentence names effects and joints that make this share of all costs
-# An effect whose absence raises the mean square error by less than this share costs nothing.
+# The sentence names the effects and joints that together have this fraction of all costs.
+NAMED_SHARE = 0.8
+# An effect counts as having no cost if its removal raises the mean square error by less than this
+# fraction of it.
 NEGLIGIBLE_RISE = 0.1
-WITHHELD_THIRDS = 3  # parts of each run that are withheld in turn where torques are fitted
+WITHHELD_THIRDS = 3  # number of parts of each run that are held out in turn in fits of torques
 FRICTION_MEMORY_RAD = 3e-3  # half-width of the play operator of dry friction [rad]
-# Prior standard deviation of a friction coefficient, as a share of the peak torque.
+# Prior standard deviation of a friction coefficient, divided by the joint's peak torque.
 SIGMA_FRICTION = 0.3
-# Share of the samples that count as independent, as noise is correlated.
+# Fraction of the samples that count as independent, as noise is correlated.
 INDEPENDENT_SAMPLE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class EffectTable:
-    """Root mean square errors of each joint with every effect, and without one of them at a time.
+    """Rms replay errors of each joint with all effects, and without one of them at a time.
 
-    before : of the error that is explained, shape (joints,) [rad or N m]; full : with every effect
-    without : effect -> with all others, shape (joints,)
+    joints : names of the joints
+    before : rms of reading minus command, shape (joints,) [rad]
+    full : rms of reading minus replay with all effects, shape (joints,) [rad]
+    without : the same without one effect, by its name
     """
 
     joints: tuple[str, ...]
@@ -50,17 +54,23 @@ class EffectTable:
     without: Mapping[str, Array]
 
     def costs(self) -> Mapping[str, Array]:
-        """Return what each effect adds to the mean squares of the joints, shape (joints,)."""
+        """Return, by effect, the increase of mean square error without it, (joints,) [rad^2].
+
+        Decreases count as zero.
+        """
         return {name: np.maximum(rms**2 - self.full**2, 0.0) for name, rms in self.without.items()}
 
     @property
     def sum_of_parts(self) -> Array:
-        """Return the rms errors if the effects' costs simply added up, shape (joints,)."""
+        """Return the rms errors if the costs of all effects added up, shape (joints,) [rad]."""
         return np.asarray(np.sqrt(self.full**2 + sum(self.costs().values())))
 
     @property
     def sentence(self) -> str:
-        """Return which effects of which joints make most of the error, and which ones nothing."""
+        """Return a sentence that names the effects and joints of most of the error.
+
+        It also names the effects without influence.
+        """
         costs, said, share = self.costs(), list[str](), 0.0
         total = sum(float(cost.sum()) for cost in costs.values())
         if not total > 0:
@@ -79,7 +89,7 @@ class EffectTable:
         )
 
     def table(self) -> Table:
-        """Return the table, in mrad."""
+        """Return the table of the rms errors [mrad], one row for each replay."""
         rows = {
             "position = command": self.before,
             "sum of the parts": self.sum_of_parts,
@@ -97,10 +107,11 @@ class EffectTable:
 def effect_table(
     runs: Sequence[JointLog], predicted: Sequence[Array], responses: Sequence[Response], before: Array
 ) -> EffectTable:
-    """Return the rms errors of replays with one effect taken out at a time.
+    """Return the rms errors of replays with one effect removed at a time.
 
-    predicted : by the response of each run, shape (rows, joints) [rad]
-    responses : that predict each run; before : rms of reading minus command, shape (joints,) [rad]
+    predicted : positions of each run by its response, shape (rows, joints) [rad]
+    responses : response that predicts each run
+    before : rms of reading minus command, shape (joints,) [rad]
     """
 
     def rms(positions: Sequence[Array]) -> Array:
@@ -115,10 +126,11 @@ def effect_table(
 
 
 def torque_table(log: JointLog, arm: Arm) -> Mapping[str, Array] | None:
-    """Return what each model leaves of a logged torque, rms by joint, shape (joints,) [N m].
+    """Return the rms torque error of each joint by model, shape (joints,) [N m].
 
-    Each third of each run is predicted by a fit to the others. None where no torque was logged, nor
-    a current of known torque constant.
+    Keys are the models' names, from the file's bodies to those with fitted friction. Each third of
+    each run is predicted by a fit to the others. None where no torque was logged, nor a current
+    with a declared torque constant.
     """
     if log.torque is None and (log.current is None or log.current_unsigned or arm.per_ampere is None):
         return None
@@ -130,7 +142,10 @@ def torque_table(log: JointLog, arm: Arm) -> Mapping[str, Array] | None:
     fast, diagonal = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9, np.eye(n)
 
     def own(values: Array, size: float = SIGMA_FRICTION) -> Array:
-        """Return a column for each joint: values in its own row, times a prior deviation."""
+        """Return a column for each joint, shape (samples, joints, joints), nonzero in its own row.
+
+        values : shape (samples, joints); size : prior standard deviation, divided by peak torque
+        """
         return np.asarray((size * peak * values)[:, :, None] * diagonal)
 
     bodies = [Y @ arm.spread, (arm.rotor * m.a)[:, :, None] * diagonal, own(np.ones_like(m.q))]
@@ -159,9 +174,9 @@ def torque_table(log: JointLog, arm: Arm) -> Mapping[str, Array] | None:
 
 
 def explained(torques: Mapping[str, Array]) -> str:
-    """Return in one sentence which shares of the torque error the models of `torque_table` explain.
+    """Return a sentence on the percentage of the torque error that each further model explains.
 
-    They are shares of the mean squares, averaged over the joints.
+    Percentages are of mean squares and averaged over the joints. torques : as of `torque_table`
     """
     squares = [rms**2 for rms in torques.values()]
     parts = [

@@ -16,25 +16,26 @@ from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
 from casadical.robot.dynamics import Dynamics
 
-# Largest height of a surface that is tried, above the lowest one read [m].
+# Largest candidate height of a surface above the tool's lowest height in the log [m].
 MAX_HEIGHT_ABOVE_LOWEST_M = 0.06
-HEIGHT_STEP_M = 5e-4  # step between the heights of a surface that are tried [m]
-MIN_HEIGHT_NOISE_M = 1e-3  # smallest standard deviation of the noise of the tool's height [m]
-# Log evidence [nats] that a surface must gain to be assumed.
+HEIGHT_STEP_M = 5e-4  # step between candidate heights of a surface [m]
+MIN_HEIGHT_NOISE_M = 1e-3  # added to the estimated standard deviation of the tool's height [m]
+# Log evidence [nats] from which a surface is assumed.
 MIN_FLOOR_EVIDENCE = 150.0
-# Share of the samples that count as independent, as noise is correlated.
+# Fraction of the samples that count as independent, as noise is correlated.
 INDEPENDENT_SAMPLE_SHARE = 0.05
-OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
+# Residuals beyond this many standard deviations get less weight (pseudo-Huber).
+OUTLIER_SIGMAS = 3.0
 CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
 MAX_PUSH_STEPS = 6  # largest number of Newton steps to the contact force
-PENETRATION_TOLERANCE_M = 1e-5  # height error [m] at which a contact force counts as found
+PENETRATION_TOLERANCE_M = 1e-5  # largest height error of a converged contact force [m]
 
 
 @dataclass(frozen=True, eq=False)
 class Floor:
     """A surface perpendicular to gravity.
 
-    height : of the tool's point in contact, above the measuring frame's origin [m]
+    height : height of the tool point in contact above the measuring frame's origin [m]
     """
 
     dynamics: Dynamics
@@ -42,13 +43,16 @@ class Floor:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Return the function q[n] [rad] -> (height of the tool's point [m], its gradient [n])."""
+        """Return the function q[n] [rad] -> (height of the tool point [m], gradient[n] [m/rad]).
+
+        The height is that above the measuring frame's origin.
+        """
         robot, q = self.dynamics.robot, ca.SX.sym("q", self.dynamics.robot.n)
         z = ca.dot(ca.DM(up_of(self.dynamics)), robot.position(q, robot.parameters.values))
         return ca.Function("height", [q], [z, ca.jacobian(z, q).T])
 
     def above(self, q: Array) -> Array:
-        """Return the height of the tool above the surface [m], of the shape (...) of q.
+        """Return the height of the tool point above the surface, shape (...) [m].
 
         q : joint angles, shape (..., n) [rad]
         """
@@ -57,13 +61,14 @@ class Floor:
         return np.asarray(z).reshape(q.shape[:-1]) - self.height
 
     def torque(self, ends: Callable[[Array], Array], give: Array, push: float) -> tuple[Array, float]:
-        """Return joint torques (joints,) [N m] and contact force [N] that keep a step's end above.
+        """Return torques (joints,) [N m] and contact force [N] by which a step ends on the surface.
 
-        ends : joint angles [rad] at the end of a step under such torques
-        give : derivative of each of these angles by its torque while it slides, shape (joints,)
-            [rad/(N m)]
-        push : contact force of the step before [N]; torques and force are 0 where the step ends
-            above the surface anyway
+        Both are 0 where the step ends above the surface without them.
+
+        ends : function of joint torques [N m] that returns the angles at the end of the step [rad]
+        give : derivative of each of these angles by its torque while the joint slides, shape
+            (joints,) [rad/(N m)]
+        push : contact force of the previous step, from which the iteration starts [N]
         """
         torque = np.zeros(len(give))
         z, slope = self.function(ends(torque))
@@ -81,7 +86,7 @@ class Floor:
 
 
 def up_of(dynamics: Dynamics) -> Array:
-    """Return the unit vector against gravity in the measuring frame, shape (3,)."""
+    """Return the unit vector opposite to gravity in the measuring frame, shape (3,), or zeros."""
     gravity = dynamics.robot.base.T[:3, :3] @ dynamics.gravity
     return np.asarray(-gravity / (np.linalg.norm(gravity) + 1e-300))
 
@@ -89,8 +94,8 @@ def up_of(dynamics: Dynamics) -> Array:
 def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     """Return the surface below which replays go and readings do not; None without clear evidence.
 
-    read, replayed : readings, and those of a replay without a surface, shape (samples, joints)
-        [rad]
+    read, replayed : measured angles, and those of a replay without a surface, shape (samples,
+        joints) [rad]
     """
     if not up_of(dynamics).any():
         return None

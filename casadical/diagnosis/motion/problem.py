@@ -30,44 +30,50 @@ from casadical.effects.motion import Cause, motion_columns
 from casadical.effects.settings import grid_points
 from casadical.measurements.measurements import Noise
 
-# Grid of noise levels relative to the estimated one, by which the rows are whitened.
+# Grid of the noise for likelihoods, in units of the estimated noise by which rows are whitened.
 RELATIVE_NOISE_GRID = np.geomspace(0.4, 2.5, 25)
-# Relative standard deviation of a joint's friction from one day to another.
+# Prior standard deviation of the relative change of a group of a joint's friction columns
+# (`FRICTION_GROUPS`) from one day to another.
 DAILY_FRICTION_SHARE = 0.15
-# Largest standard deviation of other torque coefficients from one day to another.
+# Largest prior standard deviation of the change, from one day to another, of the coefficient of a
+# torque column, friction included, that `DAILY_SIGMAS` does not list; columns are divided by the
+# peak torque.
 MAX_DAILY_SIGMA = 0.01
-# Daily standard deviation of a position-error coefficient, as a share of its prior's.
+# Prior standard deviation of the daily change of a position-error column's coefficient, divided by
+# that of the coefficient.
 DAILY_SERVO_SHARE = 0.7
 MAX_AR_COEFFICIENT = 0.8  # largest AR(1) coefficient of the noise from one window to the next
-NOISE_ROUNDS = 3  # number of times that the noise is estimated again
-# Smallest noise of a torque row, as a share of the peak torque, as every base is wrong by some
-# amount.
+NOISE_ROUNDS = 3  # number of alternating estimates of the base and of the noise
+# Smallest noise of a torque row, divided by the peak torque, as every base is wrong by some amount.
 BASE_TORQUE_ERROR = 0.005
-# Smallest noise of a position-error row, as a share of what the servo's equation gives.
+# Smallest noise of a position-error row, divided by the rms error that the servo's equation gives.
 BASE_SERVO_ERROR_SHARE = 0.03
-BASE_TIME_ERROR_S = 1e-3  # smallest noise of angles, as a shift of the motion in time [s]
-# Residual, in noise standard deviations, from which on row weights decay as those of Student's
-# distribution.
+BASE_TIME_ERROR_S = 1e-3  # time shift of the motion that gives the smallest noise of angles [s]
+# Scale of residuals, in robust standard deviations, above which the weight of a row falls.
 STUDENT_TAIL_SIGMAS = 8.0
-# Residuals are cut at so many standard deviations when the noise is estimated.
+# Absolute residuals are limited to this many robust standard deviations where the noise is
+# estimated.
 MAX_NOISE_SIGMAS = 4.0
-UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows
+UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows: standard deviation one
 NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
-# Number of Gaussian bumps of a smooth function that stands for an unlisted cause.
+# Number of Gaussian bumps of a smooth function of one variable that stands for an unlisted cause.
 BUMPS_PER_FUNCTION = 6
-# Prior standard deviation of such a bump's coefficient, in units of the row's noise.
+# Prior standard deviation of the coefficient of such a bump, in units of the row's noise.
 UNLISTED_SIGMAS = 3.0
-# A variant of a candidate, and for each of its parameters the effect: row -> values of the windows.
+# A candidate with one variant and, for each of its parameters, its column: values at the windows by
+# row of a block.
 _CandidateColumns = tuple[Candidate, list[Mapping[int, Array]]]
 DRY_FRICTION_KINDS = ("slip", "dip", "at rest")  # beginnings of the kinds of dry friction columns
-# Beginnings of kinds that have no daily difference of their own: they differ with their group's, or
-# not at all.
+# Beginnings of kinds of base columns without a daily change of their own: they change with their
+# group, or not at all.
 UNCHANGED_KINDS = ("before", "dip", "root", "at rest", "absolute", "curved", "loaded ")
-# Daily standard deviations of servo columns that are rows of torque: delay [s], filter [s^2], gain.
+# Prior standard deviations of the daily changes of servo columns in torque rows, by kind: delay
+# [s], filter [s^2], gain (relative).
 DAILY_SIGMAS = {"delay": 1e-3, "filter": 1e-4, "gain": 0.05}
 VISCOUS_KINDS = ("viscous", "root", "absolute", "curved")  # friction that grows with speed
 LOAD_KINDS = ("loaded", "by side")  # friction that grows with load
-# Groups of friction columns that differ from day to day by a common factor.
+# Groups of friction columns that change from day to day by a common factor: beginnings of their
+# kinds by the name of the group.
 FRICTION_GROUPS = {
     "dry": DRY_FRICTION_KINDS,
     "drag": VISCOUS_KINDS,
@@ -80,8 +86,8 @@ FRICTION_GROUPS = {
 class RowNoise:
     """Autocorrelated noise of each row, and the rows' weights, each of shape (blocks, rows).
 
-    sigma : standard deviation; ar_coefficient : share that remains from window to window
-    weight : robust weight of the value
+    sigma : standard deviation; ar_coefficient : AR(1) coefficient from window to window
+    weight : robust weight of the value, 0 to 1
     """
 
     sigma: Array
@@ -89,14 +95,14 @@ class RowNoise:
     weight: Array
 
     def white(self, values: Array, first: Array) -> Array:
-        """Return whitened rows of blocks.
+        """Return whitened rows of blocks, of the shape of `values`.
 
         values : shape (blocks, rows, ...); first : whether a block begins a run, shape (blocks,)
         """
         return serial_noise(self.ar_coefficient, first[:, None], self.weight / self.sigma).whiten(values)
 
     def row(self, row: int) -> RowNoise:
-        """Return the noise of one row."""
+        """Return the noise of one row of each block, by its index, in arrays (blocks, 1)."""
         return RowNoise(*(a[:, row : row + 1] for a in (self.sigma, self.ar_coefficient, self.weight)))
 
 
@@ -104,17 +110,22 @@ class RowNoise:
 class MotionCase:
     """The regression problem of a log, with its candidate causes.
 
-    candidates, variants, groups : as a ranking needs them, with the columns of each variant
-    r : residual of the model, shape (blocks, rows), not whitened
+    The rows of a block are the torques of all joints, divided by the peak torques, then, if both
+    were logged, their position errors [rad].
+
+    candidates : possible causes; variants : (candidate, variant) indices of each group of columns;
+        groups : indices of the columns of each
+    r : residual of the model with nominal parameters, shape (blocks, rows), not whitened
     base : columns of the base times their prior standard deviations, shape (blocks, rows, P), not
         whitened
-    E : columns of the variants, not whitened; first : whether a block begins a run; noise : of each
-        row
-    of_log : whether a block is of the log itself, not of the reference; parts : of the base, after
-        the bodies
-    floor : smallest noise of each row; trust : weight of each value, shape (blocks, rows)
-    scale : factor from each joint's first row to the log's own unit, A or N m, or rad where unit is
-        None
+    E : columns of the variants, not whitened; first : whether a block begins a run, shape (blocks,)
+    noise : noise of each row of each block
+    of_log : whether a block is of the log itself, not of the reference, shape (blocks,)
+    parts : columns of the base after those of the bodies
+    floor : smallest noise of each row, shape (rows,)
+    trust : weight of each value, shape (blocks, rows)
+    scale : factor from each joint's first row to the unit, shape (joints,)
+    unit : "A" or "N m", that of the log's torques; None: rad
     region_values : angle, speed, load and time at the log's windows, each of shape (blocks, joints)
     """
 
@@ -141,7 +152,7 @@ class MotionCase:
 
     @cached_property
     def white(self) -> Evidence:
-        """Return residual, base and columns, whitened."""
+        """Return the linear model of the whitened residual, base and columns."""
         n, rows, P = self.base.shape
         made = tuple(
             (row, columns, self.noise.row(row).white(values.T[:, None], self.first)[:, 0].T)
@@ -155,10 +166,10 @@ class MotionCase:
 
     @cached_property
     def judged(self) -> Evidence:
-        """Return the whitened problem in which what the base absorbs does not count for the noise.
+        """Return the whitened model whose degrees of freedom exclude those that the base absorbs.
 
-        Priors are unchanged, unlike in `restricted`: a delay that is declared to a millisecond is
-        evidence of another one.
+        Priors are unchanged, unlike in `BaseParameters.restricted`: a delay that is declared to a
+        millisecond is evidence against another one.
         """
         return replace(self.white, absorbed=self.white.absorbed_by_base)
 
@@ -173,15 +184,15 @@ class MotionCase:
         return self.groups[self.variants.index((at, variant))]
 
     def rows_of(self, columns: Array) -> tuple[int, ...]:
-        """Return the rows of a block in which some columns act."""
+        """Return the indices of the rows of a block in which some columns are not zero."""
         return tuple(row for row, own, _ in self.E.factors().blocks if np.isin(own, columns).any())
 
     def only(self, columns: Array) -> MotionCase:
-        """Return the case with some of the causes' columns, and without candidates."""
+        """Return the case with the causes' columns of these indices only and without candidates."""
         return replace(self, E=self.E.only(columns), candidates=(), variants=(), groups=())
 
     def among(self, labels: Collection[str]) -> MotionCase:
-        """Return the case with some of the candidates only."""
+        """Return the case with the candidates of these labels only."""
         selected = [k for k, c in enumerate(self.candidates) if c.label in labels]
         own = [i for i, (k, _) in enumerate(self.variants) if k in selected]
         columns = np.sort(np.concatenate([self.groups[i] for i in own]))
@@ -194,23 +205,26 @@ class MotionCase:
         )
 
     def fitted(self, columns: Array) -> tuple[Array, Array]:
-        """Return coefficients of base and columns in a joint fit, shapes (P,) and (columns,).
+        """Return the coefficients of base and some columns in a joint fit, shapes (P,), (columns,).
 
-        They are in units of the prior standard deviations.
+        They are in units of the prior standard deviations. columns : indices of columns
         """
         fit = new_fit(self.white, columns, UNIT_NOISE, combined=False)
         P = self.base.shape[2]
         return fit.x[:P], fit.x[P:]
 
     def residual(self, columns: Array, x: Array, theta: Array) -> Array:
-        """Return the residual of base and columns, not whitened, shape (blocks, rows)."""
+        """Return the residual for given coefficients, not whitened, shape (blocks, rows).
+
+        columns : indices of columns; x, theta : coefficients of the base and of these columns
+        """
         out = self.r - self.base @ x
         return np.asarray(out - self.E.take(columns) @ theta if len(columns) else out)
 
     def rms(self, residual: Array) -> Array:
         """Return the rms of each joint's first row over the log's windows, shape (joints,).
 
-        It is in the unit of `scale`.
+        It is in the unit `unit`. residual : shape (blocks, rows), not whitened
         """
         return np.asarray(np.sqrt((residual[self.of_log, : self.joints] ** 2).mean(axis=0)) * self.scale)
 
@@ -229,16 +243,19 @@ class MotionCase:
 
 
 def row_noise(residual: Array, first: Array, floor: Array, trust: Array, of_log: Array) -> RowNoise:
-    """Return the noise that a residual shows, estimated separately for the log and its reference.
+    """Return the noise estimated from a residual, separately for the log and its reference.
 
-    residual, trust : shape (blocks, rows); floor : smallest noise of each row
+    The arguments are fields of `MotionCase`; residual has the shape (blocks, rows).
     """
     parts = [_row_noise(residual[k], first[k], floor, trust[k]) for k in (of_log, ~of_log) if k.any()]
     return RowNoise(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 def _row_noise(residual: Array, first: Array, floor: Array, trust: Array) -> tuple[Array, Array, Array]:
-    """Return standard deviation, AR coefficient and weight of each row from a residual."""
+    """Return standard deviation, AR(1) coefficient and robust weight, (blocks, rows) each.
+
+    They are estimated from the residual of one log; the first two are equal in all blocks.
+    """
     usual = 1.4826 * np.nanmedian(np.where(trust < trust.max(axis=0), np.nan, np.abs(residual)), axis=0)
     usual = np.maximum(usual, floor)
     weight = trust / np.sqrt(1 + (residual / (STUDENT_TAIL_SIGMAS * usual)) ** 2)
@@ -260,6 +277,7 @@ def motion_case(
 ) -> MotionCase:  # fmt: skip
     """Return the problem of a log, with a reference appended to it if there are two views.
 
+    log_views : the log and, if there is one, the reference
     reference_coefficients : coefficients of the base of the reference alone (see `coefficients`)
     chosen : causes that are candidates; None: no candidates
     """
@@ -294,7 +312,10 @@ def motion_case(
 
 
 def _floor(log: LogView) -> Array:
-    """Return the smallest noise of each row, from reading resolution and base errors."""
+    """Return the smallest noise of each row, from reading resolution and base errors, (rows,).
+
+    Torque rows are divided by the peak torque; position-error rows are in rad.
+    """
     m, arm, step = log.motion, log.arm, log.motion.quantum / np.sqrt(12)
     delayed = BASE_TIME_ERROR_S * np.sqrt((m.v**2).mean(axis=0))
     if m.torque is None:
@@ -315,9 +336,9 @@ def _floor(log: LogView) -> Array:
 
 
 def _trust(one: LogView, rows: int) -> Array:
-    """Return the weight of each value, lower for torques of joints at rest, shape (blocks, rows).
+    """Return each value's weight: 0.2 for torques of joints at rest, else 1 (windows, rows).
 
-    There friction may be any torque up to its limit.
+    At rest friction may be any torque up to its limit.
     """
     trust = np.ones((len(one.motion.windows), rows))
     stands = one.motion.averaged((one.motion.rest > 0) * 1.0) > 0.5
@@ -327,7 +348,7 @@ def _trust(one: LogView, rows: int) -> Array:
 
 
 def _reported(log: LogView) -> tuple[Array, str | None, tuple[Array, ...]]:
-    """Return scale and unit of the residual, and angle, speed, load and time at the windows."""
+    """Return the fields scale, unit and region_values of `MotionCase`."""
     arm, unit, scale = log.arm, None, log.peak_torque / log.gain
     if log.motion.torque is not None:
         unit = "N m" if arm.per_ampere is None else "A"
@@ -337,13 +358,13 @@ def _reported(log: LogView) -> tuple[Array, str | None, tuple[Array, ...]]:
 
 
 def _residual(one: LogView) -> Array:
-    """Return the residual of a log at its windows, shape (windows, rows)."""
+    """Return the residual of a log's model with nominal parameters, shape (windows, rows)."""
     torque = one.motion.averaged(one.torque)
     return torque if one.response is None else np.concatenate([torque, one.motion.averaged(one.response)], axis=1)
 
 
 def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
-    """Return the fitted coefficients of a base, by the key of its part."""
+    """Return the fitted coefficients of the base's columns after the bodies, by `BaseColumn.key`."""
     x = case.fitted(NO_COLUMNS)[0][-len(case.parts) :]
     return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
 
@@ -351,9 +372,11 @@ def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
 def daily_changes(
     base: Sequence[BaseColumn], reference_coefficients: Mapping[tuple[str, int, bool], float]
 ) -> list[BaseColumn]:
-    """Return columns for the difference of a base from that of the reference's day.
+    """Return base columns for the changes of a log's base since the day of the reference.
 
-    They are each joint's friction in groups, and a small change of the other columns.
+    They are one column for each joint's groups of friction, and small changes of other columns.
+
+    base : base columns of the log; reference_coefficients : see `coefficients`
     """
     parts: list[BaseColumn] = []
     group_columns: dict[tuple[str, int], Array] = {}
@@ -372,9 +395,9 @@ def daily_changes(
 
 
 def frictions(case: MotionCase, log: LogView) -> dict[str, Array]:
-    """Return the friction that the base fits, as shares of peak torque, shape (samples, joints).
+    """Return the friction torques of the fitted base, divided by peak torque, (samples, joints).
 
-    Key `friction` is the dry one, `drag` the one that grows with speed.
+    Key `friction` is dry friction, `drag` friction that grows with speed.
     """
     known = coefficients(case)
     out = {"friction": np.zeros_like(log.motion.q), "drag": np.zeros_like(log.motion.q)}
@@ -388,7 +411,7 @@ def frictions(case: MotionCase, log: LogView) -> dict[str, Array]:
 
 
 def with_candidates(case: MotionCase, log: LogView, chosen: Sequence[Cause]) -> MotionCase:
-    """Return the case with candidates: chosen causes, and smooth functions for those on no list."""
+    """Return the case with candidates: chosen causes, and smooth functions for unlisted ones."""
     log = replace(log, frictions=frictions(case, log))
     total, rows = case.r.shape
     made: dict[int, list[tuple[int, Array]]] = {r: [] for r in range(rows)}
@@ -411,7 +434,10 @@ def with_candidates(case: MotionCase, log: LogView, chosen: Sequence[Cause]) -> 
 
 
 def _listed(log: LogView, chosen: Sequence[Cause]) -> Iterator[_CandidateColumns]:
-    """Yield each variant of each cause as a candidate, with its parameters' effects on the rows."""
+    """Yield each variant of each cause as a candidate, with the columns of its parameters.
+
+    Causes whose variables were not logged are omitted.
+    """
     for kind in chosen:
         name = kind.answers_as or kind.name
         for joint in range(1, log.arm.joints + 1) if kind.acts_at == "joints" else (None,):
@@ -423,10 +449,10 @@ def _listed(log: LogView, chosen: Sequence[Cause]) -> Iterator[_CandidateColumns
 
 
 def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Array]]:
-    """Return for each parameter of a cause its effect on each row's windows; [] if not logged.
+    """Return, for each parameter of a cause, its column: values at the windows by row of a block.
 
-    An effect is that of the parameter's typical size; a cause whose variables were not logged has
-    none.
+    It is that of the parameter's typical size; columns of zeros are omitted. The list is empty
+    where variables of the cause were not logged.
     """
     n, out = log_view.arm.joints, [dict[int, Array]() for _ in effect.sizes()]
     known = {**log_view.variables, **own_variables(log_view, effect)}
@@ -451,7 +477,10 @@ def columns_of(log_view: LogView, effect: DefinedEffect) -> list[Mapping[int, Ar
 
 
 def own_variables(log_view: LogView, effect: DefinedEffect) -> dict[str, Array]:
-    """Return the variables that belong to a cause's own link or joint, at every joint's torque."""
+    """Return the variables that belong to a cause's own link, joint or settings, by name.
+
+    Each has the shape (samples, joints); only those that its formulas use are returned.
+    """
     variables: dict[str, Array] = {}
     if "link" in effect.drivers and effect.joint:
         own = slice(10 * effect.joint - 10, 10 * effect.joint)
@@ -467,10 +496,12 @@ def own_variables(log_view: LogView, effect: DefinedEffect) -> dict[str, Array]:
 
 
 def _unlisted(log: LogView, sigma: Array) -> Iterator[_CandidateColumns]:
-    """Yield candidates for causes on no list: smooth functions of one variable in one row.
+    """Yield candidates for unlisted causes: smooth functions of one variable in one row.
 
-    The variables are time, the joint's load, all angles and speeds, and the angle times the
-    direction of motion.
+    The variables are time, the joint's load, angles and speeds (of all joints in torque rows, else
+    the joint's own), and its angle, with the sign of the direction of motion.
+
+    sigma : noise of each row, shape (rows,)
     """
     n, variables = log.arm.joints, log.variables
     for row in range(len(sigma)):

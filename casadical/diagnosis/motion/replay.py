@@ -28,23 +28,26 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
-WITHHELD_FOLDS = 4  # folds of the runs if no log is withheld
-MIN_COMMAND_SPAN_RAD = 5e-3  # commands of a joint that moves span more than this [rad]
-MAX_LINE_POINTS = 700  # number of points to which a line of a figure is thinned, about
+WITHHELD_FOLDS = 4  # largest number of folds of the runs if no log is withheld
+MIN_COMMAND_SPAN_RAD = 5e-3  # a joint moves if its commands span more than this [rad]
+# Lines of figures with twice this number of points or more are thinned to at least this number and
+# less than twice as many.
+MAX_LINE_POINTS = 700
 TIME_CELLS = 120  # number of cells of an error map along time
 SPEED_BINS = 24  # number of speed bins of a friction figure
-PANEL_HEIGHT_PX = 200  # height of a figure's panel [px]
-MIN_SAMPLES_PER_BIN = 15  # smallest number of samples of a speed bin that is drawn
+PANEL_HEIGHT_PX = 200  # height of each row of panels of a figure [px]
+MIN_SAMPLES_PER_BIN = 15  # speed bins of a friction figure with fewer samples are not drawn
 
 
 @dataclass(frozen=True, eq=False)
 class Replay(Result):
     """Runs replayed from the first reading of each and their commands.
 
-    response : identified from all logs that may be fitted; runs : the replayed ones
-    responses : that predict each run; predicted : its positions, shape (rows, joints) [rad]
-    held_out : whether no run was fitted by the response that predicts it
-    against : parameters of files beside those of the response
+    response : response identified from all logs that may be fitted
+    runs : the replayed runs; responses : the response that predicts each run
+    predicted : predicted positions of each run, shape (rows, joints) [rad]
+    held_out : whether no run was used to identify the response that predicts it
+    against : comparisons with published parameters of files
     """
 
     kept_as: ClassVar[str] = "replay"
@@ -86,10 +89,11 @@ class Replay(Result):
 
     @cached_property
     def torque(self) -> tuple[Array, Array] | None:
-        """Return the rms of the torque error of each joint before and after, shape (joints,) [N m].
+        """Return the rms torque errors of each joint before and after, shape (joints,) each [N m].
 
-        Before: logged torque minus that of the bodies along the commands; after: minus the replayed
-        one. None where no torque was logged, nor a current with a declared torque constant.
+        Before is logged torque minus that of the bodies along the commands, after is logged minus
+        replayed torque. None where no torque was logged, nor a current with a declared torque
+        constant.
         """
         logged = [torque_of(run, arm_of(self.response.dynamics.given)) for run in self.runs]
         if self.response.torque_terms is None or any(each is None for each in logged):
@@ -101,19 +105,19 @@ class Replay(Result):
 
     @cached_property
     def effects(self) -> EffectTable:
-        """Return the rms errors of replays with one effect taken out at a time."""
+        """Return the rms errors of replays with one effect removed at a time."""
         return effect_table(self.runs, self.predicted, self.responses, self.before)
 
     @cached_property
     def moves(self) -> Array:
-        """Return which joints move, boolean, shape (joints,)."""
+        """Return the mask of the joints whose commands move them, shape (joints,)."""
         spans = [np.ptp(run.command, axis=0) for run in self.runs if run.command is not None]
         return np.asarray(np.max(spans, axis=0) > MIN_COMMAND_SPAN_RAD)
 
     def residual(self, run: int, *, before: bool) -> Array:
-        """Return reading minus command, or minus prediction, of a run, (rows, joints) [rad].
+        """Return reading minus command, or reading minus prediction, shape (rows, joints) [rad].
 
-        before : whether the command is subtracted
+        run : index of the run; before : whether the command is subtracted
         """
         log = self.runs[run]
         assert log.command is not None
@@ -122,7 +126,8 @@ class Replay(Result):
     def by_time(self) -> tuple[Array, Mapping[str, Array]]:
         """Return the centres of `TIME_CELLS` cells of the time of all runs [s], and rms errors.
 
-        The rms errors before and after have shape (TIME_CELLS, joints) [rad].
+        The rms errors "before" (reading minus command) and "after" (minus prediction) have shape
+        (TIME_CELLS, joints) [rad], NaN in empty cells.
         """
         ends = np.cumsum([0.0, *(float(run.time[-1] - run.time[0]) for run in self.runs)])
         t = np.concatenate([run.time - run.time[0] + a for run, a in zip(self.runs, ends, strict=False)])
@@ -139,7 +144,7 @@ class Replay(Result):
 
     @cached_property
     def friction_samples(self) -> tuple[Array, Array]:
-        """Return speed [rad/s] and friction torque [N m] of all samples, shapes (rows, joints).
+        """Return speed [rad/s] and friction torque [N m] of all samples, shapes (samples, joints).
 
         Friction is the servo's torque minus gravity, constant torque and inertia.
         """
@@ -147,12 +152,15 @@ class Replay(Result):
         return np.concatenate([v for v, _ in parts]), np.concatenate([torque for _, torque in parts])
 
     def _rms(self, angles: Sequence[Array]) -> Array:
-        """Return the rms of reading minus given angles of all runs, shape (joints,) [rad]."""
+        """Return the rms over all runs of reading minus given angles, shape (joints,) [rad].
+
+        angles : of each run, shape (rows, joints) [rad]
+        """
         residual = np.concatenate([run.position - own for run, own in zip(self.runs, angles, strict=True)])
         return np.asarray(np.sqrt(np.nanmean(residual**2, axis=0)))
 
     def blocks(self) -> list[Block]:
-        """Return the report of the replay: verdict, tables, joints that did not move, figures."""
+        """Return the report of the replay as blocks: verdict, tables, unmoved joints, figures."""
         joints = self.runs[0].joints
         before, after = (1e3 * float(np.sqrt((v**2).mean())) for v in (self.before, self.after))
         return self._report_blocks(
@@ -195,7 +203,7 @@ class Replay(Result):
         yield Table(title, columns, drives, frozenset(range(1, 8)))
 
     def files(self, folder: str | Path) -> Mapping[Path, str]:
-        """Return the files that are written: plain data, report, and the robot with its drives."""
+        """Return the text of each file by path: plain data, report, and robot with its drives."""
         comment = "[drive]: response of the joints to their commands, by casadical diagnose"
         made = to_toml(self.response.robot(), comment)
         return {**super().files(folder), Path(folder) / "diagnosed.robot.toml": made}
@@ -208,11 +216,12 @@ def replayed(
     show: Show = silent,
     against: Sequence[Path] = (),
 ) -> Replay:
-    """Identify the response of each joint from some logs, and replay runs that were not fitted.
+    """Return runs replayed by the response of each joint that is identified from other runs.
 
-    withheld : logs that are not fitted; if there are none, the runs are withheld in turn, and a
+    logs : logs from which the response is identified
+    withheld : logs that are replayed only; if there are none, the runs are held out in turn, and a
         single run is replayed by its own fit
-    against : files of parameters that are replayed beside the response (see `arbitrated`)
+    against : files of published parameters that are replayed, too (see `arbitrated`)
     Raises InputError: logs without commands or without a run of two seconds.
     """
     show("response of each joint")
@@ -233,7 +242,10 @@ def replayed(
 
 
 def replay_figures(replay: Replay) -> Iterator[Figure]:
-    """Yield the figures: the run with the largest error before, the map of all runs, friction."""
+    """Yield the figures: errors and hysteresis of the worst run, maps of all runs, and friction.
+
+    The worst run is that with the largest mean square of reading minus command.
+    """
     run = best_of(range(len(replay.runs)), lambda k: float(np.nanmean(replay.residual(k, before=True) ** 2)))
     log, command, source = replay.runs[run], replay.runs[run].command, replay.runs[run].source
     assert command is not None
@@ -261,7 +273,8 @@ def _panels(
 ) -> Figure:
     """Return a figure with a panel for each joint that moved, two in a row.
 
-    drawn : (joint, panel number) -> its lines
+    moved : mask of these joints; x, y : titles of the axes
+    drawn : function of joint (0-based) and panel that returns its lines
     """
     joints = np.flatnonzero(moved).tolist()
     series = [s for panel, j in enumerate(joints) for s in drawn(j, panel)]
@@ -273,9 +286,9 @@ def _panels(
 
 
 def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list[Series]:
-    """Return two lines of a panel, thinned: readings in grey, predictions in blue.
+    """Return two thinned lines of a panel, the first in grey, the second in blue.
 
-    x : shape (n,); lines : by name, shape (n, joints)
+    x : shape (n,); lines : values by name of the line, shape (n, joints); joint : 0-based
     """
     some = slice(None, None, max(1, len(x) // MAX_LINE_POINTS))
     styles: tuple[dict[str, Any], ...] = ({"colour": "grey", "width": 1}, {"colour": "blue", "width": 1.4})
@@ -286,7 +299,10 @@ def _lines(x: Array, lines: Mapping[str, Array], joint: int, panel: int) -> list
 
 
 def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
-    """Return the 10 to 90 % band of friction over speed, and the identified friction curve."""
+    """Return the 10 to 90 % band of friction [N m] over speed, and the identified friction curve.
+
+    j : joint, 0-based; panel : index of the panel
+    """
     v, torque = replay.friction_samples
     v, torque = v[:, j], torque[:, j]
     largest = float(np.quantile(np.abs(v), 0.99)) + 1e-6
@@ -306,7 +322,7 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
 
 
 def _maps(replay: Replay) -> Iterator[Figure]:
-    """Yield maps of each joint's rms error over time, before and after, on one scale."""
+    """Yield the maps of each joint's rms error [mrad] over time, before and after, on one scale."""
     time, cells = replay.by_time()
     largest = 1e3 * float(np.nanmax(cells["before"], initial=0.0))
     joints = replay.runs[0].joints

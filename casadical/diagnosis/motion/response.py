@@ -32,47 +32,49 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-PIECE_DURATION_S = 30.0  # runs are fitted in pieces of about this duration [s]
-# Prior standard deviation of the logarithm of the compliance, which is one over the servo's gain
-# [rad/(N m)].
+PIECE_DURATION_S = 30.0  # runs are divided into pieces of about this duration for the fit [s]
+# Prior standard deviation of the logarithm of a servo's compliance, one over its gain.
 SIGMA_LOG_COMPLIANCE = 0.5
 SIGMA_LOG_DECLARED_GAIN = 0.1  # prior standard deviation of the logarithm of a declared gain
-# Prior standard deviation of the logarithm of a gain found from logged torques.
+# Prior standard deviation of the logarithm of a gain estimated from logged torques.
 SIGMA_LOG_MEASURED_GAIN = 0.02
 SIGMA_LOG_FRICTION = 1.5  # prior standard deviation of the logarithm of dry friction / gain
 # Prior standard deviation of the logarithms of damping / gain, inertia / gain and delay.
 SIGMA_LOG_TIMES = 1.5
-# A joint whose gravity torque is below this share of the largest one cannot show its compliance.
+# A joint is lightly loaded if its rms gravity torque, divided by the largest one of all joints, is
+# below this: its log cannot show the compliance.
 LIGHT_LOAD_SHARE = 0.1
-# Prior standard deviation of a lightly loaded joint's log gain, around the others'.
+# Prior standard deviation of the logarithm of a lightly loaded joint's gain, about the median one.
 SIGMA_LOG_LIGHT_GAIN = 0.25
 TYPICAL_LAG_S = 0.05  # prior mean of damping / gain [s]
 TYPICAL_INERTIA_S2 = 0.002  # prior mean of inertia / gain [s^2]
 TYPICAL_DELAY_S = 0.02  # prior mean of the command's delay [s]
 SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
-# Share of the samples that count as independent, as noise is correlated.
+# Fraction of the samples that count as independent, as noise is correlated.
 INDEPENDENT_SAMPLE_SHARE = 0.05
-OUTLIER_SIGMAS = 3.0  # residuals beyond so many standard deviations get less weight (pseudo-Huber)
-NOISE_ROUNDS = 4  # number of times that the noise is estimated again
+# Residuals beyond this many standard deviations get less weight (pseudo-Huber).
+OUTLIER_SIGMAS = 3.0
+NOISE_ROUNDS = 4  # number of rounds of the fit, each with the noise re-estimated
 MAX_STEPS_PER_ROUND = 6  # largest number of Levenberg-Marquardt steps with one noise
 MIN_COST_DECREASE = 1e-3  # relative decrease of the cost below which a round ends
-DIFFERENCE_STEP = 1e-4  # step of finite differences, in the parameters' own units
-# Decimals to which a step is rounded. Where the cost has kinks (a delay that passes a sample, a
-# joint that sticks), steps amplify rounding errors, and processors would arrive at different
-# parameters.
+DIFFERENCE_STEP = 1e-4  # step of finite differences of the parameters, logarithms or [rad]
+# Decimals to which a Levenberg-Marquardt step is rounded. Where the cost has kinks (a delay that
+# passes a sample, a joint that sticks), steps amplify rounding errors, and processors would arrive
+# at different parameters.
 STEP_DECIMALS = 6
 # A joint whose commands span less than this [rad] carries no information on its response.
 MIN_COMMAND_SPAN_RAD = 0.02
-# Prior standard deviation of the log parameters of a joint that does not move.
+# Prior standard deviation of the logarithmic parameters of a joint that does not move.
 SIGMA_LOG_UNMOVED = 0.05
-# Correlation above which a logged torque counts as proportional to the position error.
+# Correlation coefficient above which a logged torque counts as proportional to the position error.
 MIN_SERVO_CORRELATION = 0.95
-# Delays of the command [s] that are tried to make torque and position error proportional.
+# Candidate delays of the command [s], of which that with the largest correlation of torque and
+# position error is used.
 TRIED_DELAYS_S = (0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.06)
-SLIDING_SPEED_RAD_S = 0.01  # speed [rad/s] scale of the smoothed sign of dry friction
+SLIDING_SPEED_RAD_S = 0.01  # scale of the speed in the smoothed sign of dry friction, tanh [rad/s]
 MIN_TORQUE_ROWS = 20  # smallest number of rows of a run from which torque terms are fitted
-MIN_NOISE_RAD = 5e-4  # smallest standard deviation of a residual [rad]
-MIN_ROTOR_SHARE = 0.05  # smallest share of a joint's inertia that is its rotor's
+MIN_NOISE_RAD = 5e-4  # added to the estimated standard deviation of a joint's residual [rad]
+MIN_ROTOR_SHARE = 0.05  # smallest rotor inertia, divided by the joint's inertia
 # Number of parameters of each joint: logarithm of the compliance, offset, logarithms of friction,
 # damping and inertia (all three divided by the gain) and of the delay.
 PARAMETERS_PER_JOINT = 6
@@ -83,7 +85,8 @@ _LOG_PARAMETERS = [0, 2, 3, 4, 5]  # indices of a joint's parameters that are lo
 class Piece:
     """Uniform samples of a part of a run.
 
-    command, position : shape (samples, joints) [rad]; step : between samples [s]
+    command, position : commanded and measured angles, shape (samples, joints) [rad]
+    step : time between samples [s]
     """
 
     command: Array
@@ -93,20 +96,24 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Identified response of all joints to their commands, each field of shape (joints,), in SI.
+    """Identified response of all joints to their commands; fields have the shape (joints,).
 
-    gain : of the servo [N m/rad]; bias : a constant torque [N m]; friction : dry [N m]; damping [N
-        m s/rad]
-    inertia : of the joint, rotor included [kg m^2]; delay [s]
+    dynamics : inverse dynamics of the robot
+    gain : gain of the servo [N m/rad]; bias : constant torque [N m]; friction : dry friction [N m]
+    damping : viscous damping [N m s/rad]; delay : delay of the command [s]
+    inertia : inertia of the joint, rotor included [kg m^2]
     fitted : sources of the logs
-    moved : which joints moved in them; the others have the typical response of the priors
-    torque_terms : of logged torques beyond the bodies': dry friction, viscous friction, rotor,
-        constant, shape (joints, 4); None without a logged torque
-    floor : surface that the tool came to rest on, or None
+    moved : mask of the joints that moved in them; the others have the typical response of the
+        priors
+    torque_terms : coefficients, shape (joints, 4), of logged torques beyond the bodies': dry
+        friction [N m], viscous friction [N m s/rad], rotor [kg m^2], constant [N m]; None without
+        a logged torque
+    floor : surface on which the tool came to rest, or None
     gravity : whether gravity loads the joints
-    log_values, log_covariance : logarithms of the gain, of friction, damping and inertia divided by
-        it, and of the delay, shape (joints, 5), with the covariance of each joint's
-    log_widths : prior standard deviations of these, shape (joints, 5)
+    log_values : natural logarithms of gain, friction / gain, damping / gain, inertia / gain and
+        delay [SI], shape (joints, 5)
+    log_covariance : their covariance for each joint, shape (joints, 5, 5)
+    log_widths : their prior standard deviations, shape (joints, 5)
     """
 
     dynamics: Dynamics
@@ -126,9 +133,9 @@ class Response:
     log_widths: Array | None = None
 
     def predicted(self, log: JointLog) -> Array:
-        """Return a log's positions predicted from its commands, shape (rows, joints) [rad].
+        """Return the positions simulated from a log's commands, shape (rows, joints) [rad].
 
-        Each run begins at its first reading.
+        Each run begins at its first reading; no later reading is used.
         """
         out = []
         for run in log.runs():
@@ -145,10 +152,12 @@ class Response:
         return np.concatenate(out)
 
     def torques(self, run: JointLog, position: Array) -> tuple[Array, Array]:
-        """Return the drives' torques in a run, along its command and along the replay [N m].
+        """Return the drives' torques in a run, along its command and along its replay [N m].
 
-        Both have shape (rows, joints). The first are those of the bodies alone; the second, at the
-        angles `position` of the replay, include the `torque_terms` of the fitted logs.
+        Both have shape (rows, joints). The first are those of the bodies alone; the second include
+        the `torque_terms`.
+
+        position : angles of the replay, shape (rows, joints) [rad]
         """
         assert self.torque_terms is not None
         assert run.command is not None
@@ -157,9 +166,9 @@ class Response:
         return bodies, moved + (terms * self.torque_terms).sum(axis=2)
 
     def friction_of(self, run: JointLog) -> tuple[Array, Array]:
-        """Return speed [rad/s] and friction torque [N m] of a run, from the servo's equation.
+        """Return speed [rad/s] and friction torque [N m] in a run, from the servo's equation.
 
-        Both have shape (samples, joints).
+        Both have shape (samples, joints), at uniform times.
         """
         (piece,) = pieces_of(run, np.inf)
         q = smoothed(piece.position, np.hanning(9)[1:-1] / 4)
@@ -170,14 +179,15 @@ class Response:
         return v, self.gain * (wanted - q) - load - self.bias - inertia
 
     def robot(self) -> Robot:
-        """Return the robot with these drives."""
+        """Return the given robot with the identified parameters as its drives."""
         return replace(self.dynamics.given, drive=self.drive())
 
     @cached_property
     def armature(self) -> Array:
         """Return the rotor inertia at each joint, shape (joints,) [kg m^2].
 
-        It is the joint's inertia minus that of the links in the middle of their range.
+        It is the joint's inertia minus that of the links with all joints in the middle of their
+        ranges, and at least `MIN_ROTOR_SHARE` of the former.
         """
         d, n = self.dynamics, len(self.gain)
         middle, none = np.tile(np.mean(d.robot.limits, axis=0), (n, 1)), np.zeros((n, n))
@@ -185,7 +195,7 @@ class Response:
         return np.asarray(np.maximum(self.inertia - links, MIN_ROTOR_SHARE * self.inertia))
 
     def drive(self) -> Drive:
-        """Return the table [drive] of the robot file with the identified parameters."""
+        """Return the drive of the given robot with the identified parameters, to four digits."""
         numbers = {
             "kp": self.gain, "bias": self.bias, "friction": self.friction, "damping": self.damping,
             "rotor_inertia_at_joint": self.armature, "delay": self.delay,
@@ -197,8 +207,10 @@ class Response:
 
 
 def pieces_of(run: JointLog, length: float = PIECE_DURATION_S) -> list[Piece]:
-    """Return a run in uniform samples, in pieces of some length [s]; none if under two seconds.
+    """Return a run resampled at uniform times and divided into pieces of about equal length.
 
+    length : duration of a piece [s]; infinite: one piece. Else runs of less than two seconds give
+        no piece
     Raises InputError: the run has no commands.
     """
     if run.command is None:
@@ -215,7 +227,7 @@ def pieces_of(run: JointLog, length: float = PIECE_DURATION_S) -> list[Piece]:
 
 
 def _midpoints(values: Array) -> Array:
-    """Return the means of successive rows."""
+    """Return the means of each row and the next one, shape (rows - 1, ...)."""
     return np.asarray((values[1:] + values[:-1]) / 2)
 
 
@@ -223,13 +235,15 @@ def simulated(
     balance: Iterable[Array], steps: int, start: Array, step: Array, friction: Array, lag: Array, inertia: Array,
     floor: Floor | None = None, gain: Array | None = None,
 ) -> Array:  # fmt: skip
-    """Return simulated joint angles, shape (1 + steps, ...) [rad], from the first ones, `start`.
+    """Return simulated joint angles, shape (1 + steps, ...) [rad]; the first ones are `start`.
 
-    balance : angle [rad] at which each joint would come to rest, in the middle of each step; arrays
-        (...) that may be changed
-    friction [rad], lag [s], inertia [s^2] : divided by the servo's gain; step : between samples [s]
-    floor : surface that the tool stays above, of one run alone, shape (n, joints), with the gains
-        [N m/rad]
+    balance : for each step the angle [rad] at which each joint would come to rest, in the middle of
+        the step; arrays (...) that are overwritten
+    step : time between samples [s]
+    friction, lag, inertia : dry friction [rad], damping [s] and inertia [s^2], divided by the
+        servo's gain
+    floor : surface above which the tool stays, for arrays of shape (joints,) only; then `gain` is
+        needed [N m/rad]
     """
     keeps, gives = 2 * inertia / step, 1 / (2 * inertia / step + lag + step / 2)
     shape = np.broadcast_shapes(start.shape, gives.shape)
@@ -237,9 +251,9 @@ def simulated(
     pushed, resisted, lower = 0.0, np.empty(shape), -friction
 
     def slid(push: Array) -> Array:
-        """Turn torques over the gain, `push`, in place into the mean joint velocities of a step.
+        """Return the mean joint velocities in a step, computed in place of `push` [rad/s].
 
-        Dry friction takes off up to its limit.
+        push : torques divided by the gain [rad]; dry friction reduces them by up to its limit
         """
         np.minimum(push, friction, out=resisted)
         np.maximum(resisted, lower, out=resisted)
@@ -265,12 +279,14 @@ def simulated(
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Pieces of runs side by side, shape (steps, pieces, joints), with priors of the parameters.
+    """Pieces of runs in arrays (steps, pieces, joints), with priors of the parameters.
 
-    command, position : [rad]; weight : 0 behind a piece's end; load : gravity torque along the
-        command [N m]
-    step : between samples, shape (pieces, joints) [s]
-    middle, width : prior means and standard deviations, shape (joints, PARAMETERS_PER_JOINT)
+    command, position : commanded and measured angles [rad]
+    weight : weight of each sample, 0 behind a piece's end
+    load : gravity torque along the command [N m]
+    step : time between samples, shape (pieces, joints) [s]
+    middle, width : prior means and standard deviations of the parameters in the order described at
+        `PARAMETERS_PER_JOINT`, shape (joints, PARAMETERS_PER_JOINT)
     """
 
     command: Array
@@ -282,10 +298,12 @@ class _Problem:
     width: Array
 
     def angles(self, x: Array) -> Array:
-        """Return simulated angles of parameter variants, (steps, pieces, joints, variants) [rad].
+        """Return simulated angles for variants of the parameters.
 
-        x : shape (joints, PARAMETERS_PER_JOINT, variants), of which only the last one may have
-            another delay
+        Their shape is (steps, pieces, joints, variants) [rad].
+
+        x : parameters, shape (joints, PARAMETERS_PER_JOINT, variants); all variants but the last
+            one must have equal delays
         """
         x = x.copy()
         x[:, _LOG_PARAMETERS] = np.exp(x[:, _LOG_PARAMETERS])
@@ -311,7 +329,9 @@ class _Problem:
         )
 
     def residual(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals (steps, pieces, joints) [rad], and the angles' derivatives (..., 6).
+        """Return measured minus simulated angles, and the latter's derivatives by the parameters.
+
+        Shapes are (steps, pieces, joints) [rad] and (steps, pieces, joints, PARAMETERS_PER_JOINT).
 
         x : parameters, shape (joints, PARAMETERS_PER_JOINT)
         """
@@ -322,9 +342,9 @@ class _Problem:
 
 
 def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
-    """Return the response of each joint, identified from each of several sets of logs.
+    """Return the response of all joints identified from each set of logs, one for each set.
 
-    All sets are simulated side by side, which costs little more than one.
+    All sets are simulated together, which costs little more than one.
 
     parts : sets of logs
     Raises InputError: logs without commands, or without a run of two seconds.
@@ -351,7 +371,7 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
 
 
 def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> list[tuple[Array, Array, Floor | None]]:
-    """Return for each problem the parameters of all joints, the covariance of `log_values`, a surface.
+    """Return for each problem the parameters of all joints, `log_covariance`, and the surface.
 
     The surface is the one found in the logs, or else the one that the drives declare, or None.
     """
@@ -361,15 +381,16 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
     def solved(there: Mapping[int, Array], starts: Mapping[int, Array]) -> dict[int, tuple[Array, Array]]:
         """Return parameters and covariances of some problems, fitted to the samples off the surface.
 
-        there : number of the problem -> weight of each sample, off the surface or not; starts :
-            first parameters
+        there : by index of the problem, a mask of the samples off the surface, shape (steps,
+            pieces)
+        starts : initial parameters, by index of the problem
         """
         parts = [replace(problems[k], weight=problems[k].weight * rows[..., None]) for k, rows in there.items()]
         both = _solved(_together(parts), np.concatenate([starts[k] for k in there]))
         return dict(zip(there, zip(*(np.split(each, len(parts)) for each in both), strict=True), strict=True))
 
     def surface(k: int) -> Floor | None:
-        """Return the surface that problem k shows with its present parameters, or None."""
+        """Return the surface found from problem k with its present parameters, or None."""
         p, seen = problems[k], problems[k].weight[..., 0] > 0
         return floor_of(dynamics, p.position[seen], p.angles(x[k][0][:, :, None])[..., 0][seen])
 
@@ -390,7 +411,10 @@ def _solved_with_floors(dynamics: Dynamics, problems: Sequence[_Problem]) -> lis
 
 
 def _together(problems: Sequence[_Problem]) -> _Problem:
-    """Return several problems as one with all their joints; padding has no weight."""
+    """Return several problems as one, concatenated along the axis of the joints.
+
+    Steps and pieces are padded, with weight zero.
+    """
     steps, pieces = (max(p.command.shape[k] for p in problems) for k in (0, 1))
 
     def wide(of: Callable[[_Problem], Array]) -> Array:
@@ -406,10 +430,12 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
 
 
 def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:
-    """Return the bodies' torque along a motion, and the variables of friction, rotor and offset.
+    """Return the bodies' torque along a motion, and the variables of `Response.torque_terms`.
 
-    position : at the times of the run, shape (rows, joints) [rad]; returns shapes (rows, joints) [N
-        m] and (rows, joints, 4)
+    Shapes are (rows, joints) [N m] and (rows, joints, 4): smoothed sign of the speed, speed
+    [rad/s], acceleration [rad/s^2] and one.
+
+    position : angles at the times of the run, shape (rows, joints) [rad]
     """
     q = smoothed(position, smoothing_kernel(run.step))
     v = np.gradient(q, run.time, axis=0)
@@ -440,14 +466,15 @@ def _torque_terms_of(arm: Arm, runs: Sequence[JointLog], floor: Floor | None) ->
 
 
 def _moves(pieces: Sequence[Piece]) -> Array:
-    """Return which joints had commands that moved them, boolean, shape (joints,)."""
+    """Return the mask of the joints whose commands moved them, shape (joints,)."""
     return np.asarray(np.max([np.ptp(piece.command, axis=0) for piece in pieces], axis=0) > MIN_COMMAND_SPAN_RAD)
 
 
 def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
-    """Return gains (joints,) [N m/rad] from torques that are proportional to the position error.
+    """Return the servos' gains estimated from logged torques, shape (joints,) [N m/rad].
 
-    They are NaN where logged torques are not proportional to it.
+    They are the ratio of torque to position error, NaN where the two are not proportional or no
+    torque [N m] was logged.
     """
     runs = [r for r in runs if r.step]
     torques = [None if r.torque is None and arm.per_ampere is None else torque_of(r, arm) for r in runs]
@@ -465,7 +492,7 @@ def _gains_by_torque(runs: Sequence[JointLog], arm: Arm) -> Array:
 def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array) -> _Problem:
     """Return the problem of some pieces, with priors from the robot's drives and from the data.
 
-    measured_gains : as of `_gains_by_torque`
+    measured_gains : as of `_gains_by_torque`, shape (joints,) [N m/rad]
     """
     n, longest = dynamics.robot.n, max(len(piece.command) for piece in pieces)
     command, position, weight = (np.zeros((longest, len(pieces), n)) for _ in range(3))
@@ -519,7 +546,7 @@ def _problem(dynamics: Dynamics, pieces: Sequence[Piece], measured_gains: Array)
 def _solved(p: _Problem, start: Array) -> tuple[Array, Array]:
     """Return the parameters of least cost, (joints, PARAMETERS_PER_JOINT), and `log_covariance`.
 
-    Joints are independent of each other.
+    Joints are independent of each other. start : initial parameters
     """
     x, damping = start.round(STEP_DECIMALS), np.full(len(start), 1e-3)
     residual, slope = p.residual(x)
@@ -550,7 +577,11 @@ def _solved(p: _Problem, start: Array) -> tuple[Array, Array]:
 
 
 def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:
-    """Return the cost of each joint, shape (joints,): pseudo-Huber residuals and priors."""
+    """Return the cost of each joint, shape (joints,): pseudo-Huber residuals and priors.
+
+    residual : shape (steps, pieces, joints) [rad]; sigma : noise, shape (joints,) [rad]
+    x : parameters
+    """
     rows = p.weight * 2 * OUTLIER_SIGMAS**2 * (np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2) - 1)
     return np.asarray(INDEPENDENT_SAMPLE_SHARE * rows.sum(axis=(0, 1)) + (((x - p.middle) / p.width) ** 2).sum(axis=1))
 
@@ -558,7 +589,7 @@ def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:
 def _normal(p: _Problem, sigma: Array, x: Array, residual: Array, slope: Array) -> tuple[Array, Array]:
     """Return the normal equations of each joint, H (joints, 6, 6) and b (joints, 6).
 
-    Outliers have less weight.
+    Priors are included; outliers have less weight. residual, slope : as of `_Problem.residual`
     """
     n = residual.shape[2]
     weight = INDEPENDENT_SAMPLE_SHARE * p.weight / (sigma**2 * np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2))

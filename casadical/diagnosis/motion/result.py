@@ -30,22 +30,24 @@ from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Variables over which the region of a joint's largest residual is reported.
+# Names of the variables of `MotionCase.region_values`, over which the region of a joint's largest
+# residual is reported.
 REGION_VARIABLES = ("angle", "speed", "load", "time")
 REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
-MIN_REGION_RATIO = 1.5  # ratio of a range's rms residual to the overall one, to be reported
-MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of what fits
-MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in the table of what fits
+# A range is reported if its rms residual exceeds the overall one by this factor.
+MIN_REGION_RATIO = 1.5
+MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of probable causes
+MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 
 
 @dataclass(frozen=True, eq=False)
 class LogDiagnosis(Result):
     """Diagnosis of a joint log: verdict, causes, residuals.
 
-    log : the diagnosed one; arm : its bodies and drives; outcome : of the search
-    faults : of the log itself; reference : source of the healthy log, empty without one
-    contradictions : between the log and the robot file
-    determined : inertial parameters that the motion determines
+    log : the diagnosed log; arm : bodies and drives of the arm; outcome : result of the search
+    faults : faults of the log itself; reference : source of the healthy log, empty without one
+    contradictions : sentences on contradictions between the log and the robot file
+    determined : names of the inertial parameters that the motion determines
     changes : most probable change of each joint's response since the reference
     """
 
@@ -85,19 +87,22 @@ class LogDiagnosis(Result):
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Return causes that pass all tests of `Found.named`; none if the log itself is faulty."""
+        """Return the causes that pass the tests of `Found.named`; () if the log itself is faulty."""
         return () if self.faults else tuple(f for f in self.outcome.found if f.named)
 
     @property
     def changed(self) -> tuple[Change, ...]:
-        """Return the clear changes since the reference, hints as yet; none if the log is faulty."""
+        """Return the clear changes since the reference; () if the log itself is faulty.
+
+        They are reported as hints, not as causes.
+        """
         return () if self.faults else tuple(clear_changes(self.changes))
 
     @property
     def verdict(self) -> str:
-        """Return explained (by causes or log faults), ambiguous, unknown, or none.
+        """Return "explained" (by faults of the log), "ambiguous", "unknown" or "none".
 
-        unknown : the log shows more than a usual arm, but no cause is named
+        It is unknown if the log shows more than a usual arm, as no causes of the arm are named.
         """
         if self.faults:
             return "explained"
@@ -105,10 +110,10 @@ class LogDiagnosis(Result):
         return verdict if verdict in ("none", "ambiguous") and not self.fitting and not self.changed else "unknown"
 
     def gap(self) -> tuple[Array, Array, Array]:
-        """Return each joint's rms residual: model alone, base fitted, causes too [A, N m or rad].
+        """Return the rms residuals of each joint, of three models, shape (joints,) each.
 
-        It is that of torques where they were logged, otherwise of the position error; shape
-        (joints,).
+        The models are the nominal one, the fitted base, and base with causes. Residuals are those
+        of torques [A or N m] where they were logged, otherwise of the position error [rad].
         """
         case, columns = self.outcome.case, cause_columns(self.outcome.case, self.outcome.found)
         residual = (case.residual(own, *case.fitted(own)) for own in (NO_COLUMNS, columns))
@@ -116,9 +121,10 @@ class LogDiagnosis(Result):
         return nominal, before, after
 
     def gap_unfitted(self) -> tuple[Array, Array]:
-        """Return each joint's rms residual in runs that were not fitted: base alone, causes too.
+        """Return the rms residuals of each joint in held-out runs, of two models, (joints,) each.
 
-        Each run is predicted by a fit to the others (or to other parts of one run).
+        The models are the fitted base, and base with causes; units are those of `gap`. Each run is
+        predicted by a fit to the others (or to other parts of one run).
         """
         case = self.outcome.case
         before, after = (
@@ -127,7 +133,7 @@ class LogDiagnosis(Result):
         return before, after
 
     def payload(self) -> tuple[float, float] | None:
-        """Return the mass at the flange beyond the declared one, and its standard deviation [kg].
+        """Return the mass at the flange minus the declared payload, and its standard error [kg].
 
         None where payload is no candidate.
         """
@@ -142,7 +148,7 @@ class LogDiagnosis(Result):
         return known_digits(mass, error, 4), known_digits(error, error, 4)
 
     def blocks(self) -> list[Block]:
-        """Return the report of the diagnosis."""
+        """Return the report of the diagnosis as blocks of sentences and tables."""
         case, found = self.outcome.case, self.outcome.found
         said = [f.sentence for f in self.faults] + [change.words for change in self.changed]
         if not self.changed and self.outcome.verdict != "none":
@@ -161,7 +167,7 @@ class LogDiagnosis(Result):
         )
 
     def _gap_table(self) -> Table:
-        """Return the table of each joint's residuals, and of where they are largest."""
+        """Return the table of each joint's rms residuals, and of the region of the largest ones."""
         nominal, before, after = self.gap()
         (_, held_out), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
         factor = 1.0 if self.outcome.case.unit else 1e3
@@ -175,11 +181,14 @@ class LogDiagnosis(Result):
 
     @cached_property
     def torques(self) -> Mapping[str, Array] | None:
-        """Return what each model leaves of a logged torque in thirds that were not fitted [N m]."""
+        """Return the rms torque error of each joint by model in held-out thirds of runs [N m].
+
+        See `torque_table`; None without torques.
+        """
         return torque_table(self.log, self.arm)
 
     def _torque_table(self) -> Iterator[Table]:
-        """Yield the table of what each model leaves of a logged torque, if one was logged."""
+        """Yield the table of the rms torque errors by model, if torques were logged."""
         if self.torques:
             rows = [(name, *(f"{v:.3g}" for v in rms)) for name, rms in self.torques.items()]
             title = "Torque that each model leaves, rms of each joint [N m], each third of a run by a fit to the others"
@@ -187,9 +196,9 @@ class LogDiagnosis(Result):
             yield Table(title, ("model", *names), rows, frozenset(range(1, 1 + self.arm.joints)))
 
     def _where(self, j: int) -> str:
-        """Return where the base's residual of joint j is largest, over angle, speed, load or time.
+        """Return the range of angle, speed, load or time with the largest residual of joint j.
 
-        "" if it is about equal everywhere.
+        It is a text, "" if the base's residual is about equal everywhere. j : 0-based
         """
         case = self.outcome.case
         residual = case.residual(NO_COLUMNS, *case.fitted(NO_COLUMNS))[case.of_log, j] ** 2
@@ -204,7 +213,7 @@ class LogDiagnosis(Result):
         return worst[1] if worst[0] > MIN_REGION_RATIO else ""
 
     def _fits(self) -> Table:
-        """Return the table of the causes that fit best, and none, each with its probability."""
+        """Return the table of the most probable causes, and of none, each with its probability."""
         ranking, case = self.outcome.rankings[0], self.outcome.case
         rows = [
             (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(case, label))
@@ -217,7 +226,10 @@ class LogDiagnosis(Result):
 
     @cached_property
     def figures(self) -> dict[str, Any]:
-        """Return the rms errors of the whole log and of each joint."""
+        """Return the rms residuals of all joints ("gap") and of each ("joints") as plain data.
+
+        Units are those of the method `gap`.
+        """
         (nominal, before, after), held_out = self.gap(), self.gap_unfitted()
         total = {"before": np.sqrt((before**2).mean()), "after": np.sqrt((after**2).mean())}
         names = ("joint", "model", "usual", "after", "usual_left_out", "after_left_out")
@@ -229,25 +241,25 @@ class LogDiagnosis(Result):
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Return the faults of the log itself, the only causes that are named as yet."""
+        """Return the faults of the log itself as plain data; no other causes are named."""
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
         return faults
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
-        """Return the ten most probable causes of the first step."""
+        """Return the ten most probable first causes as plain data, with log evidence [nats]."""
         first = self.outcome.rankings[0]
         return [{**_plain(k, first.probability[k]), "log_evidence": first.log_factor[k]} for k in first.order[:10]]
 
 
 def _plain(label: str, probability: float) -> dict[str, Any]:
-    """Return a cause as plain data: effect, joint and probability."""
+    """Return a cause as a dict with the keys effect, joint (1-based or None) and probability."""
     name, _, joint = label.partition("@")
     return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
 
 
 def in_words(case: MotionCase, label: str) -> str:
-    """Return a cause in words."""
+    """Return a text on how the cause of a label appears in data, with its joint."""
     candidate = case.by_label[label]
     if not candidate.listed:
         return f"on no list: {label}"
@@ -256,7 +268,7 @@ def in_words(case: MotionCase, label: str) -> str:
 
 
 def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
-    """Yield what such a log cannot show, and what to log for it.
+    """Yield sentences on causes that such a log cannot show, and on what to log for them.
 
     compared : whether there is a reference
     """
@@ -288,12 +300,12 @@ def diagnose_log(
     healthy: Robot | None = None,
     own: Sequence[Cause] = (),
 ) -> LogDiagnosis:
-    """Return the causes for which an arm moves differently from its model, from a joint log.
+    """Return the diagnosis of a joint log: why an arm moves differently from its model.
 
-    robot : with masses, and what is declared of its drives
-    log : of one arm, with the commands, or a torque or current, or both
-    reference : of the same arm in health on another day: what differs from it by more than a day's
-        friction is a cause
+    robot : model with masses, and the declared properties of its drives
+    log : log of one arm, with commands, or a torque or current, or both
+    reference : log of the same arm in health on another day: differences from it that exceed those
+        from day to day are causes
     show : called with a line of progress
     healthy : robot of the reference, where it carried another payload
     own : causes in addition to the listed ones, such as an effect file defines (for torque or
@@ -316,8 +328,9 @@ def diagnose_log(
 def log_views_of(
     robot: Robot, log: JointLog, reference: JointLog | None = None, healthy: Robot | None = None
 ) -> tuple[LogView, ...]:
-    """Return the views of a log, and of its reference after it.
+    """Return residuals and variables of a log and, if there is one, of its reference.
 
+    healthy : robot of the reference; None: the same
     Raises InputError: other joints than the robot has, or neither a torque nor commands.
     """
     arm = arm_of(robot)
@@ -336,7 +349,10 @@ def log_views_of(
         )
 
     def seen(one: JointLog, of: Arm, peak_torque: Array | None = None) -> LogView:
-        """Return one log through the arm's model, without torques that have no known unit."""
+        """Return residuals and variables of one log, without torques of unknown unit.
+
+        peak_torque : of each joint [N m]; None: from this log
+        """
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
         return log_view(

@@ -14,15 +14,16 @@ from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCas
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 
-# A first cause is assumed if "nothing" is less probable than this.
+# A first cause is detected if the posterior probability of no cause is at most this.
 MAX_NOTHING_PROBABILITY = 0.02
-# Size of a cause, relative to the residual where it acts, from which it counts as visible.
+# Rms effect of a cause, divided by the rms residual where it acts, from which it counts as visible.
 VISIBLE_SHARE = 0.5
-# Size, in units of VISIBLE_SHARE, from which a cause of the whole arm can be named, as no fault
-# of one joint resembles it.
+# Size, in units of VISIBLE_SHARE, from which a cause of the whole arm can be named (1 for that of a
+# joint), as no fault of one joint resembles it.
 ARM_VISIBLE_SHARE = 0.5
 MAX_CAUSES = 3  # largest number of causes that are searched for
-BASE_PRIOR_SIGMAS = 2.0  # a usual base is within so many standard deviations of its priors
+# Coefficients of a usual base are within this many prior standard deviations of their prior means.
+BASE_PRIOR_SIGMAS = 2.0
 # Smallest log evidence [nats] with which a listed cause enters the model.
 MIN_LISTED_EVIDENCE = 30.0
 # Smallest log evidence [nats] with which a contact enters the model: over its short time every
@@ -30,42 +31,46 @@ MIN_LISTED_EVIDENCE = 30.0
 MIN_LOCAL_EVIDENCE = 150.0
 # Smallest log evidence [nats] with which an unlisted cause enters the model.
 MIN_UNLISTED_EVIDENCE = 100.0
-# Factor of the smallest log evidence where no torque was logged: gain and friction of the servo
-# are less certain there.
+# Factor on the smallest log evidence where no torque was logged: gain and friction of the servo are
+# less certain there.
 NO_TORQUE_FACTOR = 2.5
 MIN_NAMED_EVIDENCE = 150.0  # smallest log evidence [nats] of a cause that is named
 MIN_RIVAL_MARGIN = 40.0  # margin [nats] by which a named cause must exceed the best unlisted one
-# Log evidence [nats] of a cause that is named without a margin over the best unlisted one, as
+# Log evidence [nats] from which a cause is named without a margin over the best unlisted one, as
 # some unlisted ones include every cause as one of their shapes.
 CLEAR_EVIDENCE = 500.0
-LOCAL_CAUSES = ("contact", "zero_offset_step")  # causes that are short in time
-# A cause that acts on one joint must have evidence in both directions of motion: friction in one
-# direction only is on no list. Exceptions are short in time, or act where a load pulls one way.
+LOCAL_CAUSES = ("contact", "zero_offset_step")  # causes that act in a part of one run only
+# Causes of one joint that may be named with evidence in one direction of motion only: they act for
+# a short time, or where a load pulls in one direction. All others need it in both directions.
 ONE_DIRECTION_CAUSES = (*LOCAL_CAUSES, "saturation")
-# Smallest gain of a cause on all runs that were not fitted, as a share of its log evidence.
+# Smallest gain of a cause on all held-out runs together, divided by its log evidence.
 MIN_HELD_OUT_SHARE = 0.1
-MIN_RUN_SHARE = 0.005  # smallest gain on the median held-out run, as a share of the log evidence
-# As MIN_HELD_OUT_SHARE, of a local cause, of which parts of one run are left out: they resemble
-# each other.
+MIN_RUN_SHARE = 0.005  # smallest gain on the median held-out run, divided by the log evidence
+# The same as MIN_HELD_OUT_SHARE for a local cause, for which interleaved parts are held out: they
+# resemble each other.
 MIN_HELD_OUT_SHARE_LOCAL = 0.5
-MIN_HELD_OUT_GAIN = 30.0  # smallest gain on all runs that were not fitted [nats]
+MIN_HELD_OUT_GAIN = 30.0  # smallest gain of a cause on all held-out runs together [nats]
 MIN_RUN_GAIN = 3.0  # smallest gain of a cause on the median held-out run [nats]
-INTERLEAVED_WINDOWS = 10  # windows that are left out together, of a cause in part of one run
-REJUDGED_CANDIDATES = 12  # best candidates that are judged again with the noise estimated anew
+INTERLEAVED_WINDOWS = 10  # number of consecutive windows that are held out together, local causes
+# Number of the best candidates that are ranked again with the noise re-estimated.
+REJUDGED_CANDIDATES = 12
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 
 
 @dataclass(frozen=True)
 class Found:
-    """A cause in the model, with what decides whether it is named.
+    """A cause in the model, with the quantities by which it is named or not.
 
-    label, variant : of the candidate; probability : given the causes found before
-    share : size beyond a usual base, relative to the residual, in units of what is visible
-    gain : log evidence [nats]; listed : whether it is on the list
-    held_out : gain on each run that was not fitted [nats]; rival : log evidence of the best
-        unlisted candidate
-    ways : gain while its joint moves up and down [nats], empty for a cause of several joints
-    before : largest gain of a cause in the model that acts on its joint, too [nats]
+    label, variant : label of the candidate, index of its variant
+    probability : its posterior probability given that there is a cause, with those found before in
+        the model
+    share : rms effect beyond a usual base, divided by the rms residual, in units of VISIBLE_SHARE
+    gain : log evidence [nats]; listed : whether it is a listed cause
+    held_out : decrease of half the squared whitened residual on each held-out run [nats]
+    rival : log evidence of the best unlisted candidate [nats]
+    ways : gain while its joint moves up and while it moves down [nats], empty for a cause of
+        several joints
+    before : largest log evidence of a cause in the model that acts on its joint, too [nats]
     """
 
     label: str
@@ -81,7 +86,7 @@ class Found:
 
     @property
     def confirmed(self) -> bool:
-        """Return whether it gains on runs that were not fitted, in total and in the median run."""
+        """Return whether the cause gains enough on held-out runs, in total and in the median."""
         share = MIN_HELD_OUT_SHARE_LOCAL if self.label.startswith(LOCAL_CAUSES) else MIN_HELD_OUT_SHARE
         total, usual = sum(self.held_out), float(np.median(self.held_out))
         return total >= max(share * self.gain, MIN_HELD_OUT_GAIN) and usual >= max(
@@ -90,7 +95,11 @@ class Found:
 
     @property
     def named(self) -> bool:
-        """Return whether it is large, has no rival, and holds in both directions and other runs."""
+        """Return whether the cause may be named.
+
+        It must be listed, large, certain against rivals, and gain in both directions of motion and
+        on held-out runs.
+        """
         local = self.label.startswith(LOCAL_CAUSES)
         alone = self.probability >= SETTINGS.min_claim and (
             local or self.gain >= min(self.rival + MIN_RIVAL_MARGIN, CLEAR_EVIDENCE)
@@ -107,9 +116,10 @@ class Found:
 class Outcome:
     """Result of a search.
 
-    rankings : of each step; found : causes in the model
-    alike : causes that the log does not distinguish, with probabilities
-    refused : best further cause, if it is large but cannot be named
+    case : the problem, with its noise re-estimated; found : causes in the model
+    rankings : posterior over the next cause in each step
+    alike : labels of causes that the log does not distinguish, with probabilities
+    refused : best additional cause, if it is large but cannot be named
     """
 
     case: MotionCase
@@ -127,10 +137,12 @@ def cause_columns(case: MotionCase, found: tuple[Found, ...]) -> Array:
 
 
 def share_of(case: MotionCase, columns: Array, own: Array) -> float:
-    """Return the size of a cause beyond a usual base, relative to the residual, in its largest row.
+    """Return the size of a cause beyond a usual base, divided by the residual, in its largest row.
 
     Both are rms values over the windows in which the cause acts. A delay that a base may have, or
     friction of another day, is no cause however well the data determine it.
+
+    columns, own : indices of the columns of all causes in the model, and of this one
     """
     x, theta = case.fitted(columns)
     part = case.E.take(own) @ theta[np.isin(columns, own)]
@@ -143,9 +155,11 @@ def share_of(case: MotionCase, columns: Array, own: Array) -> float:
 
 
 def folds_of(case: MotionCase, *, local: bool = False) -> Array:
-    """Return the fold in which each block is left out, shape (blocks,): runs, or parts of one.
+    """Return the index of the fold in which each block is held out, shape (blocks,).
 
-    The reference is fold 0; see `held_out`.
+    Folds are runs, or thirds of a single run; the reference is fold 0, which is never held out.
+
+    local : whether folds are interleaved parts of the log, for causes in a part of one run
     """
     run = np.where(case.of_log, np.cumsum(case.first), 0)
     within = np.arange(len(run))
@@ -157,9 +171,9 @@ def folds_of(case: MotionCase, *, local: bool = False) -> Array:
 
 
 def held_out_residual(case: MotionCase, columns: Array) -> Array:
-    """Return the log's residual of base and columns, each run by a fit to the others.
+    """Return the residual of base and some columns, in each run by a fit to the others.
 
-    It has shape (blocks, rows) and is not whitened.
+    It has shape (blocks, rows) and is not whitened. columns : indices of columns
     """
     few, every, P = case.only(columns), np.arange(len(columns)), case.base.shape[2]
     fit, folds, out = new_fit(few.white, every, UNIT_NOISE, combined=False), folds_of(case), np.array(case.r)
@@ -170,14 +184,16 @@ def held_out_residual(case: MotionCase, columns: Array) -> Array:
 
 
 def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tuple[tuple[float, ...], Array]:
-    """Return a cause's gain on each run that was not fitted, and the fitted gain of each block.
+    """Return a cause's gain on each held-out run [nats], and its gain in each block of the fit.
 
-    The second has one entry for each block of the log. For a local cause, which acts in a part of
-    one run, and where there is one run, parts of a run are left out in turn. The reference is
-    always fitted. A base that replaces the cause by coefficients far from their priors, such as a
-    delay of 30 ms that is declared to one, pays for these, each run its share.
+    Gains are decreases of half the squared whitened residual; the second has one entry for each
+    block of the log. For a local cause, which acts in a part of one run, and where there is one
+    run, parts of a run are held out in turn. The reference is always fitted. A base that replaces
+    the cause by coefficients far from their priors, such as a delay of 30 ms that is declared to
+    one, pays for these in equal parts in all runs.
 
-    chosen, own : columns of the causes before, and of the cause
+    chosen, own : indices of the columns of the causes found before, and of the cause
+    local : whether the cause acts in a part of one run
     """
     folds, P = folds_of(case, local=local), case.base.shape[2]
     parts = np.unique(folds[case.of_log])
@@ -195,9 +211,9 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
 
 
 def search(case: MotionCase) -> Outcome:
-    """Return the causes of a log: one by one, until no further one can be named.
+    """Return the causes of a log, found one by one until no additional one can be named.
 
-    Causes that are too small to be named stay in the model.
+    Causes that are too small to be named remain in the model.
     """
     found: tuple[Found, ...] = ()
     rankings: tuple[Ranking, ...] = ()
@@ -232,7 +248,7 @@ def search(case: MotionCase) -> Outcome:
 
 
 def next_cause(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> Found:
-    """Return the most probable next cause, with all that decides whether it is named."""
+    """Return the most probable next cause, with the quantities by which it is named or not."""
     top, chosen = ranking.order[0], cause_columns(case, found)
     own = case.group(top, ranking.variant[top])
     there = 1 - ranking.none
@@ -252,9 +268,9 @@ def next_cause(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> 
 
 
 def _with_renewed_noise(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
-    """Return ranking and case with the noise estimated given the most probable cause.
+    """Return ranking and case with the noise re-estimated given the most probable cause.
 
-    The best candidates are judged again.
+    The best `REJUDGED_CANDIDATES` are ranked again under it; the others keep their evidence.
     """
     top = ranking.order[0]
     case = case.renewed(np.union1d(cause_columns(case, found), case.group(top, ranking.variant[top])))
@@ -268,7 +284,10 @@ def _with_renewed_noise(case: MotionCase, found: tuple[Found, ...], ranking: Ran
 
 
 def indistinguishable(case: MotionCase, one: str, other: str) -> bool:
-    """Return whether two labels are one cause, or equal in the data at usual sizes."""
+    """Return whether two labels are the same, or of causes with nearly equal effects on a log.
+
+    These are lag and transport delay of a joint, and payload and mass of the last link.
+    """
     a, b = case.by_label[one], case.by_label[other]
     names = {a.name, b.name}
     if one == other or (names == {"lag", "transport_delay"} and a.joint == b.joint):

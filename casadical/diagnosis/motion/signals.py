@@ -20,37 +20,40 @@ from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
-SMOOTHING_WIDTH_S = 0.08  # width of the smoothing kernel [s]
+SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window) [s]
 MIN_WINDOW_S = 0.1  # shortest window over which signals are averaged [s]
-EXCLUDED_EDGE_S = 0.15  # time at both ends of a run that is excluded [s]
-MAX_RATE_HZ = 62.5  # largest sample rate that is analysed [Hz]
-MAX_WINDOWS = 1500  # largest number of windows, about
-PAUSE_BETWEEN_RUNS_S = 10.0  # time that is assumed between runs [s]
-STANDSTILL_SPEED_SHARE = 0.02  # share of its rms speed below which a joint stands still
-STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which any joint stands still
-FILTER_BLOCK_SAMPLES = 64  # samples that a filter processes at once
-REGRESSOR_BLOCK_SAMPLES = 4000  # samples of which the regressor is computed at once
-MIN_QUANTUM_RAD = 1e-6  # smallest resolution of a reading [rad]
-MAX_CLOCK_ERROR = 0.01  # relative error of the sample rate that counts as a clock fault
-MAX_LOST_SHARE = 0.01  # share of missing samples that every log may have
-MAX_REPEATED_SHARE = 0.02  # share of repeated samples that every log may have
-MIN_GAP_STEPS = 1.6  # a time step of so many usual ones or more is a gap
-MIN_MOVING_QUANTA = 3.0  # a joint moves if it changes by more than so many quanta per step
+EXCLUDED_EDGE_S = 0.15  # time at both ends of each run that is excluded [s]
+MAX_RATE_HZ = 62.5  # target sample rate: every k-th sample of a faster log is used [Hz]
+MAX_WINDOWS = 1500  # windows of longer logs are lengthened so that there are about this many
+PAUSE_BETWEEN_RUNS_S = 10.0  # assumed time between the end of a run and the next one [s]
+STANDSTILL_SPEED_SHARE = 0.02  # speed below which a joint is at rest, divided by its rms speed
+STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which every joint is at rest
+FILTER_BLOCK_SAMPLES = 64  # number of samples that the low-pass filter computes at a time
+REGRESSOR_BLOCK_SAMPLES = 4000  # number of samples at which the regressor is computed at a time
+MIN_QUANTUM_RAD = 1e-6  # smaller changes of a reading are not taken as its resolution [rad]
+MAX_CLOCK_ERROR = 0.01  # relative error of the sample rate above which the clock is faulty
+MAX_LOST_SHARE = 0.01  # fraction of missing samples above which a log is faulty
+MAX_REPEATED_SHARE = 0.02  # fraction of repeated samples, in motion, above which a log is faulty
+MIN_GAP_STEPS = 1.6  # a time step is a gap above this multiple of the usual step
+MIN_MOVING_QUANTA = 3.0  # a joint moves if its mean change a sample exceeds this many quanta
 
 
 @dataclass(frozen=True, eq=False)
 class Arm:
     """Bodies and drives of an arm, as far as the robot file declares them.
 
-    inertial : ten inertial parameters a link, the declared payload with the last one's, shape (10
-        n,) [SI]
-    spread : change of `inertial` by one prior standard deviation of each coordinate of the bodies,
-        shape (10 n, k)
+    All arrays by joint have the shape (n,) and are None where nothing is declared.
+
+    inertial : ten inertial parameters of each link (`BODY_PARAMETERS`), the declared payload
+        included in the last link's, shape (10 n,) [SI]
+    spread : change of `inertial` by one prior standard deviation of each of k independent
+        parameters of the bodies, shape (10 n, k) [SI]
     rotor : rotor inertia at the joint [kg m^2], estimated where `rotor_known` is False
     per_ampere : torque at the joint per current [N m/A]
-    delay : from the logged command to the servo, filters included [s]
+    delay : time from the logged command to the servo, filters included [s]
     kp, kd, ki : gains of the servo [N m/rad, N m s/rad, N m/(rad s)]
-    joint_stiffness : of the gear [N m/rad]; gear_ratio : turns of the motor per turn of the joint
+    joint_stiffness : stiffness of the gear [N m/rad]
+    gear_ratio : turns of the motor per turn of the joint
     log_rate : declared sample rate [Hz]
     """
 
@@ -74,7 +77,7 @@ class Arm:
         return len(self.rotor)
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
-        """Return the regressor of the bodies' torques, shape (n, joints, 10 joints) [SI].
+        """Return the regressor of the torques by `inertial`, shape (n, joints, 10 joints) [SI].
 
         q, v, a : angles, velocities and accelerations, shape (n, joints) [rad, rad/s, rad/s^2]
         """
@@ -106,18 +109,20 @@ def arm_of(robot: Robot) -> Arm:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Signals of a log, each of shape (n, joints) in SI units unless stated otherwise.
+    """Smoothed signals of a log, each of shape (n, joints) [SI] unless stated otherwise.
 
-    time : since the log began, pauses included, shape (n,); run : number of each sample's run, from
-        1, shape (n,)
-    position : measured; q, v, a : angle, velocity and acceleration, measured or commanded (see
-        `motion_of`)
+    time : time since the log began, pauses included, shape (n,) [s]; run : number of each sample's
+        run, from 1, shape (n,)
+    position : measured angles [rad]; q, v, a : angle, velocity and acceleration, measured or
+        commanded (see `motion_of`)
     command, command_v, command_a : command delayed by the declared delay, and its derivatives; or
         None
-    torque : at the joints, or None; heat : temperature above its minimum in the log [K], or None
-    memory : play operators of the angle by half-width [rad], each from -1 to 1
-    rest : time since the joint stopped [s]; unmoved : 1 until it first moved in its run
-    quantum : smallest step of each joint's readings, shape (joints,)
+    torque : torque at the joints [N m], current [A] without a declared torque constant, or None
+    heat : temperature above its minimum in the log [K], or None
+    memory : play operators of the angle, -1 to 1, by half-width [rad] (see `play_operator`)
+    rest : time since the joint stopped, 0 in motion [s]; unmoved : 1 until the joint first moved in
+        its run, then 0
+    quantum : resolution of each joint's readings, shape (joints,) [rad]
     windows : indices of the samples of each window, shape (windows, k)
     first : whether a window is the first of its run, shape (windows,)
     """
@@ -141,29 +146,32 @@ class Motion:
     heat: Array | None = None
 
     def averaged(self, values: Array) -> Array:
-        """Return the mean over each window, shape (windows, ...).
+        """Return the mean of a signal over each window, shape (windows, ...).
 
-        values : at each sample, shape (n, ...)
+        values : values at each sample, shape (n, ...)
         """
         return np.asarray(values[self.windows].mean(axis=1))
 
     @property
     def step(self) -> float:
-        """Return the time between samples [s]."""
+        """Return the median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
     def by_run(self, change: Callable[[Array], Array], values: Array) -> Array:
-        """Return an operation that depends on earlier samples, applied run by run."""
+        """Return the results of an operation on a signal, applied to each run and concatenated.
+
+        change : operation that depends on earlier samples; values : shape (n, ...)
+        """
         ends = [0, *(np.flatnonzero(np.diff(self.run)) + 1).tolist(), len(self.run)]
         return np.concatenate([change(values[a:b]) for a, b in pairwise(ends)])
 
 
 def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command: bool = False) -> Motion:
-    """Return the signals of a log.
+    """Return the smoothed signals of a log; runs of less than two seconds are excluded.
 
     widths : half-widths of the play operators [rad]
     of_command : whether q, v, a are those of the command, for a log without torque
-    Raises InputError for a log that is too short.
+    Raises InputError for a log without a run of two seconds.
     """
     parts: list[dict[str, Array]] = []
     start, torque = 0.0, torque_of(log, arm)
@@ -202,7 +210,7 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
 
 
 def _with_delayed_commands(run: JointLog, arm: Arm) -> JointLog:
-    """Return a run with the commands as the servos receive them, after the declared delay."""
+    """Return a run with the commands shifted by the declared delay, as the servos receive them."""
     if run.command is None or arm.delay is None:
         return run
     delayed = np.array(run.command)
@@ -214,10 +222,10 @@ def _with_delayed_commands(run: JointLog, arm: Arm) -> JointLog:
 
 
 def torque_of(log: JointLog, arm: Arm) -> Array | None:
-    """Return the logged torque, or the one from the current, shape (rows, joints) [N m].
+    """Return the logged torque, or that computed from the current, shape (rows, joints) [N m].
 
     It is the current itself [A] where the torque constant is not declared; None where neither was
-    logged.
+    logged, or the current without a sign.
     """
     if log.torque is not None:
         return log.torque
@@ -229,7 +237,10 @@ def torque_of(log: JointLog, arm: Arm) -> Array | None:
 def _run(
     run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], of_command: bool
 ) -> dict[str, Array] | None:
-    """Return the signals of a run by name, or None if it is shorter than two seconds."""
+    """Return the signals of a run by name of the field of `Motion`; None if under two seconds.
+
+    step : time between samples [s]; torque : shape (rows, joints) or None; see `motion_of`
+    """
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
         return None
@@ -264,7 +275,11 @@ def _run(
 
 
 def resampled(values: Array, time: Array, t: Array) -> Array:
-    """Return columns interpolated at the times t, from their finite values (len(time), columns)."""
+    """Return columns linearly interpolated at the times t [s], shape (len(t), columns).
+
+    values : at the times `time` [s], shape (len(time), columns); values that are not finite are
+        ignored
+    """
     there = np.isfinite(values).T
     columns = (
         np.interp(t, time[k], c[k]) if k.any() else np.zeros(len(t)) for c, k in zip(values.T, there, strict=True)
@@ -273,24 +288,27 @@ def resampled(values: Array, time: Array, t: Array) -> Array:
 
 
 def smoothing_kernel(step: float) -> Array:
-    """Return the kernel by which all signals of a log are smoothed; step : between samples [s]."""
+    """Return the kernel that smooths all signals of a log, symmetric, of sum one.
+
+    step : time between samples [s]
+    """
     half = max(1, round(SMOOTHING_WIDTH_S / step / 2))
     kernel = np.hanning(2 * half + 3)[1:-1]
     return np.asarray(kernel / kernel.sum())
 
 
 def smoothed(values: Array, kernel: Array) -> Array:
-    """Return columns of uniform samples, shape (n, columns), convolved with a kernel."""
+    """Return columns of uniform samples convolved with a kernel, shape (n, columns)."""
     padded = np.pad(values, ((len(kernel) // 2,) * 2, (0, 0)), "edge")
     return np.column_stack([np.convolve(column, kernel, "valid") for column in padded.T])
 
 
 def play_operator(q: Array, width: float) -> Array:
-    """Return the position of an angle in the play that it drags along, -1 to 1, in q's shape.
+    """Return the position of an angle within a play that it drags along, -1 to 1, shape of q.
 
-    It models the memory of dry friction (Iwan 1966).
+    It is a hysteresis state that models the memory of dry friction (Iwan 1966).
 
-    q : shape (n, joints) [rad]; width : half-width of the play [rad]
+    q : angles in time order, shape (n, joints) [rad]; width : half-width of the play [rad]
     """
     out, centre = np.empty_like(q), q[0].copy()
     for row, low, high in zip(out, q - width, q + width, strict=True):
@@ -301,9 +319,10 @@ def play_operator(q: Array, width: float) -> Array:
 
 
 def lagged(values: Array, within: float, step: float) -> Array:
-    """Return values, shape (n, ...), after a first-order low-pass filter.
+    """Return values after a first-order low-pass filter, shape (n, ...).
 
-    within : its time constant [s]; step : between samples [s]
+    values : in time order, shape (n, ...)
+    within : time constant of the filter [s]; step : time between samples [s]
     """
     out, keeps = np.empty_like(values), within / (within + step)
     k = np.arange(min(FILTER_BLOCK_SAMPLES, len(values)))
@@ -318,19 +337,20 @@ def lagged(values: Array, within: float, step: float) -> Array:
 
 
 def delayed(values: Array, samples: Array | float) -> Array:
-    """Return columns of a run delayed by some samples, shape (n, columns).
+    """Return the columns of a run delayed in time, shape (n, columns).
 
-    samples : of all columns, or shape (columns,)
+    samples : delay in samples, of all columns or of each, shape (columns,); may be fractional
     """
     at, each = np.arange(len(values)), np.broadcast_to(samples, values.shape[1])
     return np.column_stack([np.interp(at - d, at, v) for v, d in zip(values.T, each, strict=True)])
 
 
 def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
-    """Return the position error e at which a servo gives a torque, shape as the torque [rad].
+    """Return the position error e at which each servo gives a torque, (samples, joints) [rad].
 
     It solves kd e' + kp e + ki int e dt = torque.
 
+    torque : shape (samples, joints) [N m]; step : time between samples [s]
     start : error at the first sample, shape (joints,) [rad]
     """
     assert arm.kp is not None
@@ -349,7 +369,7 @@ def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
 class Fault:
     """A fault of the log itself, not of the arm.
 
-    name : in the answer's data; sentence : what was found; remedy : what to do
+    name : identifier in JSON; sentence : description of the fault; remedy : advice to the user
     """
 
     name: str
@@ -358,7 +378,7 @@ class Fault:
 
 
 def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[Fault]:
-    """Yield the faults of the log itself.
+    """Yield the faults of the log itself: clock, lost or repeated samples, current without sign.
 
     reference : a healthy log, whose sample rate is the true one if the arm declares none
     """
@@ -388,7 +408,10 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
 
 
 def _repeated_share(log: JointLog) -> float:
-    """Return the share of rows that repeat the one before although some joint moves around them."""
+    """Return the fraction of rows in motion that repeat the positions of the previous row, 0 to 1.
+
+    It is 0 for less than 10 rows in motion.
+    """
     step = np.abs(np.diff(log.position, axis=0))
     step[np.diff(log.run) != 0] = np.nan
     smallest = np.where(step > 0, step, np.inf).min(axis=0)
