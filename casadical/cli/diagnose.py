@@ -178,7 +178,11 @@ def _suggest_next(
     details: bool,
     console: Console,
 ) -> None:
-    """Print the next command, and how to see more; written : files of --out, None without it."""
+    """Print the command to run next, and how to see more results.
+
+    problem, campaigns : as given; written : files of --out, None without it
+    details : whether all results were printed
+    """
     if len(answers) > 1:
         tables = [a.campaign.tables[0] for a in answers]
         suggest(console, "to learn what changed between them", "compare", problem, *tables)

@@ -132,7 +132,10 @@ def measure(
 
 
 def _follow(session: LiveSession, source: Source, console: Console, pause: float) -> None:
-    """Take readings from a source, and print an answer to each, until the source ends."""
+    """Take readings from a source, and print an answer to each, until the source ends.
+
+    pause : time between two queries of the source [s]
+    """
     from casadical.project.live.view import answer, outlook
 
     last = time.monotonic()

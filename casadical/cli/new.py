@@ -108,7 +108,7 @@ def new(
 
 
 def _ask(question: "Question") -> str:
-    """Return the choice that the user types. Raises InputError where nobody answers."""
+    """Return the choice of a question that the user types. Raises InputError without an answer."""
     choices = list(question.choices)
     for k, words in enumerate(choices, 1):
         echo(f"  {k}: {words}", err=True)

@@ -221,7 +221,10 @@ def _poses(
 
 
 def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None, seed: int, quiet: bool) -> None:
-    """Plan a test by ISO 9283, and write its poses."""
+    """Plan a test by ISO 9283, and write the table of its poses to `out`.
+
+    cube_mm : side of the test cube; None: the largest that fits; room : file of a workspace
+    """
     from casadical.project.planning import iso9283_plan
 
     console = wrapped(quiet)
@@ -241,7 +244,10 @@ def _touches(
     seed: int,
     quiet: bool,
 ) -> None:
-    """Choose the points to touch every day, and write them."""
+    """Choose n points to touch every day, and write their table to `out`.
+
+    noise_mm : of a touch, None: the default; room : file of a workspace
+    """
     from casadical.fleet.touches import plan_touches
 
     console = wrapped(quiet)
@@ -263,7 +269,7 @@ def _isolability(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Print which effects given poses can show, before any data."""
+    """Print which effects could be detected and distinguished at given poses, before any data."""
     from casadical.project.diagnosis import effects_named, isolability_of, read_campaigns
 
     console = wrapped(quiet, None if sys.stdout.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL)
@@ -281,7 +287,8 @@ def _isolability(
 def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:
     """Return the wires or sockets to plan for in place of positions; None without these options.
 
-    Raises InputError where the options contradict each other.
+    wires, sockets : their number; candidates : table of candidate places; known : whether the
+        places will be measured. Raises InputError where the options contradict each other.
     """
     from casadical.project.planning import Places, read_places
 

@@ -151,7 +151,7 @@ def suggest_later(console: Console, robot: Path) -> None:
 
 
 def print_written(path: Path | None, console: Console, about: str = "") -> None:
-    """Print the name of a file that was written, if there is one."""
+    """Print the name of a file that was written, if there is one, and words about it."""
     if path is not None:
         more = f": {about}" if about else ""
         console.print(f"wrote {shown(path)}{more}", soft_wrap=True, markup=False, emoji=False)

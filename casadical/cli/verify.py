@@ -172,7 +172,10 @@ def _touched(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Judge the last of several days of touches; asked : arguments of `touched`."""
+    """Judge the last of several days of touches, and write requested files.
+
+    asked : further arguments of `touched`; update, chart, report : paths of such files, or None
+    """
     from casadical.fleet.touches import touched
 
     console = wrapped(quiet)
@@ -200,7 +203,10 @@ def _replay(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Replay measured poses of campaigns in MuJoCo."""
+    """Replay measured poses of campaigns in MuJoCo, print the errors, and write requested files.
+
+    tables : measured poses, None: the problem's own; effects : as of `effects_named`
+    """
     from casadical.export.mjcf.equilibrium import load_mujoco
     from casadical.export.mjcf.replay import replay_campaign
     from casadical.project.diagnosis import effects_named, read_campaigns

@@ -177,7 +177,7 @@ def drop_poor(
 
 
 def scaled_inverse(H: Array) -> Array:
-    """Return the inverse of a positive semidefinite matrix H, computed at unit diagonal.
+    """Return the inverse of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
 
     The result is in the units of H^-1. Directions with eigenvalues at round-off get a very large
     variance, not an infinite one.

@@ -217,6 +217,8 @@ def _unexplained_shares(dynamics: Dynamics, states: States) -> Array:
 
     Variance that friction and an offset explain is removed first (1: the model explains nothing).
     The model's torque is scaled by the best positive factor.
+
+    dynamics : of the robot; states : of a log
     """
     model = dynamics.torque(states.q, states.v, states.a)
     shares = np.ones(states.q.shape[1])

@@ -322,7 +322,10 @@ class LeastSquares:
         return both
 
     def _gradient(self, v: Array) -> tuple[Array, Array]:
-        """Compute gradient and Gauss-Newton Hessian of the cost at v, with the priors."""
+        """Compute gradient (size,) and Gauss-Newton Hessian (size, size) of the cost at v.
+
+        They include the priors.
+        """
         sums = self._sums(v)
         if self._without_priors:
             return sums.gradient, sums.information

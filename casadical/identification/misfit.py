@@ -249,6 +249,8 @@ def _most_probable(poses: _Poses, doubts: UncertainParameters) -> _Fit:
 
     All joints have the same ratio. The search walks along the grid from its middle to the first
     ratio that is more probable than both neighbours.
+
+    doubts : parameters with their priors
     """
     tried: dict[int, _Fit] = {}
     best, at = -1, len(REPEATABILITY_RATIOS) // 2

@@ -82,7 +82,7 @@ class PlacementProblem:
     """
 
     def __init__(self, readings: Sequence[Readings], base: Array, tool: Array, *, tool_known: bool) -> None:
-        """Set up the prior about the frames of the robot file."""
+        """Set up the prior about the frames of the robot file; arguments are as of the class."""
         self.readings, self.base, self.tool = readings, base, tool
         # One sigma of the rotation [rad], the shift [m] and the tool [m].
         sigma = np.repeat([0.3, 100.0, 1e-6 if tool_known else 0.1], 3)

@@ -85,7 +85,7 @@ class PoseFunctions:
     def __init__(
         self, model: Expressions, kind: MeasurementKind, point: bool, chosen: tuple[int, ...], fixed_loads: bool
     ) -> None:
-        """Build the functions for the model of a robot.
+        """Build the functions for the model of a robot; other arguments are as of the class.
 
         chosen : indices of the free parameters among all
         """

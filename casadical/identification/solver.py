@@ -78,7 +78,7 @@ class _Evaluation(ca.Callback):
         outputs: Mapping[str, ca.Sparsity],
         compute: Callable[..., Sequence[Array | float]],
     ) -> None:
-        """Construct the CasADi callback."""
+        """Construct the CasADi callback of this name; other arguments are as of the class."""
         ca.Callback.__init__(self)
         self.inputs, self.outputs, self.compute = tuple(inputs.items()), tuple(outputs.items()), compute
         self.construct(name, {})

@@ -467,7 +467,7 @@ def numbers_of(cells: pd.Series) -> Array:
 
 
 def in_seconds(cells: pd.Series) -> Array:
-    """Return times as numbers, shape (n,): dates in seconds since 1970, numbers unchanged.
+    """Return cells of times as numbers, shape (n,): dates as seconds since 1970, numbers unchanged.
 
     Numbers that write a date in digits, such as 20261121143005, count as dates.
     """

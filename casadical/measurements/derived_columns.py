@@ -62,6 +62,8 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
     """Return a derived column (see `derive`) in the order of rows, shape (n,), or None.
 
     None where the name is no derived column, or a column or joint that it needs is missing.
+
+    loads : function that returns the joint loads, needed for heat columns; None without
     """
     order = np.argsort(
         next((m.conditions[c] for c in (TIME_COLUMN, "pose") if c in m.conditions), m.row), kind="stable"
@@ -145,8 +147,10 @@ def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | 
 def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
     """Return the sense of the last rotation of the instrument's head, shape (n,), -1, 0 or 1.
 
-    station : position of the head in the measuring frame, shape (3,) [m]. None is returned without
-    positions of a single table.
+    None without measured positions of a single table.
+
+    station : position of the head in the measuring frame, shape (3,) [m]; order : rows in the order
+        of measuring
     """
     if m.position is None or not m.position.any():  # of several tables together
         return None

@@ -204,7 +204,10 @@ class Measurements(Shown):
         )
 
     def __getitem__(self, which: Array | slice | Sequence[int]) -> Measurements:
-        """Return the poses chosen by a mask, a slice or indices."""
+        """Return the poses chosen by `which`, a mask (n,), a slice or indices, with all they have.
+
+        Separations of points without a pose are dropped.
+        """
         index = np.atleast_1d(np.arange(len(self))[which])
         kept = self.separations
         if self.label is not None:

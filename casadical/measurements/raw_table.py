@@ -206,7 +206,7 @@ def _refuse_cells(path: Path, cells: int) -> None:
 
 
 def _cell(value: Any) -> str:
-    """Return a cell of a workbook as text; that of a formula that failed is empty."""
+    """Return the value of a workbook's cell as text; that of a formula that failed is empty."""
     if value is None or value in ("#NULL!", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#N/A"):
         return ""
     return " ".join(str(int(value) if isinstance(value, float) and value.is_integer() else value).split())

@@ -62,7 +62,10 @@ def _sources(
 
 
 def refuse_open(raw: RawTable, meaning: Understanding) -> None:
-    """Check that a table's headings leave no question. Raises InputError with the first one."""
+    """Check that the meaning of a table's headings leaves no question.
+
+    Raises InputError with the first question, and what to write in problem.toml.
+    """
     for question in meaning.questions:
         first = next(iter(question.choices.values()))
         line = ", ".join(f'{c.ours} = "{c.source.name}"' for c in first)
@@ -150,7 +153,7 @@ def _kinds(joints: int | Sequence[str], source: str) -> list[str]:
 def _refuse_other_unit(q: Array, kinds: Sequence[str], columns: Columns, row: Array) -> None:
     """Check that revolute readings are in the unit of their columns' names. Raises InputError.
 
-    q : shape (n, joints) [rad or m]; row : line of each pose
+    q : readings, shape (n, joints) [rad or m]; kinds : of the joints; row : line of each pose
     """
     source, names = columns.source, columns.table
     turning = [i for i, kind in enumerate(kinds) if kind == "revolute"]

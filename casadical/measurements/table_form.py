@@ -164,14 +164,17 @@ def separator_of(text: str) -> str:
 
 
 def decimal_of(rows: Sequence[Record]) -> str:
-    """Return "," where numbers have decimal commas, else "."; the other separates thousands."""
+    """Return the decimal sign of the numbers in rows, "," or "."; the other separates thousands."""
     cells = [clean(cell) for _, row in rows[:SAMPLE_LINES] for cell in row if "," in cell]
     commas = [c for c in cells if _COMMA_NUMBER.fullmatch(c)]
     return "," if commas and not any("." in c and _THOUSANDS_NUMBER.fullmatch(c) for c in cells) else "."
 
 
 def as_plain_number(cell: str, decimal: str) -> str:
-    """Return a number with a decimal point and no separators; other cells stay unchanged."""
+    """Return a cell that is a number with a decimal point and no separators; others unchanged.
+
+    decimal : decimal sign of the table, "." or ","
+    """
     # Length of a number [characters] from which on it is rounded to a double, as pandas reads
     # longer
     # whole numbers as Python objects.

@@ -225,9 +225,10 @@ class Calibration(Result):
         return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
 
     def _method(self, method: str) -> dict[str, Any]:
-        """Return a method's results for JSON: its identification, and the errors of each set.
+        """Return a method's results for JSON: the keys of its identification, and `sets`.
 
-        Where held-out poses are far off, the errors of their set without them are added.
+        `sets` has for each set the errors after and before, and, where held-out poses are far off,
+        those without them.
         """
         usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
         sets = {
@@ -243,7 +244,7 @@ class Calibration(Result):
 
     @property
     def _prior(self) -> dict[str, Any] | None:
-        """Return the prior for JSON; None without one.
+        """Return the prior by its JSON keys (`Prior.to_json`); None without one.
 
         `without_mean_mm` is the mean error of held-out poses identified without it [mm].
         """

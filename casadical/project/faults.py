@@ -138,7 +138,11 @@ def _robot(found: _Collected, path: Path, urdf: UrdfTable) -> tuple[Robot | None
 
 
 def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """Check a given table, interpreted as those of its problem are. Raises InputError."""
+    """Check a given table, interpreted as those of its problem are. Raises InputError.
+
+    source : problem folder or robot file; robot : None where it cannot be read
+    joints : kind of each joint; later : whether rows with a cell that is no number are left out
+    """
     raw = read_table(table, keep_text=False)
     try:
         data = table_like(source, raw, tables_of(source))
@@ -148,7 +152,11 @@ def _check_given_table(source: Path, table: Path, robot: Robot | None, joints: S
 
 
 def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Sequence[str], later: bool) -> None:
-    """Check a table, without a robot its cells alone. Raises InputError."""
+    """Check a table's cells and, with a robot, its readings' ranges. Raises InputError.
+
+    data : its [[measurements]]; joints : kind of each joint
+    later : whether rows with a cell that is no number are left out
+    """
     if path.is_file() and path.stat().st_size > 4_000_000:  # bytes; reading it again takes too long
         return
     raw = read_table(path, keep_text=False)

@@ -53,8 +53,10 @@ def report_blocks(
     brief: bool = False,
     **more: Any,
 ) -> list[Block]:
-    """Return the blocks of calibration.j2, or of one block of it.
+    """Return the sentences and tables that calibration.j2, or one block of it, makes.
 
+    block : name of the block, empty for all; it : object of the template; brief : whether the short
+        report is wanted
     more : further values that the block needs
     """
     path = Path(__file__).with_name("calibration.j2")

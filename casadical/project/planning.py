@@ -173,9 +173,9 @@ def calibrated_so_far(
 ) -> tuple[Robot, Measurements, Noise]:
     """Return the robot calibrated with m, m with derived columns, and the noise.
 
-    noise : noise of the instrument; None: it is estimated
-    free : parameters to identify, as of `identify`
-    Raises InputError.
+    noise : noise of the instrument; None: it is estimated from the fit
+    free : parameters to identify, and prior : as of `identify`
+    Raises InputError where a column that the effects need is missing.
     """
     m, missing = derive(m, robot.conditions, robot.loads)
     lost = [name for name in missing if name != "payload_kg"]
@@ -384,8 +384,9 @@ def poses_of_changes(
 
     n : number of poses to choose, in addition to the measured ones
     prior : of the parameters that may change, about the robot's values
-    measured : poses of the same day, to which these add
-    Raises InputError.
+    room : file of a workspace, None without one
+    measured : poses of the same day, whose information is taken into account
+    Raises InputError where the workspace allows too few poses.
     """
     workspace = read_workspace(room, robot) if room else None
     chosen = select_poses(

@@ -114,7 +114,7 @@ def recognised(robot: Robot, m: Measurements) -> Targets | None:
 
 
 def _poses(m: Measurements) -> list[tuple[Array, Array]]:
-    """Return for each group of equal readings the indices of its rows, and each row's cluster.
+    """Return for each group of equal readings its k row indices and their clusters, both (k,).
 
     Positions of one cluster are of one target.
     """
@@ -462,6 +462,7 @@ def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
 def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array, float]:
     """Return the refined targets, each row's target, and the targets' greatest median error.
 
+    free : robot with rigid joints and unknown base and tool
     which : index of the initial target of each row, shape (n,)
     Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where targets coincide, or
     a single one remains

@@ -111,7 +111,7 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     Units are mm and degrees, of effects SI. Sessions belong to their measurements: base and tool
     are those of the first one. Without effects and knowledge the file is version 1.
 
-    effects, and Raises InputError : as of `write_robot`
+    comment, effects, and Raises InputError : as of `write_robot`
     known_alone : whether digits are left out that depend on a processor's rounding, so that a
         result is the same file everywhere
     """
@@ -206,7 +206,10 @@ def _body_table(body: Body) -> dict[str, Any]:
 
 
 def _joint_table(joint: Joint) -> dict[str, Any]:
-    """Return the table of a joint: DH row, type, limits, coupling, compliance and body."""
+    """Return the [[joint]] table of a robot file, by its keys, for a joint.
+
+    It has DH row, type, limits, coupling, compliance and body.
+    """
     table: dict[str, Any] = {"name": joint.name} if joint.name else {}
     table |= {key: value for key, value in dh_row(joint).items() if value is not None}
     table |= {"type": "prismatic"} if joint.kind == "prismatic" else {}

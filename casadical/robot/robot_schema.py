@@ -48,7 +48,7 @@ Bar = Annotated[float, LENGTH, Field(gt=0)]
 
 
 def _stiff(value: float | None) -> float | None:
-    """Return the stiffness; refuse values below 1. Raises ValueError."""
+    """Return a stiffness `value` unchanged. Raises ValueError below 1 N m/rad or N/m."""
     if value is not None and value < 1:
         raise ValueError("must be at least 1; leave it out for a joint of unknown stiffness")
     return value

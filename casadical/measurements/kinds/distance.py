@@ -138,7 +138,7 @@ def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
     """Return a sentence if measured distances must be in another unit, else an empty text.
 
     p, far : points of the model between which they were measured, in the measuring frame, shape
-        (n, 3) [m]
+        (n, 3) [m]; reach : of the robot [m]
     """
     distance = arrays["distance"]
     ratio = np.median(distance) / max(float(np.median(np.linalg.norm(p - far, axis=1))), 1e-3)
@@ -148,6 +148,7 @@ def distance_fault(arrays: Arrays, p: Array, far: Array, reach: float) -> str:
 def _fault(distance: Array, reach: float, too_long: bool, too_short: bool) -> str:
     """Return a sentence on distances in another unit; empty if neither flag is set.
 
+    distance : measured, shape (n,) [m]; reach : of the robot [m]
     too_long : whether metres are assumed and mm meant; too_short : the reverse
     """
     if not (too_long or too_short):

@@ -111,7 +111,7 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
 def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
     """Return a column of lists (JSON or Parquet) as an array, shape (n, k); None for others.
 
-    Raises InputError.
+    Raises InputError where the lists are not all of k numbers.
     """
     first = cells.iloc[0]
     if isinstance(first, str) and first.lstrip().startswith("["):

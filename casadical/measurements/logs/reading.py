@@ -303,6 +303,7 @@ def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: st
     end.
 
     values : percentages, shape (n,); k : index of the joint, from 0
+    channel : speeds have no middle; source : name of the log, for messages
     """
     if robot is None:
         raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')
@@ -315,7 +316,12 @@ def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: st
 
 
 def _angle_unit(log: Logged, channel: str, keys: Sequence[str]) -> str:
-    """Return "deg" if positions (for commands: commands) exceed any in radians, else "rad"."""
+    """Return the unit "deg" of angles if one exceeds any in radians, else "rad".
+
+    Commanded channels are judged by the commands, others by the positions.
+
+    keys : the log's names of the joints
+    """
     base = "command" if channel.startswith("command") and "command" in log.channels else "position"
     sizes = [np.nanmax(np.abs(log.channels[base][key])) for key in keys if key in log.channels[base]]
     return "deg" if max(sizes, default=0.0) > FULL_TURN_RAD + 1 else "rad"

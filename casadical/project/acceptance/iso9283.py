@@ -96,7 +96,11 @@ def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> 
     for place in places[1:]:
 
         def off(q: Array, which: Array, place: Array = place) -> tuple[Array, Array]:
-            """Return the pose error, shape (k, 6) [m, rad], and its Jacobian by differences."""
+            """Return pose errors (k, 6) [m, rad] and their Jacobians (k, 6, joints).
+
+            q : trial readings, shape (k, joints); which : index of each one's orientation; place :
+                wanted position, shape (3,) [m]. Robots with fewer than six joints have 3 errors.
+            """
             p, now = predicted(robot, unmeasured(np.concatenate([q, *(q + 1e-6 * e for e in np.eye(robot.n))])))
             turned = R[np.tile(which, robot.n + 1)]
             turn = 0.5 * np.cross(turned.transpose(0, 2, 1), now.transpose(0, 2, 1)).sum(axis=1)

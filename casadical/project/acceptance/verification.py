@@ -259,7 +259,7 @@ class _Refit:
         return self.lengths * n - self.points - k
 
     def scatter(self, e: Array, k: int) -> float:
-        """Return the rms [m] of errors, shape (n,), corrected for the fit of k parameters."""
+        """Return the rms of errors e, shape (n,) [m], corrected for the fit of k parameters [m]."""
         # Touched points, many for few poses, lower the promised error in the same way; anchors of
         # distances hardly do.
         made_up = k if self.touched else self.points + k
@@ -320,7 +320,10 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
 
 
 def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
-    """Return a stated rms error [mm] in m. Raises InputError for what is no number above 0."""
+    """Return a stated rms error [mm] in metres. Raises InputError for what is no number above 0.
+
+    place, remedy : beginning and end of the message
+    """
     if not isinstance(stated, int | float) or isinstance(stated, bool) or stated <= 0 or number_fault(stated):
         raise InputError(f"{place} is {shown(repr(stated))}; allowed: a number above 0{remedy}")
     return 1e-3 * float(stated)

@@ -119,7 +119,11 @@ def precheck(
 def _outlooks(
     methods: Sequence[str], start: Robot, sets: Sequence[Measurements], noise: float | None
 ) -> tuple[list[Outlook], list[Finding]]:
-    """Return the expected accuracy by each method, and findings on methods that have none."""
+    """Return the expected accuracy by each method, and findings on methods that have none.
+
+    start : nominal robot with base and tool fitted; noise : of a coordinate [m], None: as the data
+        show
+    """
     outlooks: list[Outlook] = []
     findings: list[Finding] = []
     for method in methods:

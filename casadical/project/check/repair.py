@@ -105,7 +105,10 @@ def _round(value: float) -> float:
 
 
 def _column_present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
-    """Return the name of a column with the unit in which it is there. Raises InputError."""
+    """Return the name, stem and unit, of the column that is known. Raises InputError without one.
+
+    known : casadical's column name -> its source; units : suffixes that are tried in order
+    """
     for unit in units:
         if stem + unit in known:
             return stem + unit

@@ -216,7 +216,7 @@ class SlipFit:
         Poses are linear in its cosine and sine, so that p + R t is linear in both, in t and in
         their products, which are taken as independent unknowns of a linear least-squares problem.
 
-        joint : index of the joint
+        hypotheses : k of them; joint : index of the joint, from 0
         """
         zeros = np.empty(len(hypotheses))
         turned = [[h.at("zero", joint, h.zero[joint] + z) for h in hypotheses] for z in (0.0, np.pi / 2, np.pi)]
@@ -251,7 +251,10 @@ class SlipFit:
                 yield part, y, p, R, (along[0], along[1])
 
     def _lengths(self, hypotheses: Sequence[Hypothesis], rows: int) -> tuple[Array, Array]:
-        """Return the lengths a and d of each hypothesis, shapes (k, joints) [m]."""
+        """Return the link lengths a and d under each of k hypotheses, shapes (k, joints) [m].
+
+        rows : index of the robot's DH rows that all of them mean
+        """
         a, d = (np.tile([getattr(j, name) for j in self.rows[rows]], (len(hypotheses), 1)) for name in ("a", "d"))
         for k, h in enumerate(hypotheses):
             for name, i, departure in h.lengths:
@@ -328,7 +331,7 @@ class LengthFit(SlipFit):
         return np.zeros(len(hypotheses))
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:  # noqa: ARG002
-        """Return the fit of a hypothesis with tool and points fitted."""
+        """Return the fit of a hypothesis h with tool and points fitted; `as_given` is not used."""
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         inliers, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
@@ -361,7 +364,7 @@ class LengthFit(SlipFit):
             residual = length - size
 
             def sums(better: Array) -> tuple[Array, Array]:
-                """Return J' J and J' r of the hypotheses that `better` selects."""
+                """Return J' J (k, x, x) and J' r (k, x) of the hypotheses that `better` selects."""
                 along = (weight[:, None] * line / size[..., None])[better]
                 of_places = [-(along * place[:, [k]]) for k in range(place.shape[1])]
                 J = np.concatenate([np.einsum("kni,knij->knj", along, R[better]), *of_places], axis=2)

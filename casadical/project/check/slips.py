@@ -96,7 +96,7 @@ def slip_fit(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> Sli
 
 
 def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
-    """Return whether a hypothesis puts more than 5 % of the rows out of the joint ranges.
+    """Return whether a hypothesis h puts more than 5 % of the rows out of the joint ranges.
 
     q : readings of the table, shape (n, joints) [rad or m]
     """

@@ -243,7 +243,10 @@ async def _body(request: Request) -> bytes | None:
 
 
 def _command(body: bytes) -> dict[str, Any]:
-    """Return the JSON object of a command. Raises InputError or ValueError for anything else."""
+    """Return the JSON object in the body of a request, with `do` and its values.
+
+    Raises InputError or ValueError for anything else.
+    """
     try:
         asked = json.loads(body)
         json.dumps(asked, ensure_ascii=False).encode()  # lone surrogates could not be kept in a file

@@ -192,7 +192,10 @@ class LiveSession:
         return [*self.robot.reading_units, *kind.fill, *further]
 
     def strike(self, number: int, why: str) -> None:
-        """Strike a reading out; it stays in the table, with the reason. Raises InputError."""
+        """Strike a reading out, so that it no longer counts; it stays in the table.
+
+        why : reason, which is stored with it. Raises InputError without a reason or reading.
+        """
         with self.lock:
             self._known(number)
             if not why.strip():
@@ -201,7 +204,7 @@ class LiveSession:
             self._judge()
 
     def restore(self, number: int) -> None:
-        """Let a reading that was struck out count again. Raises InputError."""
+        """Let a reading that was struck out count again. Raises InputError for no such reading."""
         with self.lock:
             self._known(number)
             self._add("restore", id=number)
@@ -466,7 +469,11 @@ class LiveSession:
             write_whole(path, made)
 
     def state(self) -> dict[str, Any]:
-        """Return all that the page shows, as plain data; angles [deg], lengths [mm]."""
+        """Return all that the page shows, for JSON; angles [deg], lengths [mm].
+
+        The keys are robot, folder, data, fields, readings, said, table, known (of the estimate;
+        None before), next (planned poses) and the sentences of `with_words`.
+        """
         with self.lock:
             read, estimate = self._read(), self.estimate
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]

@@ -13,7 +13,8 @@ MIN_READINGS_FOR_QUANTILE = 20
 def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
     """Return a session's data with sentences added, as `casadical measure --json` stores it.
 
-    data : as `LiveSession.state` assembles it
+    data : as `LiveSession.state` assembles it. Added keys are about, known_words, `words` of each
+        reading, and `figures` of what is known.
     """
     known = data["known"]
     good = sum(r["state"] == "good" for r in data["readings"])

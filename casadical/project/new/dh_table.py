@@ -124,7 +124,10 @@ def _joint_text(row: Mapping[str, Any], where: str) -> str:
 
 
 def _number(row: Mapping[str, Any], key: str, where: str) -> float | None:
-    """Return a cell as a number; None where it is empty. Raises InputError."""
+    """Return the cell of column `key` as a number; None where it is empty.
+
+    where : file and row, for the message. Raises InputError for a word.
+    """
     try:
         value = float(row[key])
     except (TypeError, ValueError):

@@ -298,9 +298,9 @@ def _robot_files(
 
 
 def _read_trial(folder: Path, data: Path | None, file: str) -> Problem:
-    """Read the folder that was written on trial.
+    """Return the problem in the folder that was written on trial.
 
-    Raises InputError that names the files as the user gave them.
+    Raises InputError that names the user's table `data` in place of its copy `file`.
     """
     try:
         return read_problem(folder)

@@ -91,7 +91,10 @@ def read_urdf(
 
 
 def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfChain:
-    """Return the chain between two links of a URDF file. Raises InputError as `read_urdf` does."""
+    """Return the chain between two links of a URDF file.
+
+    base_link, tip_link, and Raises InputError : as of `read_urdf`
+    """
     urdf = parse_urdf(path)
     tree = Tree(urdf, str(path))
     base = tree.link(base_link, "base_link") if base_link else tree.root
@@ -196,6 +199,7 @@ def _bodies(
 
     It is in the frame of the joint's link by its modified DH row.
 
+    urdf, tree : the file; dh : the chain in modified DH form
     frames : of the links at zero readings in the base link's frame; movers : link -> number of the
         chain's joints that move it
     """

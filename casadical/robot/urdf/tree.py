@@ -146,7 +146,10 @@ class Tree:
         return roots[0]
 
     def link(self, name: str, role: str) -> str:
-        """Return the name if it is a link of the file. Raises InputError otherwise."""
+        """Return the name if it is a link of the file. Raises InputError otherwise.
+
+        role : of the link in the message, such as "base_link"
+        """
         if name not in self.below:
             raise InputError(f"{self.source}: {role} {name!r} is not there; links: {', '.join(self.names)}")
         return name

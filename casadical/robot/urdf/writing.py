@@ -93,7 +93,8 @@ def _joint_origins(chain: UrdfChain, robot: Robot, foot: Array) -> dict[str, Arr
     A URDF link is at C_k in our frame k, before and after calibration; between two links are the DH
     row and, before the joint, the fixed joints.
 
-    robot : calibrated; foot : frame 0 in the base link's frame, shape (4, 4) [m]
+    chain : of the file; robot : calibrated; foot : frame 0 in the base link's frame, shape (4, 4)
+        [m]
     """
     origins = {}
     behind, link = foot, chain.base_link  # behind: our frame k-1 in that of the URDF link k-1
@@ -193,7 +194,10 @@ def _add_link(document: minidom.Document, parent: str, name: str, T: Array) -> N
 
 
 def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: str) -> None:
-    """Add a comment on what the calibrated URDF contains and what it lacks."""
+    """Add a comment on what the calibrated URDF contains and what it lacks.
+
+    base : what the base link is, "robot" or "measuring" frame
+    """
     foot = "the robot's foot" if base == "robot" else "the measuring frame"
     text = (
         f" Calibrated by casadical: the joint origins from {chain.base_link} to the measured point "
@@ -255,7 +259,7 @@ def new_urdf(robot: Robot) -> str:
 
 
 def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
-    """Return the attributes damping and friction of a joint as text, as far as [drive] has them.
+    """Return attribute ("damping", "friction") -> value as text, as far as [drive] has them.
 
     They are in [N m s/rad] and [N m] (prismatic: [N s/m] and [N]).
 
