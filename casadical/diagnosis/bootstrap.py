@@ -1,4 +1,4 @@
-"""Parametric bootstrap p-value of "no cause": how often noise alone looks as much like one.
+"""Parametric bootstrap p-value of "no cause": how often pure noise has as large odds of one.
 
 Noise of instrument and joints is drawn from the base model's own likelihood, projected on what the
 base parameters do not absorb, and evaluated by the detection statistic: the log odds of any cause,

@@ -149,7 +149,7 @@ def _of_list(which: str, robot: Robot) -> list[Candidate]:
 
 
 def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:
-    """Return the candidates of some classes of effects, one a label, with all its variants."""
+    """Return the candidates of some classes of effects, one for each label."""
     variants = [v for kind in kinds for v in kind.variants(robot)]
     runs = groupby(variants, key=lambda v: v[0].joint is None)
     by_label: dict[str, list[tuple[Effect, ...]]] = {}

@@ -1,4 +1,4 @@
-"""Result of a diagnosis: gap, shares of the causes, outliers and verdict after a search."""
+"""Conclusion of a search for causes: held-out errors, causes, outliers and verdict."""
 
 from collections.abc import Sequence
 

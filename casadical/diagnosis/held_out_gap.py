@@ -1,4 +1,4 @@
-"""Gap on held-out poses: cause by cause, in the nonlinear refit, and with networks."""
+"""Mean error on held-out poses (gap): by added cause, in the nonlinear refit, with networks."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from casadical.measurements.measurements import Noise
 if TYPE_CHECKING:
     from casadical.compensator import Trainer
 
-# Columns of the table of `course`.
+# Names of the columns of the table of `course`.
 COURSE_COLUMNS = (
     "model",
     "gap_mm",
@@ -176,9 +176,9 @@ def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, Net
 def network_gap(
     case: Case, columns: Array, noise: Noise, seed: int, trainer: Trainer | str = "lm", show: Show = silent
 ) -> NetworkGap:
-    """Return the mean held-out error with the paper's 6-5-3 network, trained on four fifths each.
+    """Return the mean held-out errors without and with the paper's 6-5-3 network, in fifths.
 
-    The network's inputs are joint readings only.
+    Networks are trained on four fifths of the inliers each; their inputs are joint readings only.
 
     columns : indices of the causes' columns, shape (k,); they are refitted to each four fifths
     noise : noise of these fits; seed : seed of the fifths and of the training

@@ -68,7 +68,7 @@ def _with_row_columns(m: Measurements, of_row: Mapping[str, Array], stops: Stops
 def with_camera_columns(m: Measurements, sets: Sequence[Measurements], stops: Stops) -> Measurements:
     """Return the combined table with the columns that effects of cameras need.
 
-    It is returned unchanged if no set has orientations. Columns : see `camera_displacements`
+    They are those of `camera_displacements`; without orientations m is returned unchanged.
     """
     if not any(part.orientation is not None for part in sets):
         return m

@@ -178,7 +178,7 @@ def of_case(case: Case, noise: Noise, also: Sequence[Effect] = ()) -> Isolabilit
 def _whole(candidates: Sequence[Candidate]) -> dict[str, tuple[tuple[Effect, ...], ...]]:
     """Return each effect, by name, as one cause in all its joints, at the middle of its settings.
 
-    An effect's value is a single variant.
+    Each has a single variant, a tuple of effects.
     """
     causes: dict[str, dict[tuple[str, ...], tuple[Effect, ...]]] = {}
     for c in candidates:

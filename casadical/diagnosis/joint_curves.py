@@ -1,4 +1,4 @@
-"""Joint error curves of a diagnosis, each with its 95 % band and its share of the evidence."""
+"""Joint error curves of a diagnosis, each with its 95 % band and the evidence for it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

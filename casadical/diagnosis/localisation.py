@@ -1,6 +1,6 @@
-"""Localisation of the gap: shares by part of the robot, direction, region and circumstances.
+"""Localisation of the remaining error: fractions by part, direction, region and circumstances.
 
-Every share has a 95 % interval.
+Every fraction ("share") of the squared residual has a 95 % interval.
 
 Contributions of named causes go to the joints, links, base, tool or instrument through which they
 act, with the posterior that a fit to all poses gives them. The remaining error is divided by
@@ -299,9 +299,11 @@ def _draws(y: Array, groups: list[Array], sigma: float, axes: Array, rng: np.ran
     return [np.concatenate(values, axis=1) for values in zip(*draws, strict=True)]
 
 
-# Columns of the tables of parts, directions, and regions or circumstances (see `Localisation`).
+# Columns of the tables of parts of the robot (see `Localisation`).
 PART_COLUMNS = ("part", "share", "low", "high", "rms_mm")
+# Columns of the table of directions (see `Localisation`).
 DIRECTION_COLUMNS = ("frame", *PART_COLUMNS)
+# Columns of the tables of regions and circumstances (see `Localisation`).
 BIN_COLUMNS = ("by", "part", "poses", "share", "low", "high", "rms_mm", "rms_low_mm", "rms_high_mm")
 
 

@@ -114,6 +114,7 @@ class Comparison:
         self.root = np.concatenate([self.root - gain @ self.root[pose], -gain @ own], axis=2)
 
 
+# Pairs of causes to distinguish, by their predictive distributions.
 Pairs = Sequence[tuple[Predictive, Predictive]]
 
 
@@ -338,7 +339,7 @@ def probability_after(share: float, gain: float) -> float:
 
 
 def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
-    """Return a text of the numbers of poses that repeat others, by payload, approach and warmth.
+    """Return a text of the numbers of poses that repeat others, and by payload, approach, warmth.
 
     poses : table as of `next_poses`
     """
@@ -359,9 +360,9 @@ def kinds_of_poses(case: Case, poses: pd.DataFrame) -> str:
 
 
 def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
-    """Return phrases on at most two joints without load more often than in the campaign.
+    """Return phrases on at most two joints that are without load in more poses than before.
 
-    A joint is without load below 15 % of its peak gravity torque.
+    A joint is without load below 15 % of its peak gravity torque; before is in the campaign.
     """
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]

@@ -24,8 +24,9 @@ from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, R
 from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
-# Labels of the instrument's forms of noise in rankings and reports: autocorrelated, heavy-tailed.
+# Label of autocorrelated (AR(1)) noise of the instrument in rankings and reports.
 AR_NOISE = "noise that follows itself"
+# Label of heavy-tailed noise of the instrument in rankings and reports.
 HEAVY_TAILS = "noise with heavy tails"
 
 
@@ -138,7 +139,7 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
 
     def judged(shares: Sequence[float]) -> list[tuple[float, Form, Array]]:
-        """Return log evidence, form and log likelihood grid of each AR(1) coefficient."""
+        """Return (log evidence, form, log likelihoods) of each AR(1) coefficient in `shares`."""
         forms = [ar_form(ar_coefficient, len(e.r), e.count / len(e.r)) for ar_coefficient in shares]
         grids = [problem.log_likelihood(form) for form in forms]
         return [

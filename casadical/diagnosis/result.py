@@ -1,4 +1,4 @@
-"""Result of a diagnosis: verdict, causes, gap before and after, and the methods to use them."""
+"""Result of a diagnosis: verdict, causes, held-out error (gap), and the methods to use them."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.diagnosis.laws.problem import Round
 
+# Verdict: noise alone, explained by the causes, several causes fit equally, or an unlisted cause.
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 
 

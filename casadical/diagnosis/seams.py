@@ -22,6 +22,7 @@ from casadical.robot.robot import Robot
 
 # Largest number of poses at which a mapped CasADi function is evaluated in one call.
 POSES_PER_CALL = 512
+# Names of the seam variables of a frame: translation [m] and rotation [rad].
 _TWIST = ("x", "y", "z", "rx", "ry", "rz")
 
 

@@ -232,7 +232,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
 
     Autocorrelated noise is fitted given the causes of each search, and causes are searched again
     under it, until neither changes. Autocorrelated noise that is fitted before any cause would
-    absorb the causes.
+    absorb the causes. The arguments are those of `search`.
     """
     state, end, p_nothing = search(case, seed, bootstrap, show)
     if not case.observations.plain:

@@ -152,4 +152,5 @@ class Settings:
     max_joint_harmonic: int = 3
 
 
+# The thresholds that the diagnosis uses.
 SETTINGS = Settings()

@@ -1,4 +1,4 @@
-"""Description of an unlisted cause by its most probable smooth forms, with the gap left.
+"""Description of an unlisted cause by its most probable smooth forms, and its held-out error.
 
 An unlisted form (any function of a joint's own angle, smooth in time, ...) names no cause, nor does
 a listed effect in addition to it. Together they still describe the error; where the description
@@ -15,9 +15,9 @@ from casadical.effects import Effect
 
 
 def describe_unlisted(found: Diagnosis) -> Unlisted | None:
-    """Return the forms that best describe the remaining error, and the gap with them, or None.
+    """Return the smooth forms that best describe the remaining error, with held-out errors.
 
-    There is a description only if the verdict is unknown and the most probable form is unlisted.
+    None unless the verdict is unknown and the most probable form is unlisted.
     Forms are added one by one; each is then compared again given the others.
     """
     if found.verdict != "unknown":

@@ -224,8 +224,9 @@ def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
     return after - before
 
 
+# Folder of the Jinja templates of statements.
 _TEMPLATES = Path(__file__).parent
-# Names that the templates use in addition to the diagnosis.
+# Values and functions, by the names under which the templates use them beside the diagnosis.
 _SAYS: dict[str, Any] = {
     "NEW": SETTINGS.min_change,
     "DETECT": SETTINGS.max_p_nothing,

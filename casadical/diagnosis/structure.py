@@ -1,4 +1,4 @@
-"""Tests of the residual for structure: does it depend on anything that is known of the poses?
+"""Tests of the residual for structure: dependence on quantities that are known at the poses.
 
 Whitened residuals are regressed on functions of a driver (a joint angle, sums of two, order in
 time, position, orientation, the sense of the last motion) along a direction (an axis of base or
@@ -111,10 +111,10 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     return best + 1 if chance < SETTINGS.max_structure_chance else None
 
 
-# Drivers and their functions, shape (n, functions) each.
+# Drivers, each as its name and the values of its functions at the poses, shape (n, functions).
 _Functions = tuple[tuple[str, Array], ...]
-# A direction, its vectors (n, numbers), drivers of equal numbers of functions, and the joint and
-# cycles of those that are lines.
+# Tests along one direction: its name, its vectors at the poses, shape (n, numbers), drivers with
+# equal numbers of functions, and (joint, cycles per turn) of those that are lines, by name.
 _Group = tuple[str, Array, _Functions, Mapping[str, tuple[int, float]]]
 
 

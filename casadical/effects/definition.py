@@ -155,6 +155,7 @@ LISTED_EFFECTS_FILE = Path(__file__).with_name("listed.effect.toml")
 _NAME_PATTERN = re.compile(r"[a-z][a-z0-9_]*")
 # Pattern of a placeholder in a definition's texts: `joint` or the name of a setting in braces.
 _PLACEHOLDER = re.compile(r"\{(\w+)\}")
+# Type of a setting that is not a point.
 _Value = bool | int | float | str
 
 

@@ -104,6 +104,7 @@ def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str)
             raise _error_at(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
 
 
+# Lower and upper bound of a value.
 Interval = tuple[float, float]
 # Bound on the absolute value of the reciprocal of an interval that contains zero.
 _MAX_RECIPROCAL = 1e15

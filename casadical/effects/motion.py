@@ -16,7 +16,7 @@ from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC_FUNCTIONS
 from casadical.effects.plugins import known_effects
 
-# The class of a cause, which may be requested with all its settings.
+# Class of a defined effect that is a cause in joint logs, with any joint and settings.
 Cause = type[DefinedEffect]
 
 

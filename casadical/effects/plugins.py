@@ -15,6 +15,7 @@ from casadical.effects import registry
 from casadical.effects.base import Effect
 from casadical.effects.definition import DefinedEffect, Definition, effect_classes
 
+# Name of the entry point group under which other packages register effects.
 ENTRY_POINT_GROUP = "casadical.effects"
 
 

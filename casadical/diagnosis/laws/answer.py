@@ -34,6 +34,7 @@ from casadical.robot.robot_file import to_toml
 
 # Unit in reports, and factor from SI to it, by SI unit of a law's factor.
 REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
+# Words for a model in reports, by its name in `Discovery.gap`.
 _MODEL_WORDS = {
     "base": "base model",
     "causes": "with listed causes",
@@ -42,6 +43,7 @@ _MODEL_WORDS = {
 }
 
 
+# Names of the models that are compared on held-out poses (see `Discovery.gap`).
 KeptModel = Literal["law", "smooth", "causes", "base"]
 
 

@@ -1,4 +1,4 @@
-"""Laws compared with listed causes, smooth effects and noise, and what they replace.
+"""Laws (expressions of errors) compared with listed causes, smooth effects and noise.
 
 A law is claimed if its score (see `search`) is 12 nats or more and exceeds by 3 that of the best
 listed effect, of the best smooth effect, and of other forms of noise; the settings of rivals are

@@ -1,4 +1,4 @@
-"""The evidence of laws: each is tried at an insertion point, given the causes in the model.
+"""Evidence of laws (expressions of errors), each at one insertion point, given other causes.
 
 The log evidence of thousands of laws at one insertion point is computed together. A law's columns
 are those of its place, pose by pose, times functions of its driver. Whitened and orthogonal to the

@@ -1,9 +1,9 @@
-"""Search for laws at all places by all drivers in all forms, ranked by evidence and price.
+"""Search for laws (expressions of errors) at all places, by all drivers, in all forms.
 
-The score of a law is its log evidence over none, the mean over its settings, less the logarithms of
-the numbers of forms, and of places with drivers, that were tried. The evidence of all settings is
-screened (see `problem.Screen`); that of the best ones is exact. The settings of the best laws are
-refined by steps of shrinking size.
+Laws are ranked by their score: the log evidence over none, the mean over its settings, less the
+logarithms of the numbers of forms, and of places with drivers, that were tried. The evidence of all
+settings is screened (see `problem.Screen`); that of the best ones is exact. The settings of the
+best laws are refined by steps of shrinking size.
 """
 
 from collections.abc import Collection, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Published parameters of a drive beside those that logs show: which of them the logs contradict.
+"""Published drive parameters compared with those identified from logs, which may contradict them.
 
 A set of parameters comes from an MJCF with actuators, from the table [drive] of a robot file, or
 from a table with a row for each joint. Each set replays the withheld runs as the fit does. Of each
@@ -30,8 +30,9 @@ PARAMETERS = ("kp", "friction", "damping", "armature", "delay")
 RATIOS = ("kp [N m/rad]", "F/kp [mrad]", "b/kp [s]", "J/kp [s^2]", "delay [ms]")
 UNITS = np.array([1.0, 1e3, 1.0, 1.0, 1e3])  # factors from SI to the units of `RATIOS`
 # A quantity counts as determined if the standard deviation of its logarithm is below this fraction
-# of the prior's, and below `MAX_DETERMINED_SIGMA`.
+# of that of its prior, and below `MAX_DETERMINED_SIGMA`.
 DETERMINED_SHARE = 0.5
+# A quantity counts as determined if the standard deviation of its logarithm is below this, too.
 MAX_DETERMINED_SIGMA = 0.5
 # Standard deviation of a delay by the sampling of the log, divided by the time between samples.
 DELAY_SAMPLE_SHARE = 0.15

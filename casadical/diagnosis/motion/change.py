@@ -1,4 +1,4 @@
-"""What changed since a reference log, by the responses that both logs show.
+"""Changes of joints since a reference log, by the responses identified from both logs.
 
 The identified responses of a log and of its reference differ by noise, by the friction of another
 day, and perhaps by a cause. Of each joint, the difference of the logarithms of gain, friction,
@@ -32,15 +32,17 @@ HYPOTHESES: tuple[tuple[str, tuple[str, ...], tuple[float, ...], float], ...] = 
 # Standard deviation of the change of each logarithm from one day to another.
 DAILY_SIGMAS = (0.03, 0.15, 0.15, 0.05, 0.1)
 SIGMA_UNLISTED = 0.5  # prior standard deviation of each logarithm's change by a cause on no list
-# Standard deviation of an identified delay, divided by the time between samples; and of identified
-# dry friction over gain, divided by the resolution of the readings.
+# Standard deviation of an identified delay by sampling, divided by the time between samples.
 DELAY_SAMPLE_SHARE = 0.1
+# Standard deviation of identified dry friction / gain by the resolution of the readings, divided by
+# that resolution.
 FRICTION_QUANTUM_SHARE = 0.5
 # A response fits a joint if the rms of its replay's error is below this fraction of that of reading
 # minus command; otherwise its identification has failed.
 MAX_ERROR_SHARE = 0.5
 MIN_EVIDENCE = 15.0  # smallest log evidence [nats] of a clear change
 MIN_MARGIN = 3.0  # margin [nats] by which a clear change exceeds every other one of its joint
+# Description of a change with its factor, by the name of the cause.
 WORDS = {
     "servo_stiffness": "servo gain x {:.2f}",
     "coulomb_friction": "dry friction x {:.2f}",

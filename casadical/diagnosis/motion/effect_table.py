@@ -1,4 +1,4 @@
-"""What each effect costs: replays without it, one effect at a time, and torques model by model.
+"""Cost of each effect: replays without one effect at a time, and torque errors model by model.
 
 Both are of samples that were not fitted, for every arm and without a threshold: a response that was
 identified is replayed again with one effect taken out, and a torque is predicted by the bodies of

@@ -1,4 +1,4 @@
-"""A surface under the tool on which an arm comes to rest: detected from logs, obeyed in replays.
+"""A surface on which the tool comes to rest: detected from logs, included in replays.
 
 It has one parameter, the height of the tool's point in contact. Where a step would end below, the
 smallest upward force that prevents it acts on all joints through the gradient of the height: a

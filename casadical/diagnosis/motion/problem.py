@@ -336,7 +336,7 @@ def _floor(log: LogView) -> Array:
 
 
 def _trust(one: LogView, rows: int) -> Array:
-    """Return each value's weight: 0.2 for torques of joints at rest, else 1 (windows, rows).
+    """Return the weight of each value, (windows, rows): 0.2 for torques at rest, else 1.
 
     At rest friction may be any torque up to its limit.
     """
@@ -364,7 +364,7 @@ def _residual(one: LogView) -> Array:
 
 
 def coefficients(case: MotionCase) -> dict[tuple[str, int, bool], float]:
-    """Return the fitted coefficients of the base's columns after the bodies, by `BaseColumn.key`."""
+    """Return fitted coefficients of the base's columns after the bodies, by `BaseColumn.key`."""
     x = case.fitted(NO_COLUMNS)[0][-len(case.parts) :]
     return {p.key: c * p.size for p, c in zip(case.parts, x.tolist(), strict=True)}
 

@@ -1,4 +1,4 @@
-"""Identify how each joint follows its command: servo gain, friction, damping, inertia, delay.
+"""Identified response of joints to commands: servo gain, friction, damping, inertia, delay.
 
 J q'' + b q' + F sign(q') + g(c) + o = kp (c(t - delay) - q), and a joint sticks where the remaining
 torque is within F: droop under gravity, hysteresis over the command's history, lag and delay, as a

@@ -87,7 +87,7 @@ class LogDiagnosis(Result):
 
     @property
     def fitting(self) -> tuple[Found, ...]:
-        """Return the causes that pass the tests of `Found.named`; () if the log itself is faulty."""
+        """Return the causes that pass the tests of `Found.named`; () if the log is faulty."""
         return () if self.faults else tuple(f for f in self.outcome.found if f.named)
 
     @property

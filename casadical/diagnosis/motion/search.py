@@ -54,6 +54,7 @@ MIN_RUN_GAIN = 3.0  # smallest gain of a cause on the median held-out run [nats]
 INTERLEAVED_WINDOWS = 10  # number of consecutive windows that are held out together, local causes
 # Number of the best candidates that are ranked again with the noise re-estimated.
 REJUDGED_CANDIDATES = 12
+# Verdict: explained by named causes, several causes fit equally, unlisted cause, or no cause.
 Verdict = Literal["explained", "ambiguous", "unknown", "none"]
 
 
