@@ -60,7 +60,7 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
 def _without_rare(state: State, steps: Sequence[Step]) -> State | None:
     """Return the state without unlisted causes that have one label only; None if there are none.
 
-    Such effects are never claimed. If one cause remains, it is judged anew: an unlisted effect in
+    Such effects are never claimed. If one cause remains, it is ranked again: an unlisted effect in
     the model took probability from a listed cause that the data cannot distinguish from it.
     """
     listed_steps = [s for s in steps if len(s.labels) > 1 or state.by_label[s.labels[0]].listed]

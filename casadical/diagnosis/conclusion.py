@@ -165,7 +165,7 @@ def parameter_values(
         if effect.from_kind:
             seen = np.any(case.whole.take(case.columns[effect]), axis=(0, 1))
         for place, size, there, (name, (_, unit)) in zip(places, sizes, seen, effect.sizes().items(), strict=True):
-            # Parameters of an instrument that is not in use are left out.
+            # Parameters of an instrument that is not in use are omitted.
             if there:
                 parameters[effect, name] = float(value[place] * size), float(error[place] * size), unit
     return parameters
@@ -217,7 +217,7 @@ def _verdict(state: State, end: End, gap: Gap, rest: float, found: bool, shrinks
         return "unknown"
     if any(len(step.labels) > 1 for step in state.steps):
         return "ambiguous"
-    # A model that does not predict blocks of time left out explains nothing.
+    # A model that does not predict held-out blocks of time explains nothing.
     blocks = shrinks["blocks_mm"].to_numpy()
     return "unknown" if blocks[-1] > SETTINGS.max_block_ratio * blocks[0] else "explained"
 

@@ -160,8 +160,8 @@ class _Question:
 
         The search ends when a noisy joint is the most probable cause. Causes are then searched with
         this joint's larger repeatability error in the noise, under which their probabilities hold.
-        The remaining error is judged without it: an unlisted effect at that joint may cause it, so
-        that the verdict remains unknown.
+        The remaining error is evaluated without it: an unlisted effect at that joint may cause it,
+        so that the verdict remains unknown.
         """
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)

@@ -1,6 +1,6 @@
 """Isolability of effects in a set of poses: absorption by the base model and look-alikes.
 
-It needs no measured positions. It also tells which causes a campaign cannot show, and which ones it
+It needs no measured positions. It also shows which causes a campaign cannot reveal, and which it
 rules out. The visible signal is the part of an effect's columns that is orthogonal to the base
 model's, whose parameters are re-estimated with every cause, in the noise's metric; an effect with
 visible signal r per coordinate, in units of the noise, at n poses has noncentrality 3 n r^2.

@@ -447,7 +447,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
                 masks.append(mask)
     counts = [int(mask.sum()) for mask in masks]
     rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
-    # Tables with a smaller share of all numbers have too little influence.
+    # Tables with a smaller fraction of all numbers have too little influence.
     least = 0.1 * int(seen.measured.sum())
     # The noise ratio of tables with 100 numbers is known to 7 %.
     return tuple(masks[k] for k in rising if least <= counts[k] < 100)[:2]

@@ -68,8 +68,8 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
 
     remaining : linear model of the residual that the named causes leave
     """
-    # More than 120 poses make these shares no more accurate, at a cost of the third power of their
-    # number.
+    # More than 120 poses make these fractions no more accurate, at a cost of the third power of
+    # their number.
     indices = _sample(np.flatnonzero(case.kept), 120, rng)
     functions = _smooth_functions(case)[indices]
     E = [(part, _products(lever[indices], functions)) for part, lever in _part_jacobians(case).items()]

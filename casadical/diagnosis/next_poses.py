@@ -367,7 +367,7 @@ def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     units = case.given.reading_units
     q = poses[[*units]].to_numpy() * [*units.values()]
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
-    # A joint is idle below this share of its peak gravity torque.
+    # A joint is without load below this fraction of its peak gravity torque.
     idle, usual = ((np.abs(case.torques(m)) < 0.15 * case.given.torque_scale).mean(axis=0) for m in (new, case.m))
     more = np.flatnonzero(idle > np.minimum(2 * usual, usual + 0.3))
     return [f"{round(idle[j] * len(q))} with joint {j + 1} near zero torque" for j in more[:2]]

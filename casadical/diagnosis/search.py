@@ -50,7 +50,7 @@ class State:
     case : case with the present inliers
     steps : causes in the model, in the order in which they were added
     rankings : posterior over the next cause in each round
-    doubted : labels of causes that are in the model so that others can be judged given them, but
+    doubted : labels of causes that are in the model so that others can be ranked given them, but
         that are not named
     """
 

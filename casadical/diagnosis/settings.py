@@ -56,7 +56,7 @@ class Settings:
         cause already: it is more likely a flaw of the first cause's equation
     folds : number of folds of a partition of the poses
     min_ar_log_gain : log evidence of autocorrelated over white noise [nats] from which causes
-        and expressions are judged again under it
+        and expressions are searched again under it
     ar_coefficients : AR(1) coefficients that are tried: correlation of a pose's noise with that
         of the previous pose
     ar_coefficient_step : the best coefficient is refined by this step to both sides before

@@ -115,7 +115,7 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     (name,) = whole
     read = float(getattr(effect, name))
 
-    # Whole numbers are tried within a share of a fractional setting, and within one of it.
+    # Integers are evaluated within 12 % of a fractional setting, and within one of it.
     near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= max(0.12 * read, 1.0)]
     plain = [_with(effect, **{name: k}) for k in near]
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]

@@ -3,7 +3,7 @@
 Whitened residuals are regressed on functions of a driver (a joint angle, sums of two, order in
 time, position, orientation, the sense of the last motion) along a direction (an axis of base or
 tool, about the base's vertical, the motion of a joint). No driver is a candidate cause, and no
-prior limits the size of an error: the explained share of the square is compared with its
+prior limits the size of an error: the explained fraction of the square is compared with its
 distribution by chance among all tests (F test, Bonferroni correction). The degrees of freedom are
 those of the scatter of the squares (Satterthwaite 1946), which accounts for heavy tails and for
 noise in a single direction. Neighbouring poses are compared, too: in joint space, in position, and
@@ -179,7 +179,7 @@ class _WhitenedResidual:
         sure = _significant(tests, len(tests))
         # Of a joint's lines only the most significant one is kept.
         each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}
-        # The tails are Gaussian if the squares have this share of the numbers' degrees of freedom.
+        # The tails are Gaussian if the squares have 0.6 of the numbers' degrees of freedom.
         tails = self.freedom >= 0.6 * (self.e.count - self._absorbed)
         # At most three drivers are reported.
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
@@ -361,8 +361,8 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
     """Return the log probability that columns explain at least a fraction of pure noise's square.
 
     share : the fraction; width : number of columns; freedom : degrees of freedom of the noise
-    An odd number of columns counts as one more: the tail of the share's beta distribution is then a
-    finite sum. It is summed in logarithms because scipy's tail underflows below 1e-308.
+    An odd number of columns counts as one more: the tail of the fraction's beta distribution is
+    then a finite sum. It is summed in logarithms because scipy's tail underflows below 1e-308.
     """
     half, rest = (width + 1) // 2, (freedom - width) / 2
     if rest <= 0 or not half:

@@ -408,7 +408,7 @@ class Effect:
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Yield sets of effects, each judged as one cause: first every candidate alone.
+        """Yield sets of effects, each compared as one cause: first every candidate alone.
 
         If `together`, the candidates of equal settings at all joints follow as one set.
         """

@@ -1,6 +1,6 @@
 """Causes that act in a joint log: formulas of logged signals for torques and servo position errors.
 
-A torque is a share of the joint's peak torque in the log, a response is command minus reading [rad
+A torque is divided by the joint's peak torque in the log, a response is command minus reading [rad
 or m]. At the insertion points `torques` and `responses` a formula applies to every joint, else to
 the cause's own.
 """
@@ -34,7 +34,8 @@ def motion_effects() -> Mapping[str, type[DefinedEffect]]:
 def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array]) -> list[Array]:
     """Return the value of an effect's formula for each parameter alone at its typical size.
 
-    The other parameters are zero. The values are shares of peak torque or responses [rad or m].
+    The other parameters are zero. Values are torques divided by the peak torque, or responses [rad
+    or m].
 
     seam : insertion point, "torque", "torques", "response" or "responses"
     names : samples of the variables of the formula, all of one shape, which is that of each column

@@ -291,7 +291,7 @@ class LinkFlexure(Effect):
 
     @classmethod
     def variants(cls, arm: Arm) -> Iterable[tuple[Effect, ...]]:
-        """Yield sets of effects, each judged as one cause: every link alone, then all together.
+        """Yield sets of effects, each compared as one cause: every link alone, then all together.
 
         This is repeated for each value of `spread`.
         """

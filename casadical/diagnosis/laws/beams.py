@@ -3,7 +3,7 @@
 Some stations around the robot are tried, and moved once a law is among the best. Waves over the
 range that are short compared with the spread of the poses need many more stations: the products of
 the residual with all of these waves are computed without the projection by the base model, and the
-stations with the greatest products are judged.
+stations with the largest products are evaluated.
 """
 
 import itertools
@@ -212,7 +212,7 @@ class Beam:
         return [replace(found, tried=replace(found.tried, again=again))]
 
     def _places(self, problem: Problem, poses: Array | slice = WHOLE_AXIS) -> tuple[list[Point], int]:
-        """Return the stations [m] whose short waves have the greatest products with the residual.
+        """Return the stations [m] whose short waves have the largest products with the residual.
 
         The second item is the number of pairs of a station and a wave number that were searched.
 
@@ -248,7 +248,7 @@ class Beam:
 
 
 def _greatest(beams: Array, weights: Array, waves: Array) -> Array:
-    """Return the greatest product of the residual with waves over the range, shape (places,).
+    """Return the largest product of the residual with waves over the range, shape (places,).
 
     beams : vectors from each station to each measured point, shape (places, n, 3) [m]
     weights : see `Problem.residual_weights`

@@ -1,7 +1,7 @@
 """The building blocks of laws: drivers, on which errors may depend, and functions of a driver.
 
 A form is text in x (the driver) and its settings k, w, f, in which it is not linear. Values of
-settings have four digits, so that the formula that is written is the one that was judged.
+settings have four digits, so that the formula that is written is the one that was evaluated.
 """
 
 import re
@@ -100,7 +100,7 @@ def values_of(linear: Linearisation, drivers: Sequence[Driver]) -> tuple[list[Dr
     names = names_in([parse(d.text) for d in drivers])
     at = variables(linear, names)
     values = [np.asarray(parse(d.text).values(at, NUMERIC_FUNCTIONS)[0]) for d in drivers]
-    # Drivers that vary by 0.02 or less [rad, m, K, kg, or a share] are constant.
+    # Drivers that vary by 0.02 or less [rad, m, K, kg, or 1] are constant.
     limit = SETTINGS.max_driver_value
     varying_indices = [k for k, v in enumerate(values) if np.ptp(v) > 0.02 and np.abs(v).max() < limit]
     varying = [
@@ -301,7 +301,7 @@ FORMS = {
         Form("levels", ("step(x - k)", "step(x - w)"), ("k", "w"), _between(10)),
         # One between k and w, else zero.
         Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between(16)),
-        # Exponential decay with the constant w, a share of the driver's range.
+        # Exponential decay with the constant w, a fraction of the driver's range.
         Form("fading", ("exp(-x/w)",), ("w",), lambda x: rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])),
         # A wave of frequency f of up to 16 cycles per revolution, or more.
         Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns),

@@ -428,7 +428,7 @@ class Problem:
 
         chosen : indices of the columns in the model; least : see the class
         """
-        # Only at the most probable noise of the tables, since thousands of laws are judged.
+        # Only at the most probable noise of the tables, since thousands of laws are evaluated.
         alone = case.judged.with_causes_alone(chosen)
         if case.form is WHITE_FORM:
             return cls(alone, least)

@@ -310,7 +310,7 @@ def refined_settings(
 
     best: Chosen = (tried, seam, settings)
     evidence = float(evidences([best])[0])
-    # The first step is a share of the driver's range (see `_moved` for other settings).
+    # The first step is a fraction of the driver's range (see `_moved` for other settings).
     step, halved = 0.03, 0
     # 30 rounds where a station with three coordinates is moved, too.
     for _ in range(30 if tried.nearby else 10 if len(settings) else 0):

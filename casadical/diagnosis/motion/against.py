@@ -1,8 +1,9 @@
 """Published drive parameters compared with those identified from logs, which may contradict them.
 
 A set of parameters comes from an MJCF with actuators, from the table [drive] of a robot file, or
-from a table with a row for each joint. Each set replays the withheld runs as the fit does. Of each
-parameter it is told whether the logs determine it, and if so, whether they contradict the file.
+from a table with a row for each joint. Each set replays the withheld runs as the fit does. For
+each parameter the verdict states whether the logs determine it, and if so, whether they contradict
+the file.
 """
 
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,6 +1,6 @@
 """Baseline regressors of every arm: rigid bodies, hysteretic friction and the position servo.
 
-Torques are shares of each joint's peak torque in the log. Friction depends on the history of the
+Torques are divided by each joint's peak torque in the log. Friction depends on the history of the
 angle (play operators of several widths), grows with speed and load, drops at low speed (Stribeck
 effect) and relaxes at rest.
 """

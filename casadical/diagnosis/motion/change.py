@@ -3,7 +3,7 @@
 The identified responses of a log and of its reference differ by noise, by the friction of another
 day, and perhaps by a cause. Of each joint, the difference of the logarithms of gain, friction,
 damping and inertia (divided by the gain) and delay is Gaussian in each hypothesis, so that each
-cause has a closed marginal likelihood. A general change of all five stands for what is on no list.
+cause has a closed marginal likelihood. A general change of all five stands for unlisted causes.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,7 +31,7 @@ HYPOTHESES: tuple[tuple[str, tuple[str, ...], tuple[float, ...], float], ...] = 
 )
 # Standard deviation of the change of each logarithm from one day to another.
 DAILY_SIGMAS = (0.03, 0.15, 0.15, 0.05, 0.1)
-SIGMA_UNLISTED = 0.5  # prior standard deviation of each logarithm's change by a cause on no list
+SIGMA_UNLISTED = 0.5  # prior standard deviation of each logarithm's change by an unlisted cause
 # Standard deviation of an identified delay by sampling, divided by the time between samples.
 DELAY_SAMPLE_SHARE = 0.1
 # Standard deviation of identified dry friction / gain by the resolution of the readings, divided by

@@ -1,7 +1,7 @@
 """Cost of each effect: replays without one effect at a time, and torque errors model by model.
 
 Both are of samples that were not fitted, for every arm and without a threshold: a response that was
-identified is replayed again with one effect taken out, and a torque is predicted by the bodies of
+identified is replayed again with one effect removed, and a torque is predicted by the bodies of
 the file, by fitted bodies, with friction, and with friction that grows with load.
 """
 
