@@ -215,10 +215,10 @@ Overwrite = Annotated[bool, Option("--overwrite", help="Replace FILE if it is th
 
 
 def refuse_of_others(context: Context, mode: str, modes: Mapping[str, Sequence[str]]) -> None:
-    """Check that no parameter of another mode was given. Raises InputError.
+    """Check that no parameter of another mode of the command was given. Raises InputError.
 
-    mode : the one that runs, in words
-    modes : parameters that only some modes have, by mode in words
+    mode : name of the mode that runs, in words
+    modes : name of a mode -> parameters that are allowed in it, of those that not all modes have
     """
     for parameter in context.command.params:
         theirs = [other for other, names in modes.items() if parameter.name in names]

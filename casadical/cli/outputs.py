@@ -138,7 +138,7 @@ def _real(path: Path, done: str = "written") -> Path:
 
 
 def _inputs(path: Path) -> Iterator[Path]:
-    """Yield the real path of an input; for a folder also the files that are read in it."""
+    """Yield the real paths of an input and, for a folder, of the files in it that are read."""
     with suppress(OSError, ValueError, RuntimeError):
         real = real_path(path)
         yield real

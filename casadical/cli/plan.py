@@ -192,10 +192,11 @@ def _poses(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Print which poses to measure, or how many are enough.
+    """Print which poses to measure, or how many are enough, and write requested files.
 
     chosen : function that makes the plan, called with a function that shows progress
     to : file of the poses; None: only the number of poses is printed
+    measured, prior : as given to the command, for its sentence on the model
     """
     from casadical.project.planning import planned_with
 

@@ -74,7 +74,10 @@ def turn_errors(robot: Robot, m: Measurements) -> Array | None:
 
 
 def summarise(errors: Array) -> Accuracy:
-    """Return the statistics of errors, shape (n,) [m]; the standard deviation divides by n - 1."""
+    """Return the statistics of errors, shape (n,) [m]; the standard deviation divides by n - 1.
+
+    Errors in rad give statistics in rad.
+    """
     return Accuracy(
         n=len(errors),
         mean=float(errors.mean()),
@@ -108,7 +111,7 @@ def predicted(robot: Robot, m: Measurements, values: Mapping[str, float] | None 
 
 
 def residual_mm(robot: Robot, m: Measurements) -> Array:
-    """Return measured minus computed positions, shape (n, 3) [mm], in the measuring frame.
+    """Return the position residuals, measured minus computed, (n, 3) [mm], in the measuring frame.
 
     Source: paper, eq. 9.
 

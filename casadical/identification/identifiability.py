@@ -112,7 +112,9 @@ def analyse(
 
 
 def _projection_residual(basis: Array, column: Array) -> tuple[float, Array]:
-    """Return length and vector of a unit column's residual after projection on a basis.
+    """Return length and vector, shape (rows,), of a unit column's residual after projection.
+
+    It is the part of the column orthogonal to the basis.
 
     basis : orthonormal, shape (size, rows); column : shape (rows,)
     """

@@ -53,7 +53,7 @@ class States:
 
 
 def states_of(log: JointLog) -> States | None:
-    """Return at most about 500 states of a log, each with the mean torque of its window.
+    """Return at most 1,000 states of a log, evenly spaced, each with the mean torque of its window.
 
     None without signed torques or currents, or with too few states. States are those at the middle
     of windows, by the least squares parabola through the positions.

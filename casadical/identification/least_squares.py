@@ -201,9 +201,9 @@ class LeastSquares:
 
     @cached_property
     def prior_matrix(self) -> Array:
-        """Inverse of the priors' covariance in units of v, shape (size, size).
+        """Precision matrix of the priors (inverse covariance) in units of v, shape (size, size).
 
-        Zero where no prior applies.
+        Rows and columns of variables without a prior are zero.
         """
         weights = np.zeros(self.size)
         held_back = self.guesses | bool(self.priors)
@@ -543,7 +543,7 @@ class LeastSquares:
         return other
 
     def with_loss(self, loss: Loss) -> LeastSquares:
-        """Return the problem with another loss.
+        """Return the same problem with another loss of the residuals.
 
         Data, points, independence of parameters and residuals at the start are taken over from the
         cache.
@@ -557,7 +557,7 @@ class LeastSquares:
         return other
 
     def with_names(self, names: Sequence[str]) -> LeastSquares:
-        """Return the problem with other free parameters of the same robot.
+        """Return the same problem with other free parameters of the robot, by their names.
 
         Data and, for a subset of the parameters, the sums at the start are taken over from the
         cache.
@@ -593,7 +593,10 @@ class Linearised(LeastSquares):
         return made
 
     def with_sigmas(self, sigmas: tuple[tuple[float, float], ...]) -> Linearised:
-        """Return the linearised problem with other sigmas for each set: [m] and [rad]."""
+        """Return the linearised problem with other noise sigmas of each set.
+
+        sigmas : standard deviations of a coordinate [m] and an angle [rad], for each set
+        """
         other = replace(self, sigmas=sigmas)
         other.cache.made.update(labels=self.labels, points=self.points)
         return other

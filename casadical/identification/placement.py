@@ -335,7 +335,7 @@ def _with_targets(robot: Robot, m: Measurements) -> Robot:
 
 
 def _flange(robot: Robot, m: Measurements, T_M0: Array) -> tuple[Array, Array]:
-    """Return flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame.
+    """Return the model's flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame.
 
     T_M0 : base frame in the measuring frame, which determines the direction of gravity
     """

@@ -111,7 +111,10 @@ def _refuse_payload(robot: Robot, m: Measurements) -> None:
 
 
 def _out_of_range(robot: Robot, m: Measurements) -> Iterator[Fault]:
-    """Yield a fault for the readings of each joint beyond one of its limits, the farthest first."""
+    """Yield a fault for each joint and each of its limits that readings exceed.
+
+    A fault lists the rows, the farthest first.
+    """
     for i, joint in enumerate(robot.joints):
         unit, factor = ("deg", 180 / np.pi) if joint.kind == "revolute" else ("mm", 1e3)
         q, remedy = m.q[:, i], "correct the reading or the limits in the robot file"

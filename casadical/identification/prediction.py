@@ -142,7 +142,7 @@ def _known_covariances(problem: LeastSquares) -> Iterator[Covariance]:
 
 
 def _prior_covariance(problem: LeastSquares, names: Sequence[str]) -> Array:
-    """Return the covariance of parameters before the data [SI], shape (names, names).
+    """Return the prior covariance of parameters, shape (names, names) [SI].
 
     It is that of the problem or the robot file, or else diagonal with the parameters' own priors.
     """

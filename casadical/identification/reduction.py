@@ -183,7 +183,9 @@ def solve_by_auto(
 
 
 def _surely_without_outliers(problem: LeastSquares, solution: Solution) -> bool:
-    """Return whether the huber loss would surely find no outliers.
+    """Return whether the huber loss would surely find no outliers, without solving with it.
+
+    solution : with the linear loss
 
     Residuals are linearised about the fit with the linear loss. False where that fit has few data,
     is at a bound, or has larger residuals than a model may have: the huber loss may then have

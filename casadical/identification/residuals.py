@@ -176,7 +176,7 @@ class Block:
     robot: Array
 
     def with_names(self, robot: Robot, names: tuple[str, ...]) -> "Block":
-        """Return the same measurements for other free parameters of the robot."""
+        """Return the block of the same measurements for other free parameters of the robot."""
         k = self.kernel
         return replace(
             self, kernel=kernel(robot, k.kind, k.point, names, k.fixed_loads), robot=robot_numbers(robot, names)

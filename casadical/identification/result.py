@@ -401,8 +401,8 @@ class Identification(Result):
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
         """Return whether no step within the bounds lowers the cost, recomputed from the data.
 
-        tolerance : what one more Gauss-Newton step may gain in chi-squared; 1e-4 is about 1 % of a
-            standard error
+        tolerance : reduction of the cost (half of chi-squared) up to which a Gauss-Newton step does
+            not count; 1e-4 is about 1 % of a standard error
         """
         if self.problem.guesses.any():
             tolerance = max(tolerance, 2 * SETTLED_COST_GAIN)

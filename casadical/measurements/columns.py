@@ -58,7 +58,7 @@ class Source:
 
     @property
     def words(self) -> str:
-        """The relation in words, such as "0.5 x 'A' - 'B' +90, 1 row below"."""
+        """The computation of the column as text, such as "0.5 x 'A' - 'B' +90, 1 row below"."""
         terms = [(self.times, self.name), *((factor, name) for name, factor in self.add.items())]
         texts = [
             f"{'-' if factor < 0 else '+'} {'' if abs(factor) == 1 else f'{abs(factor):.6g} x '}'{shown(name)}'"
@@ -232,7 +232,8 @@ class Columns:
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
         """Return the columns with a column `tool` that names each row's target.
 
-        rows : lines of the file for each target's name
+        rows : name of a target -> lines of the file, from 1, at which it was measured; others get
+            none
         Raises InputError: a row is listed twice.
         """
         names: dict[int, str] = {}
@@ -350,8 +351,9 @@ class Columns:
         return Fault(self.source, (), name, "", "is empty", "", "each of its rows needs a number")
 
     def si(self, stem: str, units: Sequence[str]) -> Array:
-        """Return column `stem` with one of the suffixes _mm, _m, _deg, _rad, shape (n,) [m or rad].
+        """Return the column STEM_mm, STEM_m, STEM_deg or STEM_rad in SI, shape (n,) [m or rad].
 
+        stem : name without unit; units : suffixes that are allowed
         Raises InputError: it is missing, given in two units, or a cell is no finite number.
         """
         present = [u for u in units if f"{stem}{u}" in self.table]

@@ -322,6 +322,7 @@ def _meaning(
 def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
     """Return the groups of columns that fill all slots of a quantity, only those of the best rank.
 
+    A group has equal qualifier and unexplained words, and its columns are in the order of slots.
     Measured ones rank before unqualified ones, and those with unexplained words last; nominal
     columns are excluded.
     """

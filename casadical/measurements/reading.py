@@ -236,7 +236,10 @@ def _numbers(m: Measurements) -> list[Array]:
 
 
 def refuse_shared_rows(sets: Sequence[Measurements]) -> None:
-    """Check that no table repeats rows of another one of its kind. Raises InputError."""
+    """Check that no table has half of its rows or more in common with another one of its kind.
+
+    Raises InputError.
+    """
     rows = [np.unique(_hashes(_numbers(m))) for m in sets] if len(sets) > 1 else []
     if not rows or len(np.unique(np.concatenate(rows))) == sum(map(len, rows)):
         return

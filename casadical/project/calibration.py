@@ -261,7 +261,10 @@ class Calibration(Result):
         return {name: kinds[names[0]] for name, names in error_groups(kinds).items()}
 
     def files(self, folder: str | Path) -> dict[Path, str]:
-        """Return the texts of the result files by path: figures, robots, compensators."""
+        """Return path -> text of the files in a folder of results.
+
+        They are result.json, robots and parameters by method, compensators, and hand_eye.calib.
+        """
         folder, problem = Path(folder), self.problem
         texts = {folder / "result.json": json_text(self.to_json())}
         if self.hand_eye:

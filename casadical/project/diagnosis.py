@@ -120,10 +120,10 @@ def read_campaigns(
 
     folder : problem folder or robot file
     tables : tables in place of the folder's own
-    carried : function that puts the prior of another campaign into the robot
+    carried : function that puts the prior of another campaign into the robot (see `carried_from`)
     together : whether all tables are one campaign
     readings_only : whether poses are planned, not measured
-    Raises InputError.
+    Raises InputError for a table that cannot be used.
     """
     paths = list(tables or own_tables(folder))
     nominal = read_campaign_robot(folder)
@@ -241,7 +241,7 @@ class CampaignDiagnosis(Result):
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
-        """Return the result files by path: robot file with the causes, figures and page.
+        """Return path -> text of the result files: robot file with the causes, answer in JSON.
 
         unlisted : whether the description of an unknown cause is one of them
         """
@@ -295,7 +295,7 @@ class LogCampaign:
         return self.read.get(path) or self.read.setdefault(path, read_log(path, self.robot))
 
     def diagnosed(self, show: Show = silent) -> LogDiagnosis:
-        """Return why the motion in all logs differs from the model (see `diagnose_log`).
+        """Return the diagnosis of all logs: causes of differences to the model (`diagnose_log`).
 
         Raises InputError.
         """

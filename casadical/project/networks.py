@@ -58,7 +58,10 @@ class NetworkResult:
 
     @property
     def as_trained(self) -> dict[str, Any] | None:
-        """Return the errors before and after, by set, also of a network that was refused."""
+        """Return set (train, choose, report) -> errors without and with the network, as trained.
+
+        None where there is no network; a refused one has them, too.
+        """
         if (c := self.compensator) is None:
             return None
         parts = {"train": c.training, "choose": c.choice, "report": c.validation}
@@ -137,7 +140,11 @@ def train_networks(
 
 
 def training_material(problem: Problem, result: Identification, seed: int = 0) -> Material | str:
-    """Return the training data of the networks, or the reason why there are none."""
+    """Return the training data of the networks, or a sentence on why there are none.
+
+    result : identification by SKCM, whose residuals are learnt; seed : of the split of
+        identification poses
+    """
     sets = {name: parts for name, parts in problem.sets.items() if all(m.position is not None for m in parts)}
     if "identify" not in sets or "report" not in sets:
         kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))

@@ -176,7 +176,12 @@ def paper_tables(paper: Paper | None, accuracies: Accuracies, networks: Networks
 def _paper_rows(
     name: str, accuracies: Accuracies, networks: Networks | None
 ) -> Iterator[tuple[str, str, tuple[float, float, float]]]:
-    """Yield method, set and our (mean, max, std) [mm]; networks as trained, also refused ones."""
+    """Yield method, set and our (mean, max, std) of errors [mm] for a table of the paper.
+
+    Networks are as trained, also refused ones.
+
+    name : "calibration" or "validation"
+    """
     base = "identify" if name == "calibration" else "report"
     rows = list(accuracies.items())
     for method, states in [("before", rows[-1][1]), *rows]:
@@ -193,7 +198,10 @@ def _paper_rows(
 
 
 def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]:
-    """Return a table of all rows that a method left out as outliers, with their errors [mm]."""
+    """Return a table of all rows that a method left out as outliers, with their errors [mm]; or [].
+
+    identifications : by method
+    """
     rows: dict[tuple[str, int], dict[str, str]] = {}
     for method, result in identifications.items():
         for out in result.left_out:
@@ -302,7 +310,7 @@ def changed_readings(problem: Problem) -> list[str]:
 
 
 def unused_columns(problem: Problem) -> dict[str, str]:
-    """Return the columns that the calibration does not use, each with its table."""
+    """Return column that the calibration does not use -> name of its table."""
     used = {*problem.robot.conditions, "pose", "time_s", "point", problem.set_column}
     unused = {name: m.source for _, m in problem.parts() for name in (*m.conditions, *m.unused) if name not in used}
     return {shown(name): table for name, table in unused.items() if not name.startswith(("tool_", "session_"))}

@@ -109,7 +109,7 @@ def read_places(path: Path) -> Array:
 
 
 def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...], float | None]:
-    """Return the kinds of a problem folder's tables, and the greatest declared noise [mm].
+    """Return the kinds of a problem folder's tables, and the largest declared sigma [mm].
 
     A kind that is not declared is read from the table, if there is one; the noise is None where
     none is declared.
@@ -133,7 +133,7 @@ def more_poses(path: Path, m: Measurements) -> Words:
 
 
 def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
-    """Return the noise of a coordinate to plan with where none is given [mm].
+    """Return the standard deviation of a coordinate to plan with where none is given [mm].
 
     It is the one that the folder's tables declare, else that of a laser tracker. Raises InputError
     where the tables are of no positions and it is not said what to plan for.

@@ -118,7 +118,7 @@ class DataTable(_Strict):
 
     @model_validator(mode="after")
     def _one_noise(self) -> DataTable:
-        """Refuse two statements on the noise of a coordinate."""
+        """Refuse sigma_mm and datasheet_mm together: both state the noise of a coordinate."""
         if self.sigma_mm is not None and self.datasheet_mm is not None:
             raise FaultError("datasheet_mm", "sigma_mm says more of the same; leave one of them out")
         return self
@@ -227,7 +227,7 @@ def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
     """Return the robot of a robot file or URDF.
 
     urdf : [urdf] of problem.toml, which applies to a URDF alone
-    Raises InputError.
+    Raises InputError for a file that is no robot.
     """
     if path.suffix == ".urdf":
         from casadical.robot.urdf import read_urdf
@@ -252,7 +252,7 @@ def all_methods() -> tuple[str, ...]:
 
 
 def _known_method(name: str) -> str:
-    """Return a method's name. Raises ValueError where there is no such method."""
+    """Return a method's name unchanged. Raises ValueError where there is no such method."""
     if name not in all_methods():
         raise ValueError(f"allowed: {', '.join(all_methods())}")
     return name
@@ -334,7 +334,7 @@ def base_methods(methods: Sequence[str]) -> tuple[BaseMethod, ...]:
 
 
 def problem_file(folder: Path) -> ProblemFile:
-    """Return the contents of a folder's problem.toml. Raises InputError."""
+    """Return the contents of a folder's problem.toml. Raises InputError where it is not valid."""
     if not folder.exists():
         raise missing(folder, "robot file" if folder.suffix in (".toml", ".urdf") else "problem folder")
     if not folder.is_dir():
@@ -372,7 +372,7 @@ def file_with_tables(source: Path, tables: Sequence[str | Path]) -> ProblemFile:
 
 
 def own_tables(source: Path) -> list[Path]:
-    """Return the table files of a problem folder. Raises InputError for none or a robot file."""
+    """Return the paths of a problem folder's tables. Raises InputError for none or a robot file."""
     if source.is_file():
         raise InputError(f"{shown(source)}: a robot file has no measurements; give their tables after it")
     if source.is_dir() and not (source / "problem.toml").exists():

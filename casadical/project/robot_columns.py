@@ -84,12 +84,15 @@ def _without_other_frame(
 
 
 def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
-    """Return poses as those of the tool in the measuring frame, with the place of their camera.
+    """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
-    inverted : whether they are the inverse of that; None: where only their inverse fits the robot,
-        or where both fit and a camera in hand saw a target, as solvers of perspective have it
-    camera : where it is said to be; empty: as the poses look
-    Raises InputError: poses without orientations that are said to be inverted.
+    Poses that the table gives inverted are inverted; other kinds are returned unchanged.
+
+    inverted : whether the table has the inverse of these poses; None: it has where only the inverse
+        fits the robot, or where both fit and the camera is in hand
+    camera : where the camera is; empty: as the poses show
+    Raises InputError: measurements without orientations that are declared to be inverted, or to be
+    of a camera.
     """
     if m.position is None or m.orientation is None:
         if inverted or camera:
@@ -198,7 +201,7 @@ def computed(robot: Robot, m: Measurements) -> bool:
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
-    """Return the nominal robot with base and tool fitted to positions, and its median error [m]."""
+    """Return the robot with base and tool position fitted to positions, and its median error [m]."""
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
     placed = place_frames(free, m.positions_alone())
     return placed, float(np.median(errors(placed, m.positions_alone())))

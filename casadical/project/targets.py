@@ -172,8 +172,11 @@ def _turning(points: list[Array]) -> bool:
 def _distinguished(
     robot: Robot, m: Measurements, poses: list[tuple[Array, Array]], whole: list[tuple[Array, Array]], found: Targets
 ) -> Targets:
-    """Return `found` with the target of each row, by the nominal model placed by the centroids.
+    """Return the targets with their points and each row's target, by the nominal model.
 
+    The model is placed by the centroids of the targets. Unchanged where it is too inaccurate.
+
+    found : targets by their distances
     poses : rows and clusters of all groups of equal readings, as of `_poses`
     whole : those at which every target was measured
     """

@@ -44,7 +44,7 @@ class Dynamics:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters pi.
+        """Names of the 11 n inertial parameters pi.
 
         m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
         """
@@ -115,7 +115,10 @@ class Dynamics:
 
     @cached_property
     def function(self) -> ca.Function:
-        """Function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N]."""
+        """CasADi function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N].
+
+        q, v, a : readings, velocities and accelerations; pi : inertial parameters (see `names`)
+        """
         point, geometry, gravity, Y = _expressions(self.robot.structure, self._couplings)
         pi = ca.SX.sym("pi", len(self.names))
         known = [ca.DM(self.robot.parameters.values), ca.DM(self.gravity)]

@@ -106,7 +106,10 @@ def _parallel_axes(arm: Arm, i: int) -> bool:
 
 
 def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
-    """Yield the bar lengths of loop k (1-based); a parallelogram's rocker is fixed."""
+    """Yield the parameters of the bar lengths of loop k (1-based).
+
+    A parallelogram's rocker has a reason why it is fixed.
+    """
     names = bar_names(k)
     ground = abs(arm.joints[loop.driven - 1].a)
     # Relative difference of opposite bars below which a four-bar counts as a parallelogram.

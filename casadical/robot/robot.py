@@ -269,7 +269,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def declared(self) -> Array:
-        """Values of `conditions` where nothing was logged, shape (k,) [of the column].
+        """Values of `conditions` where nothing was logged, shape (k,) [each in its column's unit].
 
         Payload and gravity are the declared ones; progress is 1, as at the end of the campaign; all
         else is zero, which for several tools means the first.
@@ -442,9 +442,9 @@ class Robot(Shown, Arm):
         )
 
     def values_of(self, other: Robot) -> Array:
-        """Return the parameters of this robot with which it equals another one, shape (P,) [SI].
+        """Return values of this robot's parameters with which it equals another one, (P,) [SI].
 
-        The other one has the same structure; its base and tool frames may differ.
+        The other one has the same structure; its nominal base and tool frames may differ.
         """
         values = dict(zip(other.parameters.names, other.parameters.values, strict=True))
         moved, turned = (np.linalg.solve(a.T, b.T) for a, b in ((self.base, other.base), (self.tool, other.tool)))

@@ -116,7 +116,7 @@ class _Joint(TomlTable):
         """Convert the arrays [joint, factor] of `follows` to tuples, with factors as floats."""
 
         def pair(given: Any) -> Any:
-            """Return a (joint, factor) pair from an array of two, or what was given."""
+            """Return the tuple (joint, factor) for an array of two, or anything else unchanged."""
             if not isinstance(given, list) or len(given) != 2:
                 return given
             joint, factor = given
@@ -153,7 +153,7 @@ class _Joint(TomlTable):
         return self
 
     def joint(self) -> parts.Joint:
-        """Return the joint that the table describes."""
+        """Return the joint with DH row, limits and compliance that the table describes [SI]."""
         default = (-2 * np.pi, 2 * np.pi) if self.type == "revolute" else (-10.0, 10.0)
         lower, upper = self.limits or default
         stiffness = self.stiffness_Nm_per_rad or self.stiffness_N_per_m

@@ -97,7 +97,7 @@ class JointLog(Shown):
         return f" {self.source}: {len(self)} rows, {seconds:.1f} s, {len(self.joints)} joints: {kept}"
 
     def _repr_html_(self) -> str:
-        """For a notebook: what was found, and ranges of all channels."""
+        """Return HTML for a notebook: the findings, and the ranges of all channels."""
         rows = []
         for name, values in self.arrays.items():
             for k, column in enumerate(values.T if values.ndim == 2 else [values]):

@@ -165,7 +165,10 @@ def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, messag
 
 
 def _of_stream(stream: _Stream, path: Path) -> Logged:
-    """Return a topic's messages as a log, timed by their stamps, else by their receipt."""
+    """Return a ROS topic's messages as a log, timed by their stamps, else by their receipt [s].
+
+    path : of the bag
+    """
     stamps, received = np.array(stream.stamps), np.array(stream.received)
     notes = []
     if stamped := bool((stamps > 0).all()):

@@ -152,7 +152,7 @@ class Budget:
 
     @property
     def stated(self) -> str:
-        """Return E +- U in words, or its upper limit where it is not resolved."""
+        """Return the text "E ± U mm", or "<= limit mm" where E is not resolved."""
         if self.resolved:
             return f"{mm(self.error)} ± {mm(self.expanded)} mm"
         return f"<= {mm(self.error + self.expanded)} mm"
@@ -202,12 +202,12 @@ def budget_of(
     repeats: tuple[float, float] = (0.0, 0.0),
     groups: Sequence[str] = ("base",),
 ) -> Budget:
-    """Return E of a robot's model at held-out positions, with its uncertainty budget.
+    """Return the budget of a robot's rms error E at held-out positions, and of its uncertainty.
 
     robot : robot that is judged
-    held_out : measured positions that the calibration has not seen
+    held_out : measured positions that the calibration has not used
     known : stated uncertainties
-    repeats : scatter and degrees of freedom, as of `repeats_of`
+    repeats : standard deviation [m] and degrees of freedom, as of `repeats_of`
     groups : groups of parameters that are fitted to these poses first, as far as the robot has them
     Raises InputError: fewer than `MIN_HELD_OUT_POSES` poses, or no positions.
     """
@@ -305,7 +305,7 @@ def _interpolation_uncertainty(robot: Robot, sets: Sequence[Measurements]) -> fl
     scale = np.array([robot.parameters[n].scale for n in names])[:, None]
 
     def mean_square(some: Measurements) -> float:
-        """Return the mean variance of position over these poses [m^2]."""
+        """Return the mean over poses of the squared position error by the covariance [m^2]."""
         J = 1e-3 * residuals_and_jacobian(robot, [some], names)[1]
         J = J[np.isfinite(J).all(axis=(1, 2))]
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))

@@ -262,7 +262,10 @@ class Certificate(Acceptance):
         return [Words(w["refit"].format(n=self.refit))] if self.refit else []
 
     def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
-        """Return the decision and its rule, or that there is no tolerance."""
+        """Return sentences on the decision and its rule, or that there is no tolerance.
+
+        w : words of the certificate's language
+        """
         if not self.decision:
             return [Words(w["no_decision"])]
         tolerance = mm(self.details.decision.tolerance or 0.0)
@@ -270,9 +273,12 @@ class Certificate(Acceptance):
         return [Words(w[self.decision].format(**given), "verdict"), Words(w["rule"].format(**given))]
 
     def budget_table(self, w: Mapping[str, str]) -> Table:
-        """Return the uncertainty budget, one row for each source.
+        """Return the uncertainty budget as a table, one row for each source.
 
-        A row has the contribution to E^2, its standard uncertainty, and its share in u(E).
+        A row has the contribution to E^2 [mm^2], its standard uncertainty [mm^2], degrees of
+        freedom, and its share in u(E) [mm].
+
+        w : words of the certificate's language
         """
         after = self.after
         rows = [(w["mean_square"], "", f"{1e6 * after.rms**2:.4g}", "", "", "")]
@@ -298,7 +304,7 @@ class Certificate(Acceptance):
         return Table("", head, rows, frozenset({2, 3, 4, 5}), frozenset({len(rows) - 1}))
 
     def _picture(self, w: Mapping[str, str], k: int) -> Figure:
-        """Return a figure of the held-out poses, coloured by their error.
+        """Return a figure of the held-out poses in the base frame, coloured by their error.
 
         They are seen from the side, or from above where their heights are equal.
 

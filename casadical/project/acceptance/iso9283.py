@@ -85,10 +85,10 @@ def planned_test(
 
 
 def _one_orientation(robot: Robot, q: Array, places: Array, room: Workspace) -> Array | None:
-    """Return readings at the places in one orientation, shape (5, joints); None without any.
+    """Return readings that reach five places in one orientation, shape (5, joints), or None.
 
     q : readings at the first place, shape (k, joints) [rad or m]; one of them gives the orientation
-    places : in the measuring frame, shape (5, 3) [m]
+    places : in the measuring frame, shape (5, 3) [m]; room : where poses may lie
     """
     R = predicted(robot, unmeasured(q))[1]
     rows, limits = 6 if robot.n >= 6 else 3, room.ranges(robot)
@@ -183,10 +183,10 @@ class PoseFigures:
 
 
 def pose_figures(pose: int, p: Array, command: Array) -> PoseFigures:
-    """Return AP and RP of one pose. Raises InputError for a single visit.
+    """Return accuracy AP and repeatability RP of one pose. Raises InputError for a single visit.
 
-    p : measured positions, shape (n, 3) [m]
-    command : shape (3,) [m], in the same frame
+    pose : its number, 1 to 5; p : measured positions of its n visits, shape (n, 3) [m]
+    command : commanded position, shape (3,) [m], in the same frame
     """
     # RP needs a standard deviation, so at least two visits.
     min_visits = 2
@@ -245,7 +245,7 @@ class Iso9283(Acceptance):
         """Return None: the standard states figures and no limit."""
 
     def table(self) -> Table:
-        """Return a table of the figures, one row for each pose."""
+        """Return a table of AP, its components, RP and vAP [mm], one row for each pose."""
         rows = []
         for f in self.accuracy:
             parts = (f"{1e3 * v:+.4f}" for v in f.parts)
@@ -256,7 +256,7 @@ class Iso9283(Acceptance):
 
 
 def evaluated_table(path: Path, robot: Robot, promised: float | None = None) -> Iso9283:
-    """Return the figures of a measured test table.
+    """Return the figures AP, RP, vAP, dAP and dRP of a measured test table.
 
     robot : calibrated robot, whose base frame is that of the commands
     promised : rms error of its calibration [m]

@@ -120,11 +120,12 @@ class Verification(Acceptance):
 def verify(
     robot: str | Path, tables: str | Path | Sequence[str | Path], promised_mm: float | None = None
 ) -> Verification:
-    """Check a calibrated robot by poses that were measured later; base and tool are fitted again.
+    """Return whether a calibrated robot is as accurate as promised at poses measured later.
 
-    With c n - k degrees of freedom of `found`, c numbers a pose (3 of a position), k those of base,
-    tool and unknown points, the limit is the 99 % quantile of chi-squared. Base and tool may stand
-    elsewhere in each session. Effects of the instrument that was there are left out.
+    Base and tool are fitted again. With c n - k degrees of freedom of `found`, c numbers a pose (3
+    of a position), k those of base, tool and unknown points, the limit is the 99 % quantile of
+    chi-squared. Base and tool may stand elsewhere in each session. Effects of the instrument that
+    was there are left out.
 
     robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
     tables : measured poses, one table or several of one kind

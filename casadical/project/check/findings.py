@@ -97,7 +97,8 @@ def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_r
 
     m : the fitted poses
     table : the whole table, with held-out poses, where there is only one
-    known_readings : whether a table before had the same readings, with the same findings
+    known_readings : whether an earlier table had the same readings, so that findings on them are
+        left out
     """
     findings = [] if known_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
     if computed(robot, m):
@@ -137,7 +138,7 @@ def far_rows(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _coverage_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """Return findings on joints that do not move, or cover little of their range."""
+    """Return findings on joints that do not move, or cover less than a quarter of their range."""
     findings = []
     for c, moved in zip(coverage(robot, m), np.ptp(m.q, axis=0), strict=True):
         if moved < np.deg2rad(1.0):
@@ -162,7 +163,10 @@ def _margin_findings(robot: Robot, m: Measurements) -> list[Finding]:
 
 
 def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> list[Finding]:
-    """Return findings on misspelt columns, and on columns that this robot does not use."""
+    """Return findings on misspelt columns, and on columns that this robot does not use.
+
+    conditions : names of the logged columns; source : name of the table
+    """
     findings = []
     if robot.gravity_frame != "logged" and {*GRAVITY_COLUMNS} <= {*conditions}:
         text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"

@@ -97,7 +97,7 @@ def outlook(
 ) -> Outlook:
     """Return what an identification of these parameters from these sets is expected to determine.
 
-    robot : robot with its base and tool placed
+    robot : nominal robot with base and tool frames fitted to the sets
     free : parameters, as of `identify`
     method : name of the method
     noise : one sigma of a coordinate [m]; None: as the data show

@@ -36,7 +36,7 @@ MAX_MEDIAN_ERROR_OF_REACH = 0.02
 def plausible(robot: Robot, m: Measurements, others: Sequence[Robot] = ()) -> tuple[Fit, Fit] | None:
     """Return the fit of the data as they are, and the best fit with at most one slip undone.
 
-    Returns None for kinds without positions and lengths.
+    None for kinds without positions and lengths.
 
     robot : nominal robot
     others : robots that the file may have meant (see `other_conventions`)

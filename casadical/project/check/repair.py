@@ -73,7 +73,7 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     for i, name in enumerate(names):
 
         def own(j: int, i: int = i) -> Source:
-            """Return the reading of joint j before others are added, in the unit of joint i."""
+            """Return the source of joint j's own reading, in the unit of joint i."""
             source, factor = (
                 _without_sum(known[names[h.source[j]]]),
                 h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i],

@@ -86,7 +86,7 @@ class Precheck(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """Return the command to run next.
+        """Return the command to run next, by whether there are errors and a repair.
 
         Errors without a repair must be corrected by hand first.
         """

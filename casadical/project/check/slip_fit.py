@@ -154,11 +154,12 @@ class SlipFit:
         return self.q[: n + shift], self.y[-shift:]
 
     def _flange(self, q: Array, joints: Sequence[Joint], a: Array, d: Array) -> tuple[Array, Array, Array, Array]:
-        """Return the flange poses, and the directions of all lengths a and d.
+        """Return the flange poses in the base frame, and the directions of all lengths a and d.
 
-        q : shape (k, n, joints) [rad or m]
-        a, d : shape (k, joints) [m]
-        Returns positions (k, n, 3), orientations (k, n, 3, 3), directions (k, joints, n, 3)
+        q : readings of k hypotheses, shape (k, n, joints) [rad or m]; joints : the DH rows
+        a, d : link lengths, shape (k, joints) [m]
+        Returns positions (k, n, 3) [m], orientations (k, n, 3, 3), and for a and d each the
+        directions in which they move the flange, (k, joints, n, 3)
         """
         count, n, size = q.shape
         p = np.zeros((count, n, 3))
@@ -447,7 +448,7 @@ def _rotated(first: Array, second: Array, angle: Array | float) -> tuple[Array, 
 
 
 def _frame_matrix(p: Array, R: Array, y: Array) -> Array:
-    """Return M of p = M y + c - R t, from the measuring to the base frame, by least squares.
+    """Return M, shape (3, 3), of p = M y + c - R t by least squares, from measuring to base frame.
 
     p, R : flange poses in the base frame, shapes (n, 3) and (n, 3, 3)
     y : measured positions, shape (n, 3)

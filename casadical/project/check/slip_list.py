@@ -104,7 +104,7 @@ LENGTHS_MIRROR_WARNING = (
 
 
 def _of_readings(fit: Fit, robot: Robot) -> Iterator[str]:
-    """Yield the slips of the joint readings, in words."""
+    """Yield a clause on each slip of the joint readings, with its remedy."""
     h = fit.hypothesis
     for i, k in enumerate(h.source):
         if k > i:
@@ -154,7 +154,7 @@ def error_in_mm(fit: Fit, robot: Robot) -> str:
 
 
 def _of_positions(fit: Fit, robot: Robot) -> Iterator[str]:
-    """Yield the slips of the measured positions, in words."""
+    """Yield a clause on each slip of the measured positions (unit, handedness), with its remedy."""
     scaled = [(c, s) for c, s in zip("xyz", fit.scale, strict=True) if s != 1.0]
     if other := other_lengths(fit, robot):
         yield f"the lengths in the robot file are in another unit (times {other:.6g})"

@@ -152,7 +152,7 @@ class LivePage:
         return made
 
     async def _page(self, _request: Request) -> Response:
-        """Return the HTML file."""
+        """Return the page itself, an HTML file."""
         page = files("casadical.project.live").joinpath("page.html").read_text(encoding="utf-8")
         made: Response = optional("starlette.responses", INSTALL_HINT).HTMLResponse(page)
         return made

@@ -139,7 +139,7 @@ class LiveSession:
             return number
 
     def feed(self, source: Source) -> tuple[list[int], list[str]]:
-        """Take what is new in a source; return the readings' numbers, and sentences on faults."""
+        """Store and judge new rows of a source; return their numbers, and sentences on faults."""
         news = source.news()
         numbers, said, before = list[int](), list(news.said), set[tuple[str, ...]]()
         for row in news.rows:
@@ -181,7 +181,7 @@ class LiveSession:
 
     @property
     def fields(self) -> list[str]:
-        """Return the names of what is typed for a reading: joints, then what is observed."""
+        """Return the names of the columns that are typed for a reading, joints first."""
         kind = find_kind(self.m.kind if self.m is not None else "position")
         further: tuple[str, ...] = ()
         if self.course.header and self.m is not None:
@@ -211,7 +211,10 @@ class LiveSession:
             self._judge()
 
     def repeat(self, number: int) -> None:
-        """Make the pose of a reading the next one to measure. Raises InputError."""
+        """Make the pose of a reading the next one to measure.
+
+        Raises InputError where there is no such reading, or its joints cannot be read.
+        """
         with self.lock:
             self._known(number)
             if number not in (read := self._read()):
@@ -235,7 +238,7 @@ class LiveSession:
 
     @property
     def _sources(self) -> dict[str, ColumnSource]:
-        """Return the source of each column of the table, by casadical's name."""
+        """Return casadical's column name -> its source in the table of readings."""
         tables = problem_file(self.folder).measurements
         data = next((t for t in tables if t.file == TABLE_FILE), DataTable(file=TABLE_FILE))
         raw = read_table(self.folder / TABLE_FILE)
@@ -265,7 +268,7 @@ class LiveSession:
     # Judgement
 
     def _judge(self, *new: int) -> None:
-        """Read the table as it now is, and judge its readings.
+        """Write and read the table of all readings, and judge each by the others.
 
         new : numbers of the readings that have just come
         """
@@ -386,9 +389,9 @@ class LiveSession:
             self.plan, self._of_plan = poses_ahead(self.robot, self.folder, self.room, self.target)
 
     def _poses_left(self) -> Array:
-        """Return the planned poses without a reading that counts, shape (k, joints) [rad or m].
+        """Return the planned poses that have no reading yet, shape (k, joints) [rad or m].
 
-        A pose to repeat comes first.
+        Doubtful readings do not count. A pose to repeat comes first.
         """
         assert self.plan is not None
         counting = [q for n, q in self._read().items() if not self._doubtful.get(n)]
@@ -437,7 +440,7 @@ class LiveSession:
     # Output
 
     def _write(self) -> None:
-        """Write the table, and problem.toml where it does not name the table as it is."""
+        """Write the table of readings, and problem.toml where it or its left-out rows change."""
         course = self.course
         rows: list[Sequence[str]] = [course.header, *([course.units] if course.units else [])]
         write_whole(self.folder / TABLE_FILE, csv_text([*rows, *(r.cells for r in course.readings)]))

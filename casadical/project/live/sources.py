@@ -154,7 +154,7 @@ class FileSource:
         return shown(self.path)
 
     def news(self) -> News:
-        """Return all rows of the file if it has changed, earlier ones included."""
+        """Return all rows of the file, earlier ones included, if it has changed; else none."""
         try:
             about = self.path.stat()
         except OSError:
@@ -182,7 +182,7 @@ class FolderSource:
         self.words = shown(path)
 
     def news(self) -> News:
-        """Return all rows of the files that have changed, in the order of their names."""
+        """Return all rows of those files that are new or have changed, in the order of names."""
         new = News()
         tables = {".csv", ".txt", ".tsv", ".dat", ".asc", ".xlsx", ".parquet"}
         for path in sorted(p for p in self.path.iterdir() if p.suffix.lower() in tables and p.is_file()):
@@ -221,7 +221,7 @@ class StreamSource:
                 self.ended = True
 
     def news(self) -> News:
-        """Return all rows so far if something has come."""
+        """Return all rows that have come so far, if there is a new one; else none."""
         with self._lock:
             data, said, self._said = self._data, self._said, []
         if len(data) == self._read or not data:

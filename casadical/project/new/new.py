@@ -64,7 +64,10 @@ def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
 
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:
-    """Return a simulated real robot, with random departures from nominal and another base pose."""
+    """Return a simulated real robot: random departures from nominal, and another base pose.
+
+    An unknown base is moved by a fixed transform; rng : source of the departures
+    """
     values, times = {}, {"geometry": 1, "loop": 1, "tool": 5}
     # One sigma by which the simulated robot departs from the nominal one, by unit of the parameter.
     synthetic_departure_sigma = {"m": 3e-4, "rad": 5e-4}
@@ -254,7 +257,10 @@ def tools_in(columns: Columns) -> tuple[tuple[str, ...], dict[int, str]]:
 
 
 def shown_columns(raw: RawTable, found: Understanding) -> list[Words | Table]:
-    """Return a table of how each column was understood, and a note on unused columns."""
+    """Return a table of the meaning of each column, and a note on unused columns.
+
+    found : meaning of the columns; open questions are marked
+    """
     frame, first = raw.frame, [c for q in found.questions for c in next(iter(q.choices.values()))]
     made = {name: c for c in (*found.columns, *first) for name in (c.source.name, *c.source.add)}
     columns = Columns.of_file(raw).mapped(found.sources)

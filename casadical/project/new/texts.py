@@ -199,7 +199,10 @@ def problem_text(
 
 
 def _column_lines(given: Given) -> str:
-    """Return the keys `kind`, `columns` and `leave_out` of [[measurements]] as text."""
+    """Return the keys of [[measurements]] that a table needs, as TOML text.
+
+    They are kind, inverted, camera, leave_out and columns.
+    """
     lines = [f'kind = "{given.kind}"'] if given.kind else []
     if given.inverted or given.camera:
         inverted = f"inverted = {str(given.inverted).lower()}"
@@ -220,7 +223,10 @@ def _column_lines(given: Given) -> str:
 
 
 def _urdf_lines(links: tuple[str | None, str | None], given: Given) -> str:
-    """Return the table [urdf] of problem.toml as text."""
+    """Return the table [urdf] of problem.toml as TOML text.
+
+    links : base and tip link, None for the default
+    """
     lines = ["", "[urdf]"]
     for key, link in zip(("base_link", "tip_link"), links, strict=True):
         default = f'# {key} = "..."             # default: the only one there is, or where a gripper begins'
@@ -292,8 +298,9 @@ def _quoted(name: str) -> str:
 
 
 def with_masses(text: str, robot: Robot, standard: bool) -> str:
-    """Return a robot file's text with the robot's masses, marked as estimates.
+    """Return a robot file's text with the robot's estimated masses added, marked as estimates.
 
+    text : of the file, without masses; robot : with them
     standard : whether the rows are of the standard DH convention
     """
     row_head = "\n[[joint]]\n"

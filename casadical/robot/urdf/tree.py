@@ -97,7 +97,7 @@ class Tree:
     """
 
     def __init__(self, urdf: Any, source: str) -> None:
-        """Build the tree. Raises InputError for what is none."""
+        """Build the tree of a robot as yourdfpy reads it. Raises InputError if it is no tree."""
         self.source = source
         self.names: list[str] = [link.name for link in urdf.links]
         self.above: dict[str, Any] = {}
@@ -137,7 +137,7 @@ class Tree:
 
     @property
     def root(self) -> str:
-        """The root link, which is no joint's child. Raises InputError for several."""
+        """Name of the root link, which is no joint's child. Raises InputError for several."""
         roots = [name for name in self.names if name not in self.above]
         if len(roots) > 1:
             raise InputError(
@@ -155,7 +155,10 @@ class Tree:
         return name
 
     def path(self, base: str, tip: str) -> list[Any]:
-        """Return the joints from base to tip. Raises InputError where no chain connects them."""
+        """Return the joints (yourdfpy's) between two links, from base to tip, fixed ones included.
+
+        Raises InputError where no chain connects them.
+        """
         joints: list[Any] = []
         link: str = tip
         while link != base:

@@ -272,7 +272,7 @@ def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
 
 
 def _about(robot: Robot) -> str:
-    """Return the comment of a new URDF: what it contains and what has no place in it."""
+    """Return the text of a new URDF's comment: what it contains and what has no place in it."""
     springs = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.compliance]
     guessed = [f"{i}" for i, j in enumerate(robot.joints, 1) if j.body and j.body.inertia is None]
     lines = [f"Written by casadical: geometry{', masses and inertias' if any(j.body for j in robot.joints) else ''}."]
