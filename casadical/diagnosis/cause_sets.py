@@ -36,7 +36,7 @@ class _Set:
     ranking: Ranking
 
     def more(self) -> Iterable[tuple[frozenset[str], str, float]]:
-        """Yield (labels, new label, log mass) of each set with one more cause than this."""
+        """Yield (labels, new label, log mass) of each set with one more cause than this set."""
         for label, mass in self.ranking.log_mass.items():
             yield frozenset((*self.chosen, label)), label, self.log_mass + mass
 

@@ -98,7 +98,7 @@ class Isolability(Result):
         return [*blocks, *(Words(f"not logged: {columns}; it would show {them}") for columns, them in gathered_columns)]
 
     def to_json(self, campaign: str = "") -> dict[str, Any]:
-        """Return plain data for JSON; campaign : name of the poses.
+        """Return the isolability as plain data for JSON; campaign : name of the poses.
 
         Keys are campaign, effects, alike and missing. Fractions of at most 0.1 are omitted; an
         infinite multiple, at which an effect is never found, is None.

@@ -211,7 +211,7 @@ class EffectColumns(Columns):
 
     @cached_property
     def held(self) -> Array:
-        """Return each parameter's prior sigma as a cause, in typical sizes, shape (columns,)."""
+        """Return the prior sigma of each parameter of a cause, in typical sizes, (columns,)."""
         earlier = np.zeros(0) if self.first is None else self.first.held
         return np.concatenate([earlier, [e.held for e in self._own for _ in e.sizes()]])
 

@@ -77,7 +77,7 @@ class Predictive:
         self.volume: Array = np.linalg.slogdet(own)[1]
 
     def learn(self, pose: int) -> Array:
-        """Condition on data at a pose (its index), and return the Kalman gain, shape (K, 3, 3)."""
+        """Condition the prediction on data at a pose (index); return the Kalman gain, (K, 3, 3)."""
         toward = self._covariance @ self.root[pose].T
         gain = np.asarray((self.root.reshape(-1, len(toward)) @ toward).reshape(-1, 3, 3) @ self.inverse[pose])
         self._covariance = self._covariance - toward @ self.inverse[pose] @ toward.T
@@ -105,9 +105,9 @@ class Comparison:
         return np.asarray(0.5 * (far + self.model.volume - self.truth.volume))
 
     def follow(self, pose: int, gain: Array) -> None:
-        """Update the difference after the model was updated with the data at a pose.
+        """Update the difference of truth and model after the model was updated at a pose.
 
-        gain : of this update at all poses, shape (K, 3, 3)
+        pose : index of the pose; gain : Kalman gain of the update, shape (K, 3, 3)
         """
         own = np.linalg.cholesky(self.model.noise[pose])
         self.mean = self.mean - gain @ self.mean[pose]

@@ -37,7 +37,7 @@ class Form:
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
-        """Return the prewhitening of this form for a number of poses in the order of measuring."""
+        """Return the prewhitening of this form of noise for a number of poses in time order."""
         weight = 1.0 if self.times is None else 1 / self.times
         return serial_noise(self.stays, np.arange(poses) == 0, weight)
 

@@ -31,7 +31,7 @@ class Replicates:
 
     @property
     def enough(self) -> bool:
-        """Return whether there are enough degrees of freedom to rely on sigma."""
+        """Return whether sigma has enough degrees of freedom, 12 or more, to rely on it."""
         # With fewer than 12 degrees of freedom sigma is uncertain by more than a fifth.
         return self.freedom >= 12
 

@@ -470,7 +470,7 @@ class Effect:
         return self.size
 
     def parameters(self) -> tuple[Parameter, ...]:
-        """Return its parameters, named label.name, with nominal value zero.
+        """Return the effect's parameters, named label.name, with nominal value zero.
 
         Bounds are 1000 typical sizes to each side, prior standard deviations `held` typical sizes.
         """
@@ -480,7 +480,7 @@ class Effect:
         )
 
     def own_values(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Return the values of its parameters [SI] by short name; 0 for missing ones.
+        """Return the values of the effect's parameters [SI] by short name; 0 for missing ones.
 
         values : values of a model's parameters by full name, label.name [SI]
         """
@@ -517,7 +517,7 @@ class Effect:
         return ()
 
     def value(self, context: Context, name: str) -> Symbolic:
-        """Return the symbol of one of its parameters, by short name [unit of the parameter]."""
+        """Return the symbol of a parameter of the effect, by short name [unit of the parameter]."""
         return context.values[f"{self.label}.{name}"]
 
     def energy(self, context: Context) -> Symbolic:

@@ -209,7 +209,7 @@ class Setting(TomlTable):
 
     @property
     def points(self) -> int:
-        """Return an estimate of its number of grid values: 2 for the grid "near", at least 1."""
+        """Return the number of values of the setting's grid: 2 for "near", at least 1."""
         return (
             self.grid.count
             if isinstance(self.grid, Grid)
@@ -322,7 +322,7 @@ class DefinedEffect(FormulaEffect):
         super().refuse_joints(arm)
 
     def own_names(self, context: Context) -> dict[str, Symbolic]:
-        """Return the values of its settings and the symbols of its parameters, by short name."""
+        """Return the values of the effect's settings and the symbols of its parameters, by name."""
         settings = {name: getattr(self, name) for name in self.definition.settings}
         return settings | {name: self.value(context, name) for name in self.sizes()}
 

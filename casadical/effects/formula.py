@@ -61,9 +61,9 @@ class Formula:
     def values(
         self, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]] = SYMBOLIC_FUNCTIONS
     ) -> list[Any]:
-        """Return a list of the values of its components, one or three.
+        """Return a list of the values of the formula's components, one or three.
 
-        names : value of each of its names: an expression, a number or an array
+        names : value of each name in the formula: an expression, a number or an array
         functions : implementations by name, SYMBOLIC_FUNCTIONS or NUMERIC_FUNCTIONS
         """
         value = _value(_tree(self.text), names, functions)

@@ -491,7 +491,7 @@ class Law(FormulaEffect):
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """Return the names in its formula that are not factors."""
+        """Return the names in the law's formula that are not its factors."""
         own = {name for name, _ in self.factors}
         return tuple(name for name in parse(self.formula).names if name not in own)
 
@@ -502,7 +502,7 @@ class Law(FormulaEffect):
 
     @property
     def conditions(self) -> tuple[str, ...]:
-        """Return the names of the columns that its formula and insertion point need."""
+        """Return the names of the columns that the law's formula and insertion point need."""
         names = columns_of(self.drivers)
         if self.seam == "joints":
             names += [f"{n}{j}" for n in self.drivers if n in ("approach", "move") for j in range(1, self.count + 1)]
@@ -525,7 +525,7 @@ class Law(FormulaEffect):
             raise InputError(f"law: count = {self.count}; robot {arm.name!r} has {arm.n} joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each factor, by name; at `joints` a1, a2, ... of each."""
+        """Return typical size and unit of each factor, by name; at `joints` a1, a2, ... by joint."""
         unit = SEAMS[self.seam].unit
         if self.seam != "joints":
             return {name: (size, unit) for name, size in self.factors}

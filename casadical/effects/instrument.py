@@ -63,7 +63,7 @@ class FrameSettling(FrameDrift):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for each of four time constants."""
+        """Return `FrameSettling` for each of four time constants."""
         return (cls(None, settles=s) for s in (0.02, 0.05, 0.12, 0.3))
 
     def course(self, context: Context) -> Symbolic:
@@ -100,14 +100,14 @@ class FrameStep(Effect):
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:
-        """Return x, y, z [m], rx, ry, rz [rad] of the step if a pose is after it, else zeros."""
+        """Return x, y, z [m], rx, ry, rz [rad] of the frame's step at poses after it, else zeros."""
         after = context.conditions["progress"] > self.at
         return [self.value(context, name) * after for name in self.size]
 
     def link(self, number: int, context: Context) -> Symbolic:
-        """Return the step of its link's frame, (4, 4) [m], in that frame; else the identity.
+        """Return the step of the frame of link `number`, (4, 4) [m], in that frame.
 
-        number : number of a link, 1-based
+        It is the identity for other links than `joint`. number : 1-based
         """
         return small_frame(*self._six(context)) if number == self.joint else ca.SX.eye(4)
 

@@ -37,7 +37,7 @@ class Backlash(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at every joint for each of seven frictions and three widths."""
+        """Return `Backlash` at every joint for each of seven frictions and three widths."""
         frictions = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)  # shares of the peak gravity torque
         return (cls(j, f, f * w) for j in arm.numbers for f in frictions for w in (0.3, 0.6, 1.2))
 
@@ -82,7 +82,7 @@ class BacklashByLoad(Backlash):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at every joint for each of five widths, from 0.003 to 0.3."""
+        """Return `BacklashByLoad` at every joint for each of five widths, from 0.003 to 0.3."""
         return (cls(j, 0.0, width) for j in arm.numbers for width in (0.003, 0.01, 0.03, 0.1, 0.3))
 
     @property
@@ -121,7 +121,7 @@ class AxisWobble(Effect):
     confused_with = "base_compliance for joint 1; gear_eccentricity of neighbours"
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each amplitude of two tilts and two shifts.
+        """Return typical size and unit of each amplitude of an axis' two tilts and two shifts.
 
         Names are rx_sin, rx_cos (tilt about x), ry_..., x_... (shift along x), y_...
         """

@@ -69,7 +69,7 @@ class _Series(_Smooth):
         return {f"q{i}_{n}": (TYPICAL_ANGLE_RAD * s, "rad") for i in range(1, self.moved + 1) for n, s in names}
 
     def joint_angle(self, context: Context) -> Symbolic:
-        """Return the error of every joint variable by its series, shape (n,) [rad or m]."""
+        """Return the error of every joint variable as a series of `terms`, (n,) [rad or m]."""
         terms = self.terms(context)
         return ca.vertcat(
             *(sum(self.value(context, f"q{i}_{n}") * f for n, _, f in terms) for i in range(1, self.moved + 1))
@@ -246,7 +246,7 @@ class WarmUp(_Smooth):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for each of three time constants."""
+        """Return `WarmUp` for each of three time constants."""
         return (cls(None, arm.n, s) for s in (0.1, 0.3, 1.0))
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:

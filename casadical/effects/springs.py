@@ -40,7 +40,7 @@ class GravityCompensator(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect at joint 2, once for each combination of settings on their grids."""
+        """Return `GravityCompensator` at joint 2, once for each combination of grid settings."""
         return (effect for effect in super().candidates(arm) if effect.joint == 2)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
@@ -95,7 +95,7 @@ class HoseDrag(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return the effect for each combination of settings; none for less than six joints."""
+        """Return `HoseDrag` for each combination of settings; none for less than six joints."""
         return super().candidates(arm) if arm.n >= 6 else ()
 
     def energy(self, context: Context) -> Symbolic:
@@ -140,7 +140,7 @@ class LinkMasses(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return one candidate if the arm has elastic joints and uncertain masses, else none."""
+        """Return one `LinkMasses` if the arm has elastic joints and uncertain masses, else none."""
         width = arm.body_width
         there = [bool(j.body and j.body.mass > 0) for j in arm.joints]
         share = tuple(width.share * yes for yes in there)
@@ -149,7 +149,7 @@ class LinkMasses(Effect):
         return (cls(None, share, centre),) if compliant and (any(share) or (width.centre and any(centre))) else ()
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return prior standard deviation and unit of each parameter, by name.
+        """Return prior sigma and unit of each error of a mass or mass centre, by name.
 
         m2 is the error of link 2's mass divided by the declared mass; x2, y2, z2 are the error of
         its first moment in its frame, divided by the declared mass [m].
@@ -277,7 +277,7 @@ class LinkFlexure(Effect):
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable["LinkFlexure"]:
-        """Return the effect for each long link but the last: the sag is cubic in the length.
+        """Return `LinkFlexure` for each long link but the last: the sag is cubic in the length.
 
         If one of these links has a declared mass, each is a candidate twice: with weights at the
         mass centres and with weights distributed along the links (`spread`).
@@ -300,7 +300,7 @@ class LinkFlexure(Effect):
             yield from (*((e,) for e in links), links)
 
     def refuse_joints(self, arm: Arm) -> None:
-        """Check that its link exists and is not the last one. Raises InputError."""
+        """Check that the bending link exists and is not the last one. Raises InputError."""
         super().refuse_joints(arm)
         if self.member == arm.n:
             raise InputError(f"{self.name}: member = {arm.n} is the last link; allowed: links between two joints")

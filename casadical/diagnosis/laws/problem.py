@@ -262,7 +262,7 @@ class TriedLaws:
         return tuple(self.form.grid(x) for x in self.x)
 
     def with_moved_place(self, seam: int, step: float) -> list[TriedLaws]:
-        """Return copies with one additional place each, a step away from that of index `seam`."""
+        """Return copies with one more place each, a step away from the place of index `seam`."""
         moved, given = self.nearby(self.seams[seam].law, step) if self.nearby else (), self.given or len(self.seams)
         return [replace(self, seams=(*self.seams, place), x=(*self.x, x), given=given) for place, x in moved]
 

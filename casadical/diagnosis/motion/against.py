@@ -68,7 +68,7 @@ class Arbitration:
         return sum(row.count(verdict) for row in self.verdicts)
 
     def plain(self, joints: Sequence[str]) -> dict[str, object]:
-        """Return plain data for JSON with the keys file, rms_rad and parameters.
+        """Return the comparison for JSON, with the keys file, rms_rad and parameters.
 
         Each parameter has joint, parameter, value, low, high and verdict. joints : their names
         """

@@ -79,7 +79,7 @@ class Change:
 
     @property
     def words(self) -> str:
-        """Return a text of joint, factor and cause, with those indistinguishable from it."""
+        """Return a text of the change: joint, factor, and cause with indistinguishable ones."""
         which = " or ".join(name.replace("_", " ") for name in (self.effect, *self.alike))
         place = "several joints" if self.joint is None else f"joint {self.joint}"
         return f"{place}: {WORDS[self.effect].format(self.factor)} since the reference ({which})"
