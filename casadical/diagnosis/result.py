@@ -337,7 +337,7 @@ class Diagnosis(Result):
 
     @property
     def columns(self) -> Array:
-        """Return the indices of all causes' columns in the linear model of `case`, shape (k,)."""
+        """Return the indices of all causes' columns in the linear model, shape (k,); see `case`."""
         return np.unique(self.case.group(self.effects()))
 
     @property

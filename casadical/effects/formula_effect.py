@@ -525,7 +525,7 @@ class Law(FormulaEffect):
             raise InputError(f"law: count = {self.count}; robot {arm.name!r} has {arm.n} joints")
 
     def sizes(self) -> Mapping[str, tuple[float, str]]:
-        """Return typical size and unit of each factor, by name; at `joints` a1, a2, ... by joint."""
+        """Return typical size and unit of each factor by name, at `joints` a1, a2, ... by joint."""
         unit = SEAMS[self.seam].unit
         if self.seam != "joints":
             return {name: (size, unit) for name, size in self.factors}

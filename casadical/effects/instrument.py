@@ -100,7 +100,7 @@ class FrameStep(Effect):
         return (cls(frame, at) for frame in (None, *arm.numbers[:-1]) for at in STEP_TIME_GRID)
 
     def _six(self, context: Context) -> list[Symbolic]:
-        """Return x, y, z [m], rx, ry, rz [rad] of the frame's step at poses after it, else zeros."""
+        """Return x, y, z [m], rx, ry, rz [rad] of the frame's step at poses after it, else zero."""
         after = context.conditions["progress"] > self.at
         return [self.value(context, name) * after for name in self.size]
 
