@@ -18,7 +18,7 @@ from casadical.cli.plan import plan
 from casadical.cli.verify import certificate, verify
 from casadical.cli.withheld import withheld_make, withheld_predict, withheld_robot, withheld_score
 
-# Parameters that name outputs of single commands, in addition to those of all commands.
+# Command -> its parameters that name outputs, in addition to those that do so in all commands.
 ADDITIONAL_OUTPUTS = {"new": ("folder",), "verify": ("update", "chart", "poses")}
 
 

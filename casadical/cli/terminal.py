@@ -164,10 +164,10 @@ def html(pages: Sequence[Page]) -> str:
     return html_of(pages, ["casadical", *sys.argv[1:]])
 
 
-# Beginning of a step's words -> share of the work that is done when it begins, from typical run
-# times.
+# Beginning of a step's words -> share of the work (0 to 1) that is done when the step begins, from
+# typical run times.
 Steps = Mapping[str, float]
-# Steps of a diagnosis, of a check and of a plan.
+# Steps of a diagnosis.
 DIAGNOSIS: Steps = {
     "calibrating": 0.0,
     "signatures": 0.03,
@@ -188,10 +188,13 @@ DIAGNOSIS: Steps = {
     "what these poses": 0.93,
     "the robot with": 0.96,
 }
+# Steps of a check.
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
+# Steps of a plan.
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
-# Patterns in the words of a step: "k of n" items, and the number of an iteration of a solve.
+# Pattern of the number of an item and of all items, "k of n", in the words of a step.
 _COUNT = re.compile(r"(\d+) of (\d+)")
+# Pattern of the number of an iteration of a solve in the words of a step.
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
 
 

@@ -27,12 +27,14 @@ FIGURE_OF_UNIT = {
 MAX_POINTS_DRAWN = 600
 # Maximum number of correlated pairs that a sentence names.
 MAX_PAIRS_NAMED = 8
-# Captions of the figures of residuals, of joint coverage, and of correlated pairs.
+# Caption of the figure of residual quantiles.
 _RESIDUALS_CAPTION = (
     "Every coordinate of every pose that was used. Noise alone lies on the diagonal, within the band: ends that bend "
     "away are errors that the model does not describe, or bad rows."
 )
+# Caption of the figure of joint readings within their limits.
 _COVERAGE_CAPTION = "Where ticks are missing, the model was not tried. Without limits in the robot file, full turns."
+# Caption of the figure of pairs of correlated parameters.
 _PAIRS_CAPTION = (
     "Joint 95 % regions of the most correlated parameters, in standard errors. A thin ellipse (red: above 0.95) means "
     "that the poses determine a combination of both, and neither alone."

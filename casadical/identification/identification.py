@@ -47,8 +47,8 @@ METHODS: dict[str, tuple[str, ...]] = {"KM": ("kinematic",), "SKCM": ("kinematic
 # Choice of priors of an identification: whether the robot's own apply, others by parameter name, as
 # (mean, one sigma) [SI], or "auto" (see `identify`).
 AnyPriors = bool | Mapping[str, tuple[float, float]] | Literal["auto"]
-# Treatment of the links' masses: "declared" as in the robot file; "unknown" frees the errors of
-# masses that the file does not declare; "free" frees those of declared masses too.
+# Treatment of the links' masses: "declared": as in the robot file; "unknown": errors of masses that
+# the file does not declare are identified; "free": those of declared masses, too.
 Masses = Literal["declared", "unknown", "free"]
 
 

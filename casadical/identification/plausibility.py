@@ -28,10 +28,11 @@ MIN_MOVEMENT_OF_REACH = 0.3
 # Maximum median error of orientations [rad], after base and tool are rotated to fit, with which
 # measurements are accepted.
 MAX_ORIENTATION_ERROR_RAD = np.deg2rad(10.0)
-# Median error of orientations [rad] with the given tool up to which the tool is not questioned.
+# Largest median error of orientations [rad] with the tool's orientation as given, with which that
+# is accepted without a comparison with a rotated tool.
 MAX_GIVEN_TOOL_ERROR_RAD = np.deg2rad(1.0)
 # Maximum ratio of the orientations' error with the tool (or base) as given to that with it rotated
-# to fit.
+# to fit, with which the given one is accepted.
 MAX_ORIENTATION_ERROR_RATIO = 3.0
 # Maximum median error of orientations [rad] with the base as positions determine it; above, they
 # are of another frame than the positions.

@@ -26,9 +26,9 @@ Loss = Literal["linear", "huber", "soft_l1"]
 # Name of a loss, or "auto": huber where that finds outliers, else linear.
 AnyLoss = Literal["auto", Loss]
 
-# Names of all losses.
+# Names of all losses of a pose's squared residual.
 LOSSES: tuple[Loss, ...] = ("linear", "huber", "soft_l1")
-# Names of all losses, and auto.
+# Names of all losses, and "auto", as an identification accepts them.
 ALL_LOSSES: tuple[AnyLoss, ...] = ("auto", *LOSSES)
 # Unit of the variables of an unknown point: a variable of 1 is this length [m].
 POINT_SCALE = 1e-3

@@ -15,11 +15,11 @@ from casadical.identification.identifiability import scaled_inverse
 # Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]
 
-# If the last iterations reduced the cost (half of chi-squared) by less than this, the solver tests
-# whether it is at the optimum. Convergence is slow along what only priors determine, such as the
-# common scale of estimated masses and compliances.
+# Reduction of the cost (half of chi-squared) over the last SLOW_ITERATIONS below which the solver
+# tests whether it is at the optimum. Convergence is slow along what only priors determine, such as
+# the common scale of estimated masses and compliances.
 MIN_COST_REDUCTION = 1e-3
-# Number of last iterations over which a slow reduction of the cost is measured.
+# Number of iterations over whose reduction of the cost a search counts as slow.
 SLOW_ITERATIONS = 10
 
 # Message of an optimum at full accuracy.
@@ -241,7 +241,7 @@ class _Solvers(threading.local):
         self.of = lru_cache(maxsize=16)(_Solver)
 
 
-# A solver runs in one thread at a time, so each thread has its own.
+# Cached solvers of the current thread; a solver runs in one thread at a time.
 _solvers = _Solvers()
 
 

@@ -113,15 +113,18 @@ POSSIBLE_RANGES = {
 MAX_TURNS = 4
 # One turn, rounded up [rad]: numbers below may be radians, whatever unit their heading names.
 FULL_TURN_RAD = 6.3
-# Derived conditions that must be numbers where they are logged.
+# Pattern of logged columns (warm-up, direction of approach) that must be numbers.
 _NUMERIC_CONDITIONS = re.compile(r"warmth_\w+|approach\d+")
 # Pattern of the columns that describe an orientation.
 ORIENTATION = "(r[xyz]|rotvec_[xyz]|roll|pitch|yaw)_(deg|rad)|R[012]{2}|q[wxyz]"
-# Patterns of the columns of observations, of joint readings, and of the base's inclination.
+# Pattern of the columns of measured positions, distances and orientations.
 _OBSERVATION_NAME = re.compile(f"[xyz]_mm?|distance_mm?|{ORIENTATION}")
+# Pattern of the columns of joint readings, with number of the joint and unit.
 _READING_NAME = re.compile(r"q(\d+)_(deg|rad|mm|m)")
+# Pattern of the columns of the base's inclination, by tilt angles or the direction of gravity.
 _TILT_NAME = "tilt_[xy]_(deg|rad)|gravity_[xyz]"
-# Columns with a meaning of their own (readings, weight, set, target, session), thus no conditions.
+# Pattern of columns with a meaning of their own (readings, weight, set, target, session), which are
+# no conditions.
 _NO_CONDITION_NAME = r"q\d+_(deg|rad|mm|m)|weight|set|tool|session"
 
 

@@ -209,8 +209,9 @@ def _play(q: Array, half: float) -> Array:
     return np.array([*taken])
 
 
-# Functions that compute a joint's column from its readings in the order of measuring and from the
-# way in the column's name [rad or m]. Moves below 1e-9 are rounding of one reading, not motion.
+# Pattern of a joint's derived column -> function that computes it from the joint's readings in the
+# order of measuring and, if its name has one, from the length there [rad or m]. Moves below 1e-9
+# are rounding of one reading, not motion.
 _JOINT_COLUMNS: Mapping[str, Callable[..., Array]] = {
     r"approach(\d+)": lambda q: last_sense(_moves(q), 1e-9),
     r"move(\d+)": _moves,

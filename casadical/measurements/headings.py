@@ -32,8 +32,9 @@ _CONDITIONS = {"temperature": ("temperature_degC", "degC"), "load": ("payload_kg
 _AXIS_WORDS = {f"{before}{c}": c for before in ("", "p", "t") for c in "xyz"}
 # Word of a heading -> component of an orientation, x, y, z or w.
 _ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyzw"} | {"w": "w"}
-# Our names of the columns of an orientation and of a position, without their units.
+# Casadical's columns of an orientation by angles about the fixed x, y, z, without units.
 _ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
+# Casadical's columns of a position, without units.
 _XYZ = ("x", "y", "z")
 
 
@@ -94,6 +95,7 @@ class Understanding:
 class _Heading:
     """A heading, taken apart.
 
+    name : the heading itself
     quantity : such as joint, position or time
     slot : part of the quantity (number of a joint, axis, entry of a matrix)
     qualifier : measured, nominal or empty
@@ -111,7 +113,8 @@ class _Heading:
     values: Array = field(compare=False)
 
 
-# Headings, our names for them, and their quantity: angle, length, or empty for one without a unit.
+# Headings, casadical's names for them, and their quantity: "angle", "length", or empty for one
+# without a unit.
 _Parts = Sequence[tuple[Sequence[_Heading], Sequence[str], str]]
 # Possible meanings: each in words, with the columns that it implies.
 _Options = Sequence[tuple[str, _Parts]]

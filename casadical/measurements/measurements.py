@@ -44,7 +44,7 @@ class Noise:
 # Names of the sets of poses: identification, training of networks, choice among them, report.
 SETS = ("identify", "train", "choose", "report")
 
-# Poses whose readings differ by less in every joint count as the same pose [rad or m].
+# Largest difference of each joint's readings [rad or m] with which two poses count as the same.
 SAME_READING_TOLERANCE = 1e-6
 # Largest difference of each joint's readings [rad or m] between measurements of several targets at
 # one pose of the robot, which stands still.

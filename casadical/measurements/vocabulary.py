@@ -11,7 +11,7 @@ _FILE = tomllib.loads(files("casadical.measurements").joinpath("vocabulary.toml"
 UNITS: Mapping[str, tuple[str, float]] = {
     word: (str(ours), float(factor)) for factor, ours, words in _FILE["units"].values() for word in words.split()
 }
-# Words that a heading may have, by their role, such as joint, filler, measured, nominal or time.
+# Role in a heading, such as joint, filler, measured, nominal or time -> words with this role.
 WORDS: Mapping[str, frozenset[str]] = {kind: frozenset(words.split()) for kind, words in _FILE["words"].items()}
 
 # All known words that are not ASCII, the longest first.

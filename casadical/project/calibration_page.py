@@ -49,8 +49,8 @@ from casadical.robot.robot import Robot
 # Maximum number of poses from which the residual error is localised, drawn at random, to bound the
 # time.
 MAX_LOCALISED_POSES = 5_000
-# Colour, symbol and dash of the networks in the order of their trainers; styles repeat if there are
-# many plug-ins.
+# Styles (colour, symbol, dash) of the network methods in figures, in the order of their trainers;
+# they repeat if there are many plug-ins.
 NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "triangle-up", "dot"),
     ("green", "diamond", "solid"),
@@ -60,6 +60,7 @@ NETWORK_STYLES: tuple[Style, ...] = (
     ("pink", "hexagon", "longdashdot"),
     ("green", "triangle-left", "dashdot"),
 )
+# Method -> its identification.
 Identifications = Mapping[str, Identification]
 
 

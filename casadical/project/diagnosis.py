@@ -44,7 +44,7 @@ from casadical.project.telling import campaign_files
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
 
-# The candidate causes: the name of a list, or names, labels, effects and classes of effects.
+# Choice of candidate causes: the name of a list, or names, labels, effects and classes of effects.
 EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Effect]]
 
 

@@ -322,7 +322,7 @@ def _with_own_effects(problem: Problem) -> Robot:
     return problem.robot.with_only(e for e in problem.robot.effects if e.label not in carried)
 
 
-# Functions that the template calculates with, by their names in it.
+# Name in the template calibration.j2 -> function that it calls.
 _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
     "chance_of": chance_of,

@@ -43,8 +43,8 @@ from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# A function that puts the values found in another campaign into a robot, and returns it with their
-# prior (None without one).
+# Function that takes the results of another campaign over into a robot, and returns that robot and
+# the prior of the values (None without one).
 Carried = Callable[[Robot], tuple[Robot, Prior | None]]
 
 

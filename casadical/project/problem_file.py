@@ -34,7 +34,9 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
 from casadical.robot.robot_schema import ToolTable
 
+# Name of a method that identifies the robot, without networks.
 BaseMethod = Literal["KM", "SKCM"]
+# Names of the methods that identify the robot, without networks.
 BASE_METHODS: tuple[BaseMethod, ...] = get_args(BaseMethod)
 
 
@@ -76,6 +78,7 @@ def _form(value: Any) -> str:
     return VALUE_FORMS[isinstance(value, dict | _Source)]
 
 
+# Declared source of a column: its name, or a table of how it is computed.
 _Made = Annotated[Annotated[str, Tag(VALUE_FORMS[0])] | Annotated[_Source, Tag(VALUE_FORMS[1])], Discriminator(_form)]
 
 

@@ -201,7 +201,7 @@ def computed(robot: Robot, m: Measurements) -> bool:
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
-    """Return the robot with base and tool position fitted to positions, and its median error [m]."""
+    """Return the robot with base and tool position fitted, and its median position error [m]."""
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
     placed = place_frames(free, m.positions_alone())
     return placed, float(np.median(errors(placed, m.positions_alone())))

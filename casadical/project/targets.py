@@ -22,10 +22,10 @@ from casadical.measurements.measurements import STANDSTILL_TOLERANCE, Measuremen
 from casadical.project.robot_columns import names_in, refuse_nameless, some_rows
 from casadical.robot.robot import Robot
 
-# Positions at equal readings that are farther apart than this are of different targets [m]; it is
-# well above the noise of an instrument and below the distance of two reflectors.
+# Distance of positions at equal readings [m] above which they are of different targets; it is well
+# above the noise of an instrument and below the distance of two reflectors.
 MIN_TARGET_DISTANCE = 5e-3
-# Distances of one pair of targets at different poses are equal within this tolerance [m].
+# Tolerance within which the distances of one pair of targets at different poses are equal [m].
 DISTANCE_TOLERANCE = 3e-3
 # Minimum number of poses whose repeated readings must show a number of targets.
 MIN_DISAGREEING_POSES = 3

@@ -40,6 +40,7 @@ class WithPage(Protocol):
         ...
 
 
+# Any result that has figures.
 Result: TypeAlias = WithFigures | Identification | Diagnosis
 
 

@@ -67,8 +67,8 @@ class Dynamics:
     def payload(self) -> Array:
         """Inertial parameters of the declared payload, shape (10,) [kg, kg m, kg m^2].
 
-        They are in the order of BODY_PARAMETERS and in the last link's frame, with inertias about
-        its origin, for the last link's columns of the regressor; zero without a payload.
+        They are in the order of a link's in `names` and in the last link's frame, with inertias
+        about its origin, for the last link's columns of the regressor; zero without a payload.
         """
         return body_numbers(self.robot.payload) if self.robot.payload else np.zeros(10)
 
@@ -199,10 +199,10 @@ class Dynamics:
 
 
 def body_numbers(body: Body) -> Array:
-    """Return the inertial parameters of a body, in the order of BODY_PARAMETERS, shape (10,).
+    """Return the inertial parameters of a body: m, mx, my, mz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz.
 
-    They are [kg, kg m, kg m^2] in the frame of `body.com`, with inertias about its origin. An
-    unknown inertia about the mass centre counts as zero.
+    They have shape (10,) [kg, kg m, kg m^2], in the frame of `body.com`, with inertias about its
+    origin. An unknown inertia about the mass centre counts as zero.
     """
     inertia = np.zeros((3, 3)) if body.inertia is None else body.inertia
     about = inertia + body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))

@@ -44,7 +44,7 @@ class Arm:
 
     All arrays by joint have the shape (n,) and are None where nothing is declared.
 
-    inertial : ten inertial parameters of each link (`BODY_PARAMETERS`), the declared payload
+    inertial : ten inertial parameters of each link (`Dynamics.names`), the declared payload
         included in the last link's, shape (10 n,) [SI]
     spread : change of `inertial` by one prior standard deviation of each of k independent
         parameters of the bodies, shape (10 n, k) [SI]

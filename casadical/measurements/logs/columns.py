@@ -20,7 +20,7 @@ _CANONICAL_NAME = re.compile(
 )
 # Unit (suffix of a column) -> factor to SI; a unit that is not listed has the factor 1.
 SI_FACTORS = {"deg": np.pi / 180, "deg_s": np.pi / 180, "mm": 1e-3, "mm_s": 1e-3, "mA": 1e-3}
-# Units of channels of prismatic joints.
+# Units (suffixes of columns) by which a channel is recognised as that of a prismatic joint.
 LENGTH_UNITS = ("m", "mm", "m_s", "mm_s", "N")
 # Channel -> words of headings. A column belongs to the first channel of which its heading has a
 # word; the empty channel collects quantities that are not used.

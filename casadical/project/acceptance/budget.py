@@ -38,7 +38,7 @@ from casadical.robot.robot import Knowledge, Robot
 # Minimum number of held-out poses of a budget; with fewer the scatter of the mean square is not
 # known.
 MIN_HELD_OUT_POSES = 8
-# Stands for infinitely many degrees of freedom.
+# Number of degrees of freedom that stands for infinitely many.
 INFINITE_FREEDOM = 1e6
 
 

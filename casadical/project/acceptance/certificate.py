@@ -36,8 +36,9 @@ from casadical.project.problem_file import result_in
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
 
-# Texts and numbers of certificate.toml, within the bounds that a page can show.
+# A text of certificate.toml that fits on the page.
 Text = Annotated[str, Field(max_length=300)]
+# A number of certificate.toml, zero or positive.
 Positive = Annotated[float, Field(ge=0.0, le=1e6)]
 
 

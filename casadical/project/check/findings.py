@@ -26,6 +26,7 @@ from casadical.project.targets import Targets, WrongNames
 from casadical.robot.kinematics import MIN_LOOP_MARGIN
 from casadical.robot.robot import Robot
 
+# Severity of a finding.
 Level = Literal["error", "warning", "note"]
 
 

@@ -31,7 +31,7 @@ MIN_READINGS_OF_FIT = 5
 # Maximum number of readings of which each is judged by a refit without it; of more, each is judged
 # by its leave-one-out residual of the common fit.
 MAX_REFITTED_READINGS = 12
-# Number of numbers observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
+# Number of scalars observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
 # of the reading from its prediction: quantiles of chi-squared that noise exceeds in 1 of 700 000.
 MAX_SURPRISE = {1: 23.3, 2: 27.0, 3: 30.0, 4: 32.7, 5: 35.2, 6: 37.5}
 # Maximum standard deviation [mm] with which the others predict a reading that is judged.

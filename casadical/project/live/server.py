@@ -28,10 +28,11 @@ if TYPE_CHECKING:
 
 # Time within which a client must send its request, headers and body each [s].
 REQUEST_TIMEOUT_S = 10.0
-# Length of the longest command [bytes].
+# Maximum length of a command from the page [bytes].
 MAX_COMMAND_BYTES = 100_000
 # Time between two queries of a source for new readings [s].
 POLL_INTERVAL_S = 0.2
+# Message where the packages of the web page are not installed.
 INSTALL_HINT = "the page needs starlette, uvicorn and sse-starlette: pip install 'casadical[live]', or --no-page"
 
 

@@ -40,9 +40,9 @@ from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
 from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
 
-# The table of all readings in the problem folder; it is rewritten from the journal.
+# Name of the table of all readings in the problem folder; it is rewritten from the journal.
 TABLE_FILE = "measured.csv"
-# Columns that hold names, not numbers.
+# Columns of a reading that hold names, not numbers.
 NAME_COLUMNS = ("point", "plane", "sphere", "anchor", "dial", "tool", "session")
 # Columns that a table may have in addition to what its kind observes.
 OPTIONAL_COLUMNS = (

@@ -25,7 +25,7 @@ from casadical.pose_selection.candidates import expected
 from casadical.project.new.new import SYNTHETIC_NOISE_M, as_built, reading_cells
 from casadical.robot.robot import Robot
 
-# The journal of a problem folder: one event in JSON on each line.
+# Name of the journal of a problem folder: one event in JSON on each line.
 JOURNAL_FILE = "measured.jsonl"
 
 
@@ -264,6 +264,7 @@ class SimulatedSource:
         return News([Row((*self._robot.reading_units, "x_mm", "y_mm", "z_mm"), (), tuple(cells), self.words)])
 
 
+# Any source of readings.
 Source = FileSource | FolderSource | StreamSource | SimulatedSource
 
 

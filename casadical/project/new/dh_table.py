@@ -28,7 +28,7 @@ from casadical.measurements.vocabulary import UNITS, WORDS
 from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
 
-# Names of the columns of a table of DH rows: of the rows, of joint limits and of bodies.
+# Columns of a table of DH rows that have the DH parameters.
 _ROW_COLUMNS = [
     f"{stem}{unit}"
     for stem, units in (
@@ -39,7 +39,9 @@ _ROW_COLUMNS = [
     )
     for unit in units
 ]
+# Columns of a table of DH rows that have the joint limits.
 _LIMIT_COLUMNS = [f"{side}{unit}" for unit in ("_deg", "_rad", "_mm", "_m") for side in ("lower", "upper")]
+# Columns of a table of DH rows that have mass and mass centre of the link.
 _BODY_COLUMNS = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
 
 
@@ -141,8 +143,9 @@ def _word(row: Mapping[str, Any], key: str) -> str:
     return "" if isinstance(value, float) and math.isnan(value) else str(value).strip().lower().removesuffix(".0")
 
 
-# Names, without units, of the columns that are lengths and angles; one table has one unit of each.
+# Columns of a table of DH rows that are lengths, without units; a table has one unit for them.
 _LENGTH_STEMS = ("a", "d")
+# Columns of a table of DH rows that are angles, without units; a table has one unit for them.
 _ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
 
 

@@ -34,7 +34,7 @@ from casadical.project.robot_columns import Camera, as_poses, computed, placed_b
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
-# Number of the poses that are simulated for a first run.
+# Number of poses that are simulated where a new folder has no measured ones.
 SYNTHETIC_POSE_COUNT = 60
 # Standard deviation of the noise of a simulated coordinate [m], as of a laser tracker.
 SYNTHETIC_NOISE_M = 2e-5

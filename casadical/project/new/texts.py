@@ -101,10 +101,11 @@ vector_m_per_s2 = [0, 0, -9.81]
 """
 
 
-# What `with_masses` adds to robot.toml.
+# Line of robot.toml that marks masses as estimates.
 ESTIMATED_MASSES_LINE = """\
 masses = "estimated"               # TO DO: where you know them, leave this line and [width.body] out
 """
+# Table of robot.toml with the prior widths of estimated masses; a format string.
 MASS_PRIOR_TABLE = """\
 [width.body]                       # one sigma of the estimates: each mass as a share, each coordinate of a mass centre
 mass_share = {share:g}
@@ -112,7 +113,7 @@ com_mm = {centre:g}
 # compliant = true in a [[joint]]: its deflection under gravity is identified too, by the method SKCM
 """
 
-# problem.toml.
+# Text of problem.toml of a new folder; a format string.
 _PROBLEM_TEMPLATE = """\
 # What is calibrated, from what. Every key: docs/problem-folder.md.
 casadical = 1
