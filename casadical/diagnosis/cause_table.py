@@ -37,7 +37,7 @@ class CauseRow:
 
 
 def cause_rows(d: Diagnosis) -> list[CauseRow]:
-    """Return a row for each cause, the largest shrink first."""
+    """Return a row of texts for each cause of a diagnosis, the largest shrink first."""
     rows, alone = [], sum(bool(c.effects) for c in d.causes) == 1
     for c in d.causes:
         shown, mechanical = _signature(c)

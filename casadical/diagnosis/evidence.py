@@ -169,7 +169,7 @@ class Evidence(LinearModel):
         return np.asarray(np.logaddexp.reduce([own + np.log(1 - len(self.unsure) / 3), *weighed]))
 
     def log_base(self, also: Array | None = None) -> Array:
-        """Return the log likelihood times noise prior without an additional cause, (rhos, sigmas).
+        """Return the log of likelihood and noise prior without an additional cause, (rhos, sigmas).
 
         also : columns of causes that are in the model already; they are marginalised
         """

@@ -226,7 +226,7 @@ class FormulaCache:
         return data and Formula.from_data(data)
 
     def write(self) -> None:
-        """Write the file, atomically, if there are new formulas; a failure is ignored."""
+        """Write the cache's file, atomically, if there are new formulas; a failure is ignored."""
         if not self._new or self.path is None:
             return
         self._new = False

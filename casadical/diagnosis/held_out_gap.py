@@ -168,7 +168,7 @@ class NetworkGap:
 
 
 def network_gaps(found: Diagnosis, show: Show = silent) -> tuple[NetworkGap, NetworkGap]:
-    """Return the held-out errors with the paper's network instead of the causes, and after them."""
+    """Return the held-out errors with a network (the paper's) instead of causes, and after them."""
     alone = network_gap(found.case, NO_COLUMNS, found.rankings[0].noise[""], found.seed, show=show)
     return alone, network_gap(found.case, found.columns, found.noise, found.seed, show=show)
 

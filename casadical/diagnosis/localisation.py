@@ -64,9 +64,10 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
 
 
 def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.random.Generator) -> dict[str, Array]:
-    """Return draws of the mean square of each part's smooth errors, shape (draws,) [m^2].
+    """Return posterior draws of the mean square of each part's smooth errors, (draws,) [m^2].
 
-    remaining : linear model of the residual that the named causes leave
+    Keys are the parts, see `components`. remaining : linear model of the residual after the named
+    causes
     """
     # More than 120 poses make these fractions no more accurate, at a cost of the third power of
     # their number.

@@ -126,6 +126,7 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
 def ar_form(ar_coefficient: float, poses: int, numbers: float = 3.0) -> Form:
     """Return the form of autocorrelated (AR(1)) noise over a number of poses.
 
+    ar_coefficient : correlation of a pose's noise with that of the previous pose
     numbers : mean count of measured numbers of a pose
     """
     return Form(stays=ar_coefficient, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - ar_coefficient**2)))

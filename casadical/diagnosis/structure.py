@@ -73,9 +73,9 @@ class Remainder:
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
-    """Return the result of the tests of the residual of a fit with causes.
+    """Return the dependences of a fit's residual on known quantities, and if it is like noise.
 
-    columns : indices of the causes' columns, shape (k,)
+    columns : indices of the columns of the causes in the fit, shape (k,)
     noise, form : noise by which the residual is whitened; None: white
     """
     return _WhitenedResidual(case, columns, noise, form or Form()).judged()
@@ -172,7 +172,7 @@ class _WhitenedResidual:
         return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._absorbed / max(numbers, 1))
 
     def judged(self) -> Remainder:
-        """Return at most three significant dependences, and whether the rest is like noise."""
+        """Return at most three significant dependences on drivers, and if the rest is like noise."""
         if not self._has_residual:
             return Remainder((), like_noise=True)
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
@@ -373,7 +373,7 @@ def log_chance_of(share: float, width: int, freedom: float) -> float:
 
 
 def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Array]]:
-    """Yield the name of every driver and its functions at the poses, shape (n, functions).
+    """Yield every driver's name and its functions (sines, ranks, signs), shape (n, functions).
 
     m : poses in the order of measuring; p : measured points, shape (n, 3) [m]
     """

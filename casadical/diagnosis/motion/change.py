@@ -40,7 +40,7 @@ FRICTION_QUANTUM_SHARE = 0.5
 # A response fits a joint if the rms of its replay's error is below this fraction of that of reading
 # minus command; otherwise its identification has failed.
 MAX_ERROR_SHARE = 0.5
-MIN_EVIDENCE = 15.0  # smallest log evidence [nats] of a clear change
+MIN_EVIDENCE = 15.0  # smallest log evidence of a clear change against no change [nats]
 MIN_MARGIN = 3.0  # margin [nats] by which a clear change exceeds every other one of its joint
 # Description of a change with its factor, by the name of the cause.
 WORDS = {

@@ -155,7 +155,7 @@ class Response:
         """Return the drives' torques in a run, along its command and along its replay [N m].
 
         Both have shape (rows, joints). The first are those of the bodies alone; the second include
-        the `torque_terms`.
+        friction, rotor inertia and constant torque (`torque_terms`).
 
         position : angles of the replay, shape (rows, joints) [rad]
         """
@@ -317,7 +317,7 @@ class _Problem:
         )
 
         def balance() -> Iterator[Array]:
-            """Yield the angles at which joints would come to rest, step by step to save memory."""
+            """Yield, for each step, the angles at which the joints would come to rest [rad]."""
             for command, more, load in zip(first, last - first, _midpoints(self.load), strict=True):
                 rest = command[..., None] - yields * load[..., None]
                 rest -= offset

@@ -34,7 +34,8 @@ from casadical.robot.robot import Robot
 # residual is reported.
 REGION_VARIABLES = ("angle", "speed", "load", "time")
 REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
-# A range is reported if its rms residual exceeds the overall one by this factor.
+# A range of angle, speed, load or time is reported if its rms residual exceeds the overall one by
+# this factor.
 MIN_REGION_RATIO = 1.5
 MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of probable causes
 MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
