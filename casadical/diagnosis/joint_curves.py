@@ -68,7 +68,7 @@ class JointCurves:
     orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return (joint, rms [urad], share of the log evidence [%]) as texts, the largest share first.
+        """Return (joint, rms [urad], part of the log evidence [%]) as texts, the largest part first.
 
         For a curve that is not significant the rms is an upper bound: two standard errors above
         its rms.

@@ -221,7 +221,7 @@ class EffectColumns(Columns):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Return the numbers of poses, measured numbers of a pose, and columns."""
+        """Return the number of poses, of measured numbers of a pose, and of columns."""
         n, numbers, _ = self.linear.S.shape
         return n if self.poses is None else len(self.poses), numbers, len(self.sizes)
 

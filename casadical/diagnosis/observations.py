@@ -242,7 +242,7 @@ class Layout:
 
 
 def _layout(stops: Stops, sets: Sequence[Measurements]) -> Layout:
-    """Return the layout in which the numbers of a stop's rows follow one another."""
+    """Return the layout of poses by numbers in which a stop's rows follow one another."""
     rows, numbers = row_slices(sets), [find_kind(m.kind).numbers for m in sets]
     counts = np.repeat(numbers, [len(m) for m in sets])
     order, first = np.lexsort((stops.turn, stops.of)), np.zeros(len(counts), dtype=np.int64)

@@ -277,7 +277,7 @@ class Diagnosis(Result):
     joint_of_outliers: int | None = None
 
     def blocks(self) -> list[Words | Table]:
-        """Return verdict and causes as blocks; `casadical.diagnosis.page_of` is the full report."""
+        """Return the short report, verdict and causes, as blocks; `page_of` has the full report."""
         rows = [
             (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
              ", ".join(c.indistinguishable))

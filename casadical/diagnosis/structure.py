@@ -172,7 +172,7 @@ class _WhitenedResidual:
         return min(2 * n / max(scatter, 1e-9), numbers) * (1 - self._absorbed / max(numbers, 1))
 
     def judged(self) -> Remainder:
-        """Return at most three significant dependences on drivers, and if the rest is like noise."""
+        """Return up to three significant dependences on drivers, and if the rest is like noise."""
         if not self._has_residual:
             return Remainder((), like_noise=True)
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
