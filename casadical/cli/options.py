@@ -41,6 +41,7 @@ def _completion_of(module: str, name: str, *, listed: bool = False) -> Callable[
     """
 
     def complete(incomplete: str) -> list[str]:
+        """Return the completions of what was typed so far."""
         known = getattr(import_module(f"casadical.{module}"), name)
         words: Iterable[str] = known() if callable(known) else known
         before, comma, last = incomplete.rpartition(",") if listed else ("", "", incomplete)

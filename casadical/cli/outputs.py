@@ -35,6 +35,7 @@ def guarded(command: Callable[..., Any], also: Sequence[str] = ()) -> Callable[.
 
     @wraps(command)
     def run(**given: Any) -> Any:
+        """Check and claim the outputs, then run the command with the given parameters."""
         _refuse_unusable(given, outputs)
         paths = {name: value for name, value in given.items() if isinstance(value, Path)}
         inputs = [path for name, path in paths.items() if name not in outputs]

@@ -218,6 +218,7 @@ def working(quiet: bool, step: str, name: str = "", steps: Steps | None = None) 
         done = 0.0
 
         def show(text: str) -> None:
+            """Show the words of the next step, and how far the work is."""
             nonlocal done
             done = max(done, share(text, steps or {}))
             bar.update(task, description=head + text, total=1.0 if done else None, completed=done)

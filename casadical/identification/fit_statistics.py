@@ -60,7 +60,7 @@ def redundancies(problem: LeastSquares, v: Array) -> Array:
     """
 
     def computed(v: Array) -> Array:
-        """Return the redundancies at v from the Jacobian, a part of the rows at a time."""
+        """Return the redundancy numbers at v, shape (residuals,), computed part by part."""
         inverse = scaled_inverse(problem.gradient(v)[1])
         return np.concatenate([1 - w * np.einsum("ij,ij->i", J @ inverse, J) for w, J in _weighted(problem, v)])
 

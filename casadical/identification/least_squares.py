@@ -192,7 +192,10 @@ class LeastSquares:
 
     @cached_property
     def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds of the scaled variables v, shape (size,) each."""
+        """Lower and upper bounds of the variables, shape (size,) each, relative to nominal.
+
+        They are in units of scale; unknown points have none.
+        """
         free = np.full(3 * len(self.labels), np.inf)
         value = self._parameter_values("value")
         lower = (self._parameter_values("lower") - value) / self.scale
@@ -201,9 +204,10 @@ class LeastSquares:
 
     @cached_property
     def prior_matrix(self) -> Array:
-        """Precision matrix of the priors (inverse covariance) in units of v, shape (size, size).
+        """Precision matrix of the priors (inverse covariance) of the variables, (size, size).
 
-        Rows and columns of variables without a prior are zero.
+        Variables are parameters in units of scale and points in mm; rows and columns of those
+        without a prior are zero.
         """
         weights = np.zeros(self.size)
         held_back = self.guesses | bool(self.priors)
@@ -240,7 +244,10 @@ class LeastSquares:
 
     @cached_property
     def prior_mean(self) -> Array:
-        """Prior mean of the variables v, shape (size,); zero (nominal) by the robot's priors."""
+        """Prior mean of the variables minus nominal, shape (size,), in units of scale and mm.
+
+        It is zero by the robot's own priors.
+        """
         mean = np.zeros(self.size)
         mean[: len(self.names)] = (self._prior[0] - self._parameter_values("value")) / self.scale
         return mean
@@ -384,7 +391,10 @@ class LeastSquares:
 
     @staticmethod
     def _joined(parts: Iterable[tuple[int, Array]]) -> list[Array]:
-        """Return the residuals of each set, shape (n, m); parts : (set index, some residuals)."""
+        """Return the residuals of each set, shape (n, m), in the order of sets.
+
+        parts : (index of the set, residuals of some of its poses)
+        """
         of_set: dict[int, list[Array]] = {}
         for k, r in parts:
             of_set.setdefault(k, []).append(r)

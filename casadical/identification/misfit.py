@@ -136,7 +136,7 @@ class WideFit:
         return self.poses.joints
 
     def at(self, rhos: tuple[float, ...]) -> NoiseFit:
-        """Return the fit with joint repeatability `rhos` times the noise of a coordinate.
+        """Return the fit of all parameters with joint repeatability `rhos` times coordinate noise.
 
         rhos : a ratio for each revolute joint [rad/m]; the last fit is cached
         """

@@ -41,7 +41,8 @@ MAX_FRAME_ERROR_RAD = np.deg2rad(2.0)
 MAX_POSES_COMPARED = 200
 # Number of iterations of a fit of frames in which poses with large errors are excluded.
 EXCLUSION_ROUNDS = 3
-# A pose that is further off than this share of the reach, and than ten times the median, is wrong.
+# Error of a pose, as a share of the reach, above which it may be a gross error; it must exceed ten
+# times the median error, too.
 MAX_GROSS_ERROR_OF_REACH = 0.02
 # Allowance beyond a joint's limit [rad or m], for poses that were commanded at the limit.
 LIMIT_ALLOWANCE = 2e-3

@@ -211,7 +211,10 @@ def _limits(lengths: Sequence[Array]) -> tuple[float, float, bool]:
 
 
 def error_distribution(poses: PoseErrors, name: str = "distribution", caption: str = "") -> Figure:
-    """Return the figure of each model's share of poses [%] with an error below x [mm]."""
+    """Return the figure of each model's share of poses [%] with an error below x [mm].
+
+    name, caption : of the figure
+    """
     share = np.linspace(0, 1, min(201, len(poses) + 1))
     series = [
         Series(

@@ -339,7 +339,7 @@ class Sums:
     triangle: Array | None = None
 
     def for_variables(self, columns: Sequence[int]) -> "Sums":
-        """Return the same sums for some of the variables only.
+        """Return cost, gradient and information of some of the variables, the others fixed.
 
         columns : indices of these variables
         """

@@ -145,8 +145,12 @@ def understand(
     columns: list[Understood] = []
     questions: list[Question] = []
 
-    # Adds the columns of a clear meaning, or a question if there are several.
     def decide(options: _Options, which: str, about: str = "", ask: bool = False) -> None:
+        """Add the columns of the only possible meaning, or a question if there are several.
+
+        which : text of the question; about : its topic; ask : whether it is asked for a single
+            option, too
+        """
         choices = _choices(options, stated, which if ask else "")
         if len(choices) == 1 and not ask:
             columns.extend(next(iter(choices.values())))
@@ -497,7 +501,7 @@ def _listed(group: Iterable[_Heading]) -> str:
 
 
 def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[str, list[Understood]]:
-    """Return possible meaning in words, with its units -> columns that it implies.
+    """Return a dict: possible meaning in words, with its units -> columns that it implies.
 
     stated : unit of lengths and angles, where a comment states it
     asked : the question, if it is asked even for a single option; without it the choices of a
@@ -538,6 +542,7 @@ def _by_unit(
         units, why = [unit] * len(units), ["size of the numbers" if sure else "a guess"] * len(units)
 
     def columns(units: Sequence[str]) -> list[Understood]:
+        """Return the columns under casadical's names, for the unit of each."""
         return [
             Understood(f"{name}_{UNITS[unit][0]}", Source(h.name, UNITS[unit][1]), unit, reason)
             for h, name, unit, reason in zip(members, names, units, why, strict=True)

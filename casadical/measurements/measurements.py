@@ -192,7 +192,7 @@ class Measurements(Shown):
 
     @property
     def copies_in_words(self) -> str:
-        """A sentence on the rows that were dropped as copies; empty if there are none."""
+        """A sentence on rows that were dropped as exact copies of others; empty without any."""
         if not self.copies:
             return ""
         few = ", ".join(map(str, self.copies[:10])) + (" ..." if len(self.copies) > 10 else "")

@@ -253,7 +253,10 @@ def chance_of(before: Accuracy, after: Accuracy) -> float:
 
 
 def worse_methods(accuracies: Accuracies) -> Iterator[tuple[str, Accuracy, Accuracy]]:
-    """Yield methods but the last that worsen held-out poses, with their errors before and after."""
+    """Yield (method, errors before, errors after) of methods that worsen held-out poses.
+
+    The last method is not judged; worse means by more than chance (`chance_of`).
+    """
     *others, (_, last) = accuracies.items()
     for method, states in others:
         name = _judging_set(states)

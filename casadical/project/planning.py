@@ -39,7 +39,10 @@ TRACKER_SIGMA_MM = 0.02
 
 
 def robot_of(path: Path) -> Robot:
-    """Return the robot of a problem folder, robot file or folder of results. Raises InputError."""
+    """Return the robot to plan with: of a problem folder, a robot file or a folder of results.
+
+    Of results it is the only calibrated robot. Raises InputError where there are several.
+    """
     if path.is_file():
         return read_campaign_robot(path)
     written = sorted(path.glob("*.robot.toml"))
@@ -124,7 +127,10 @@ def declared_kinds_and_noise(path: Path, robot: Robot) -> tuple[tuple[str, ...],
 
 
 def more_poses(path: Path, m: Measurements) -> Words:
-    """Return the command that plans more poses of the kind that was measured."""
+    """Return the command that plans more poses of the kind that was measured, as text.
+
+    path : problem folder or robot file
+    """
     ends = m.label if m.target is None else m.target
     kind = {"distance": "--wires", "contact": "--sockets"}.get(m.kind)
     count = 1 if ends is None else len(np.unique(ends, axis=0))

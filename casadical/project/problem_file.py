@@ -66,7 +66,7 @@ class _Source(_Strict):
 
     @model_validator(mode="after")
     def _tells(self) -> _Source:
-        """Refuse a source in which the factor of its own column is zero."""
+        """Refuse a declared source in which the total factor of its own column is zero."""
         if self.times + self.add.get(self.name, 0.0) == 0:
             key = "times" if "times" in self.model_fields_set else "add"
             raise FaultError(key, f"leaves nothing of column {self.name!r}; leave it out, or take another factor")
@@ -114,7 +114,7 @@ class DataTable(_Strict):
     @field_validator("kind")
     @classmethod
     def _known(cls, kind: str | None) -> str | None:
-        """Refuse a kind of measurement that is not registered."""
+        """Return the kind of measurement unchanged; refuse one that is not registered."""
         if kind is not None and kind not in kinds():
             raise ValueError(f"must be {', '.join(map(repr, kinds()))}")
         return kind

@@ -348,7 +348,10 @@ def _seen(placed: Robot, m: Measurements) -> Array:
 
 
 def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
-    """Return the measurements with `tool_` columns set to these target indices."""
+    """Return the measurements with indicator columns `tool_NAME` set to given targets.
+
+    names : index of each row's target among the robot's, 0 for the tool's, shape (n,)
+    """
     logged = {t.column: (names == k).astype(float) for k, t in enumerate(robot.targets, 1)}
     return replace(m, conditions={**m.conditions, **logged, f"tool_{robot.tool_name}": (names == 0).astype(float)})
 

@@ -149,7 +149,7 @@ class RemainingTable(TomlTable):
     factor: list[list[float]] = Field(min_length=1)
 
     def errors(self) -> RemainingErrors:
-        """Return the remaining errors of the table.
+        """Return the position errors that a calibrated robot still has, as the table states them.
 
         Raises InputError for rows of different lengths, and what `RemainingErrors` raises.
         """

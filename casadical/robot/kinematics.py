@@ -94,7 +94,9 @@ def link_frames(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> tuple
 
 
 def own_variables(arm: Arm, actuated: Sequence[Symbolic], values: Values) -> list[Symbolic]:
-    """Return the joint variable of each DH row: the actuated one, or its loop's (paper, eq. 3).
+    """Return the joint variable of each DH row [rad or m], shape (n,) (paper, eq. 3).
+
+    It is the actuated one or, for a joint that a four-bar drives, follows from its crank.
 
     actuated : variables of the actuated joints, shape (n,) [rad or m]
     """

@@ -80,7 +80,7 @@ class _Body(TomlTable):
         return self
 
     def body(self) -> parts.Body:
-        """Return the body that the table describes."""
+        """Return the body of the table: mass [kg], mass centre [m], inertia [kg m^2] or None."""
         inertia = None if self.inertia_kgm2 is None else _moments(self.inertia_kgm2)
         return parts.Body(self.mass_kg, np.array(self.com), inertia)
 
@@ -183,7 +183,7 @@ class _Frame(TomlTable):
     unknown: Literal["none", "position", "pose"] = "none"
 
     def placement(self) -> parts.Placement:
-        """Return the base or tool placement that the table describes."""
+        """Return the base or tool frame that the table describes, and what of it is unknown."""
         return parts.Placement(frame(from_rpy(np.array(self.rpy)), np.array(self.xyz)), self.unknown)
 
 
@@ -280,7 +280,10 @@ class RobotFile(TomlTable):
 
     @model_validator(mode="after")
     def _rows(self) -> RobotFile:
-        """Refuse keys that contradict each other across tables."""
+        """Refuse contradictions between tables: version, convention, joint names, drive data.
+
+        Twists that look like radians under a key of degrees are refused, too.
+        """
         for key in ("definition", "effect", "learnt", "covariance", "remaining"):
             if self.casadical == 1 and key in self.model_fields_set:
                 raise FaultError(key, "belongs to files of version 2; write casadical = 2")

@@ -135,13 +135,13 @@ class Budget:
 
     @property
     def freedom(self) -> float:
-        """Return the effective degrees of freedom (Welch and Satterthwaite)."""
+        """Return the effective degrees of freedom of u(E^2) (Welch and Satterthwaite)."""
         weighted = sum(line.u**4 / line.freedom for line in self.lines)
         return float(self.u_square**4 / weighted) if weighted else INFINITE_FREEDOM
 
     @property
     def factor(self) -> float:
-        """Return the coverage factor k."""
+        """Return the coverage factor k of U = k u(E), for 95.45 % by Student's t distribution."""
         # The quantile for a coverage of 95.45 %: k = 2 with many degrees of freedom.
         return float(stdtrit(max(1, int(min(self.freedom, INFINITE_FREEDOM))), 0.97725))
 
@@ -305,7 +305,7 @@ def _interpolation_uncertainty(robot: Robot, sets: Sequence[Measurements]) -> fl
     scale = np.array([robot.parameters[n].scale for n in names])[:, None]
 
     def mean_square(some: Measurements) -> float:
-        """Return the mean over poses of the squared position error by the covariance [m^2]."""
+        """Return the mean position variance over poses due to the parameters' covariance [m^2]."""
         J = 1e-3 * residuals_and_jacobian(robot, [some], names)[1]
         J = J[np.isfinite(J).all(axis=(1, 2))]
         return float(((J @ (factor / scale)) ** 2).sum() / max(len(J), 1))

@@ -332,7 +332,10 @@ class LengthFit(SlipFit):
         return np.zeros(len(hypotheses))
 
     def placed(self, h: Hypothesis, as_given: bool = False) -> Fit:  # noqa: ARG002
-        """Return the fit of a hypothesis h with tool and points fitted; `as_given` is not used."""
+        """Return the fit of a hypothesis h, its error [m] with tool and points fitted.
+
+        as_given : not used, as lengths show neither unit nor handedness
+        """
         q, y = self._aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         inliers, e = np.ones(len(y), dtype=bool), np.zeros(len(y))

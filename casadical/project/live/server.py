@@ -52,7 +52,10 @@ class LivePage:
         self._tasks: set[asyncio.Task[None]] = set()
 
     def app(self) -> Callable[..., Any]:
-        """Return the web application (ASGI). Raises InputError without the extra `live`."""
+        """Return the ASGI application that serves the page, its events and its commands.
+
+        Raises InputError without the extra `live`.
+        """
         applications = optional("starlette.applications", INSTALL_HINT)
         routing = optional("starlette.routing", INSTALL_HINT)
         routes = [
@@ -72,11 +75,13 @@ class LivePage:
         }
 
         async def guarded(scope: MutableMapping[str, Any], receive: Any, send: Any) -> None:
+            """Answer an ASGI request: refuse it, or pass it to the pages, with security headers."""
             if scope["type"] != "http":
                 await pages(scope, receive, send)
                 return
 
             async def send_with_headers(message: MutableMapping[str, Any]) -> None:
+                """Send a message of the answer, its start with security headers added."""
                 if message["type"] == "http.response.start":
                     own = [(name.encode(), text.encode()) for name, text in security_headers.items()]
                     message["headers"] = [*message.get("headers", ()), *own]
@@ -147,7 +152,7 @@ class LivePage:
         return refused
 
     async def _unknown(self, request: Request, _error: Exception) -> Response:
-        """Return the answer to a request for something that is not served."""
+        """Return the answer 404, with a sentence, to a request for something that is not served."""
         why = f"{request.method} {request.url.path}: is not served; GET /, GET /events and POST /do are"
         made: Response = optional("starlette.responses", INSTALL_HINT).PlainTextResponse(why, 404)
         return made
