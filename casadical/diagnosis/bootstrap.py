@@ -36,7 +36,6 @@ def p_value(case: Case, ranking: Ranking, draws: int, seed: int, show: Show) -> 
     """Return the p-value of no cause: how often pure noise has odds of a cause as high as the data.
 
     It is a fraction of the draws, 0 to 1; the data count as one more draw.
-
     ranking : that of the data, without a cause in the model
     draws : number of draws of noise; show : called with a line of progress
     """
@@ -94,7 +93,6 @@ def _groups(case: Case, white: Array) -> list[Group]:
     """Return the decomposed columns of every variant of every candidate.
 
     The prior of a candidate is divided equally among its variants.
-
     white : columns of all candidates, whitened and orthogonal to the base model, shape (rows,
         columns)
     """
@@ -115,7 +113,6 @@ def log_likelihoods(
     """Return the log likelihoods of each draw without a cause and with any, shapes (draws,).
 
     They are summed over the grids of the noise and of the causes' sizes.
-
     E : columns of all candidates, whitened and orthogonal to the base model, shape (rows, columns)
     Y : draws, treated likewise, shape (rows, draws); sigma : grid of the noise, shape (sigmas,) [m]
     log_norm : term that does not depend on sigma or cause

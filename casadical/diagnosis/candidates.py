@@ -89,7 +89,6 @@ def choose(
 
     Missing columns are given by label. Variants that replace others where a column is missing are
     excluded if it was logged (`Effect.only_without`).
-
     loads : function that returns the joint loads of the robot, see `derive`
     Raises InputError where columns are missing for every listed candidate.
     """
@@ -116,7 +115,6 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
     """Return candidates chosen by list (standard), name (backlash) or label (backlash@5).
 
     Smooth forms are appended as unlisted candidates and, with the list standard, extended effects.
-
     extra : a user's own effects, which replace those of the lists with the same label
     Raises InputError for a name that is no effect, and for a user's own effect of joints that the
     robot has not.

@@ -105,7 +105,6 @@ def most_probable_set(
 
     All are listed ones. The set is empty if a single cause is more probable. A cause of it is not
     certain if sets without it are probable; if none is certain, the set is empty, too.
-
     first : ranking given the causes in the model; steps : number of these causes
     rankings_given : function that returns the rankings given sets of additional causes
     variants : effects of each variant of each candidate, by label

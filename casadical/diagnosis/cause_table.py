@@ -132,7 +132,6 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
     mean_mm, low_mm, high_mm : mean error on held-out poses with a 95 % interval over poses
     blocks_mm : the same with fifths of the time held out; model_mm : rms without noise
     The last dict is the error of noise alone.
-
     floor : that error [m]; None: that of the diagnosis
     """
     if not d.effects():

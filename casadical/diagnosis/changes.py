@@ -25,7 +25,6 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     """Return each effect's or part's probability of change, and the prior without changed ones.
 
     Parts with a probability of at least `Settings.min_change` count as changed.
-
     case : case whose linear model does not contain the prior yet
     prior : prior from an earlier campaign
     """
@@ -75,7 +74,6 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
 
     It is summed over the grid of the noise. As in `Evidence`, prior standard deviations are
     proportional to the noise.
-
     fit : fit of the base model; sigma : noise of that fit [m]
     """
     mean, widths, covariances = case.prior_parts(prior)

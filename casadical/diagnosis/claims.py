@@ -23,7 +23,6 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     One detected cause that is not certain is kept, as the first one, if it has more evidence than
     each certain one and, together with the causes that cannot be distinguished from it, at least
     the probability `Settings.min_doubtful`. All other causes that are not certain are removed.
-
     end : why the search ended before this; seed : of the partitions into held-out poses
     """
     if not state.steps:

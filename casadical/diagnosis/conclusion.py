@@ -142,7 +142,6 @@ def rivals_of(step: Step, listed: Sequence[str]) -> tuple[str, ...]:
     """Return the labels of a cause that the data cannot distinguish from its own.
 
     If the step has none, they are the other listed labels above `Settings.min_ambiguous`.
-
     listed : labels of listed effects, the most probable first
     """
     probable = (k for k in listed if k != step.labels[0] and step.ranking.probability[k] > SETTINGS.min_ambiguous)
@@ -186,7 +185,6 @@ def _outliers_as_cause(
     """Return the errors of all poses, outliers included [m], and the outliers as a cause.
 
     Without outliers, and for a single one that is not far out, they are `before` and no cause.
-
     before : held-out errors of the inliers, shape (n_inliers,) [m]
     error, distance : as returned by `errors_and_distances`, shape (n,)
     """

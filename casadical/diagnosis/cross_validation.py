@@ -123,7 +123,6 @@ def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Arr
 
     The fit is to the inliers. The distance of an inlier is from a fit without it, relative to the
     covariance of that prediction: a flexible model would follow an outlier to which it was fitted.
-
     columns : indices of the causes' columns, shape (k,); inliers : mask of the inliers, shape (n,)
     """
     fit = new_fit(e, columns, noise)
@@ -136,7 +135,6 @@ def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
     """Return the index of a random fold for each of n poses, shape (n,).
 
     There are `Settings.folds` folds, whose sizes differ by at most one.
-
     alike : index of the unknown point of each pose, shape (n,); poses with the same point are
         distributed over the folds
     """

@@ -69,7 +69,6 @@ class Evidence(LinearModel):
     Blocks are poses; r is measured minus modelled position [m]; E is in m per typical size of each
     parameter. For other kinds of measurement than positions, 3 stands for the numbers of a pose
     (see `observations`). Grids have the axes rhos (`RHO_GRID`), sigmas and kappas (`KAPPA_GRID`).
-
     log_noise : log prior of the noise on the grid, shape (rhos, sigmas)
     reference : noise standard deviation at which the prior standard deviations hold [m]; they are
         proportional to the noise
@@ -180,7 +179,6 @@ class Evidence(LinearModel):
         """Return the log likelihood with each group of columns as an additional cause.
 
         Its shape is (groups, rhos, sigmas, kappas); the noise prior is included.
-
         groups : indices of the columns of each group
         also : columns of causes that are in the model already; they are marginalised like the base
             model
@@ -274,7 +272,6 @@ def log_noise_prior(e: Evidence, Jq: Array) -> Array:
 
     A declared sigma or data sheet concerns the instrument alone; the standard deviation over
     repeated poses that of the instrument and the joints together.
-
     Jq : Jacobian by the joint variables, shape (n, 3, joints)
     """
     scatter, freedom = e.noise_prior.repeats, e.noise_prior.freedom

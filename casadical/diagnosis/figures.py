@@ -41,7 +41,6 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     Their names are: gap; errors (held out, pose by pose); workspace; where/TABLE with the names of
     `Localisation`; curves/angles; causes/STEP; shrink (if a cause was found); parameters/lengths,
     /angles, /compliance; fit/residuals, /coverage, /pairs.
-
     more : result of `analyse`, for the figures where/ and curves/ and the networks in the figure
         gap
     """
@@ -143,7 +142,6 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
     """Return the figure of the mean held-out error [mm] as causes are added.
 
     The 95 % intervals are by bootstrap over poses; outliers are excluded.
-
     networks : gaps with a network instead of the causes, and after them
     floor : held-out error by noise alone [m], by default that with the causes
     """

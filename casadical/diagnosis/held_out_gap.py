@@ -50,7 +50,6 @@ def course(
     """Return a table of held-out errors as causes are added, all on the same inlier poses.
 
     It has a row for each stage and these columns:
-
     model : "base", or "+ label" of the added cause
     gap_mm : mean held-out position error over partitions into fifths; low_mm, high_mm : its 95 %
         interval by bootstrap over poses
@@ -59,7 +58,6 @@ def course(
         of effects of time and temperature
     model_mm : rms held-out error after subtraction of the noise's mean square, as a noiseless
         instrument would read; model_low_mm, model_high_mm : its 95 % interval
-
     stages : (model, indices of the columns of all causes in the model, shape (k,), noise of the
         fit)
     folds : partitions into folds, shape (n_inliers,) each; noise : noise that is subtracted
@@ -179,7 +177,6 @@ def network_gap(
     """Return the mean held-out errors without and with the paper's 6-5-3 network, in fifths.
 
     Networks are trained on four fifths of the inliers each; their inputs are joint readings only.
-
     columns : indices of the causes' columns, shape (k,); they are refitted to each four fifths
     noise : noise of these fits; seed : seed of the fifths and of the training
     trainer : name of one of `known_trainers`, or a trainer with its settings

@@ -29,7 +29,6 @@ def with_far_ends(
     anchor of a table counts as one instrument; with more than MAX_DISTANCE_INSTRUMENTS in all no
     columns are added. Additional rows at a stop have columns of their own (see
     `linearisation.condition_of_reading`).
-
     where : estimate of each unknown point in the measuring frame, by name, shape (3,) [m]
     """
     rows = len(stops.of)
@@ -88,7 +87,6 @@ def camera_displacements(p: Array, R: Array) -> Mapping[str, Array]:
     optical axis (depth), and across it multiplied by the squared slope (radial). A fixed camera has
     its lens at the measuring frame's origin; a carried one has it at the tool frame's origin and
     sees the measuring frame's origin.
-
     p, R : measured position and orientation of the tool in the measuring frame, shapes (n, 3) [m]
         and (n, 3, 3)
     """

@@ -69,7 +69,6 @@ class Isolability(Result):
         """Return the candidates that reproduce a large part of a candidate's visible signal.
 
         Keys are their labels, values the fractions of its energy, the largest first.
-
         label : of the candidate; above : fraction, 0 to 1, that must be exceeded
         """
         names, shares = self.alike.columns, self.alike.loc[label].to_numpy(dtype=float)
@@ -124,8 +123,7 @@ def isolability(
     Measured positions are not used.
     robot : nominal robot; or a diagnosis, whose candidates are evaluated at its own poses,
         calibrated geometry and noise
-    m : poses, measured or planned; None for a diagnosis
-    effects : see `diagnose`
+    m : poses, measured or planned; None for a diagnosis; effects : see `diagnose`
     noise : expected noise; by default that of a laser tracker, 0.02 mm, and of joints that repeat to
         8 urad
     whole : whether an effect counts as one cause in all its joints together instead of joint by
@@ -226,7 +224,6 @@ def _squares(evidence: Evidence, rho: float) -> Array:
 
     They are of the column itself, of its part orthogonal to the base model, and of this part in the
     metric of the noise [m^2].
-
     rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     """
     # The columns that are processed at once take 16 MB.
@@ -244,7 +241,6 @@ def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     """Return the fraction of a candidate's visible energy (row) in another's span (column).
 
     It is the mean over the candidate's settings and the maximum over the other's.
-
     E : visible columns, whitened, shape (rows, columns)
     columns : indices of the columns of each setting; owner : label of each setting
     """
@@ -282,7 +278,6 @@ def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]
     """Return, by label of a cause, a text of the labels that the data cannot distinguish from it.
 
     The text has the percentage of similarity; causes without such labels are omitted.
-
     poses : isolability at these poses; None: without percentages
     """
     table = poses.alike if poses else pd.DataFrame()

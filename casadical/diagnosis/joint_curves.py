@@ -24,8 +24,7 @@ CURVE_COLUMNS = ("joint", "rms [urad]", "share")
 class JointCurve:
     """One joint's error as a function of its reading.
 
-    joint : number of the joint, 1-based
-    angle : readings over a turn, shape (k,) [rad]
+    joint : number of the joint, 1-based; angle : readings over a turn, shape (k,) [rad]
     value, error : error of the joint there and its standard error, shapes (k,) [rad]
     covered : mask of the angles near which there are readings, shape (k,); elsewhere the prior
         alone determines the curve
@@ -68,7 +67,7 @@ class JointCurves:
     orders: int = field(metadata=written("harmonics"))
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return (joint, rms [urad], part of the log evidence [%]) as texts, the largest part first.
+        """Return (joint, rms [urad], part of log evidence [%]) as texts, the largest part first.
 
         For a curve that is not significant the rms is an upper bound: two standard errors above
         its rms.

@@ -81,7 +81,6 @@ def diagnosis_files(
     """Return the text of each file that `casadical diagnose --out` writes: robot, data and report.
 
     Keys are the paths.
-
     folder : folder of the files; more : result of `analyse`; name : name of the campaign
     unlisted : whether the robot's model includes the description of the unlisted cause, if there is
         one

@@ -169,7 +169,6 @@ class Case:
         The mean is that of the prior minus the present value, mean and sigma have the shape (P,)
         [SI]. A block holds the indices, shape (k,), and the covariance, shape (k, k) [SI], of
         effects' parameters.
-
         prior : prior of parameters from another campaign; others have the prior of the base model
         """
         mean, sigma = self.base.delta0.copy(), self.base.prior.copy()

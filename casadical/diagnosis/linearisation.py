@@ -168,7 +168,6 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 
     Shapes are (n, 3, all effects' parameters), (n, 3, P) and (n, 3, joints) [m per SI unit], in the
     measuring frame.
-
     m : measurements with every condition that the effects need (see
         `casadical.measurements.derived_columns.derive`)
     values : the robot's parameters at which they are evaluated, shape (P,) [SI]
@@ -181,8 +180,7 @@ def signatures(robot: Robot, effects: Sequence[Effect], m: Measurements, values:
 class EffectColumns(Columns):
     """Jacobian columns of effects in units of their parameters' typical sizes, made on demand.
 
-    linear : linearisation at all poses
-    effects : effects whose columns follow one another
+    linear : linearisation at all poses; effects : effects whose columns follow one another
     growth : factor on all sizes, for a robot with larger residuals than the noise grid covers
     first : columns of the first effects, computed before; None without
     directions : observable directions of the effects' parts (see `core.linear_gaussian.columns`);

@@ -46,7 +46,6 @@ def components(case: Case, noise: Noise, columns: Array, seed: int, remains: flo
     """Return posterior draws of each part's mean square in the residual, shape (draws,) [m^2].
 
     Keys are the parts: "joint 1", "link 1", "base", "tool", "loop", "instrument".
-
     columns : indices of the named causes' columns, shape (k,)
     remains : probability that the named causes leave more than noise
     """
@@ -104,7 +103,6 @@ def _of_causes(case: Case, noise: Noise, columns: Array, rng: np.random.Generato
 
     The draws have the shape (draws,) [m^2]. The remaining model is that of the residual after the
     causes' posterior mean.
-
     columns : indices of the causes' columns, shape (k,)
     """
     e = case.evidence
@@ -152,7 +150,6 @@ def _products(lever: Array, functions: Array) -> Array:
     """Return the Jacobian by the coefficients of parameters that vary as linear in functions.
 
     Its shape is (n, 3, levers * functions): the product of every lever and every function.
-
     lever : Jacobian by the parameters, shape (n, 3, levers)
     functions : values of the functions at the poses, shape (n, functions)
     """
@@ -238,7 +235,6 @@ def _drawn_variances(
     """Return draws of the groups' variances, shape (draws, groups).
 
     Each is drawn from its posterior given the maximum-likelihood variances of the others.
-
     y, K : see `variances_of_groups`; groups : columns, shape (n, columns) each
     size : maximum-likelihood variances, shape (groups,); sigma : noise [m]
     """

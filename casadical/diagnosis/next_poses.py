@@ -37,7 +37,6 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
 
     It is the predicted residual, shape (K, 3) [m], and a root of its covariance root @ root.T,
     shape (K, 3, parameters) [m].
-
     variant : effects of the cause; poses : linearisation of the base model at the new poses
     """
     old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.kept))
@@ -123,7 +122,6 @@ def choose_poses(asked: Pairs, also: Pairs, n: int) -> tuple[list[int], list[flo
 
     The separation is the cumulative expected log Bayes factor for the true cause, the smallest over
     the causes that may be true.
-
     asked, also : pairs of causes to distinguish; only the former count in the separation
     """
     pairs = [*asked, *also]
@@ -168,9 +166,7 @@ def next_poses(
     approach or thermal state); separation, the expected log Bayes factor in favour of the truth
     among the labels, by this pose and those before it, the smallest over all truths; and, empty,
     the columns to be logged, including those of the campaign's own kinds of measurement.
-
-    found : a diagnosis, or the case of one
-    n : number of poses to choose
+    found : a diagnosis, or the case of one; n : number of poses to choose
     labels : labels of the causes to distinguish; "none" for no cause at all; by default those that
         the diagnosis has in question (`Diagnosis.in_question`), with an empty table if there are
         none
@@ -228,7 +224,6 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
     """Return the causes of some labels, each with its most likely and two other likely settings.
 
     The cause with the least noise comes first.
-
     labels : causes to distinguish, two or more; `NO_CAUSE` for none
     beside : other labels, with their most likely settings only
     Raises InputError: fewer than two labels, or one that is no candidate.
@@ -316,7 +311,6 @@ def discrimination_probability(found: Diagnosis, poses: pd.DataFrame) -> tuple[f
 
     The decision is between the first two causes in question. After these poses the log odds are
     normal about their expected gain D with variance 2 D, whichever cause is true.
-
     poses : table as of `next_poses`
     """
     first, second = found.in_question[:2]

@@ -201,7 +201,6 @@ def _exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
     """Return whether one standard deviation exceeds another significantly (F test at 0.1 %).
 
     It must also exceed it by `Settings.min_noise_excess_factor`.
-
     above, below : degrees of freedom of the larger and of the smaller one
     """
     if larger <= SETTINGS.min_noise_excess_factor * smaller:

@@ -102,7 +102,6 @@ class Problem:
         """Return the residual of the fit whitened for a form, shape (n, 3) [m].
 
         It is in the order of measuring and scaled by the model's reference noise.
-
         rho : index of the repeatability ratio in `RHO_GRID`
         """
         moved = prewhitened(self._own, form, self._order)

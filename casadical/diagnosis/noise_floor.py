@@ -42,7 +42,6 @@ def replicates(
     """Return the standard deviation of residuals over repeated inlier poses.
 
     Poses are repeated if readings, payload, logged approach, tool, session and target are equal.
-
     r : residuals, shape (n, 3) [m]; inliers : mask of the inlier poses, shape (n,)
     apart : index of the target of each pose, shape (n,), if there are several
     measured : mask of the numbers that were measured, shape (n, 3); all by default
@@ -95,7 +94,6 @@ def outlier_probability(distance: Array) -> float:
 
     A pose is one with a prior probability of 1 %; its noise is then larger by one of
     `OUTLIER_NOISE_FACTORS`.
-
     distance : squared Mahalanobis distances of the poses, of three coordinates each, shape (k,)
     """
     wide = (

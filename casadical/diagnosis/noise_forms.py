@@ -92,7 +92,6 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
 
     The evidence is averaged over the form's settings; each of the three kinds has a third of the
     prior.
-
     chosen : indices of the columns of causes in the model
     of_instrument : whether the instrument's forms are included
     """
@@ -192,7 +191,6 @@ def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | Non
     """Return a form of noise that is larger at poses with large residuals; None without such poses.
 
     The noise there is larger by `Settings.tail_noise_factor`.
-
     usual : form of the noise at the other poses; None: white
     """
     usual = usual or Form()

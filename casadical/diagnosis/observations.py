@@ -36,7 +36,6 @@ class Stops:
 
     A stop is a pose at which the robot stood while one or more rows were measured; rows are those
     of the concatenated table of all sets.
-
     of : index of each row's stop, shape (rows,)
     turn : number of rows of the same stop before each row, shape (rows,)
     rows : index of the first row of each stop, shape (stops,)
@@ -304,7 +303,6 @@ def _seam_jacobian(parts: Sequence[_SetObservations], layout: Layout, ends: int)
 
     An instrument's effect on its own reading leaves the other readings at the stop unchanged: each
     additional reading has its own variables of the measured point, after all other seam variables.
-
     ends : largest number of poses that a measurement involves, one or two
     """
     stops, seams = layout.stops, parts[0].S.shape[2] // parts[0].ends
@@ -326,7 +324,6 @@ def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
 
     Those at the two ends of a distance between poses are independent, so that its row is the root
     of the sum of squares over both ends.
-
     S : Jacobian by all seam variables; ends : number of ends; seams : seam variables of one end
     """
     arms = S[:, :, : ends * seams].reshape(*S.shape[:2], ends, seams)[:, :, :, :joints]
@@ -430,7 +427,6 @@ def _point_prior(identification: Identification, where: Mapping[str, Array]) -> 
 
     Shapes are (3 points, 3 points) and (3 points,); the mean is relative to the estimates of the
     base fit, at which the prior is centred. Given distances between points narrow and move it.
-
     where : estimate of each point in the measuring frame, by name, shape (3,) [m]
     """
     number, p = {name: i for i, name in enumerate(where)}, np.array([*where.values()]).reshape(-1, 3)

@@ -130,7 +130,6 @@ def prior_weights(
     The prior of listed effects is divided equally among the effects, and that of each effect
     equally among its joints. The prior of unlisted effects is divided in the same way, half among
     the rare effects and half for the smooth forms named "unknown".
-
     prior : one of PRIOR_FIRST and PRIOR_FURTHER; skip, covered : see `rank`
     """
     open_ = [c for c in case.candidates if c.label not in skip | covered]

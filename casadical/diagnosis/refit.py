@@ -25,7 +25,6 @@ def refit(case: Case, effects: Sequence[Effect], noise: Noise, use: Array | None
     diagnosis found, priors of the base parameters centred at the given robot. It starts from the
     base model calibrated on all poses, whichever are used: loads on a joint are unobservable while
     its compliance is zero, and the optimum does not depend on the start.
-
     effects : effects whose parameters are free and whose settings (knee, lag, cycles) are fixed
     use : mask over the inlier poses of those from which it is identified, shape (n_inliers,); None:
         all
@@ -87,7 +86,6 @@ def row_errors(found: Identification, sets: Sequence[Measurements], test: Array)
 
     It is the norm of the length residuals. Unknown points are at the identification's estimates,
     not refitted to these rows.
-
     test : mask over the rows of all sets in order, shape (rows,)
     """
     where, errors = found.unknown_points, []

@@ -75,8 +75,7 @@ def settings_of(effect: Effect) -> dict[str, float]:
 class Cause:
     """One cause.
 
-    effect : name of the effect
-    joint : its joint, 1-based; None if it belongs to none
+    effect : name of the effect; joint : its joint, 1-based; None if it belongs to none
     confidence : its posterior probability
     shrink : fraction, up to 1, by which the held-out gap falls when the cause alone is added to the
         base model
@@ -203,7 +202,6 @@ class Diagnosis(Result):
     More expensive results are computed on request: `refit` and `apply` below, and in
     `casadical.diagnosis` `analyse`, `localise`, `isolability`, `describe_unlisted`, `check_refit`,
     `network_gaps` and `next_poses`.
-
     verdict : none (noise alone), explained (by the causes), ambiguous or unknown
     causes : named causes, the largest shrink first
     gap : held-out error before and after the causes
@@ -219,8 +217,7 @@ class Diagnosis(Result):
         or None
     missing : columns that were not logged, by label of the effect that needs them
     case : linear model from which the diagnosis was computed
-    identification : identification of the base model
-    seed : seed of all random numbers
+    identification : identification of the base model; seed : seed of all random numbers
     p_nothing : bootstrap p-value of "no cause"; None without a bootstrap
     prior : prior from another campaign, or None
     changes : probability of change of each part of this prior

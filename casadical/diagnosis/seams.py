@@ -71,7 +71,6 @@ class Seams:
     """Derivatives of the measured position at the seams of robots of one structure.
 
     Candidate effects are zero.
-
     key : text that identifies the structure
     function : (q, w, phi, constants)->(J[3, P], S[3, seams], seen): derivatives by the parameters
         and by the seam variables, and the quantities that effects depend on: measured point,
@@ -184,7 +183,6 @@ def _seams(structure: Structure, count: int) -> Seams:
     """Return the composed derivatives of the position by parameters and by the seam variables.
 
     They are taken at zero of the seam variables.
-
     structure : includes the probe, whose parameters are last; count : number of the others, P
     """
     model, arm = expressions(structure), structure.arm

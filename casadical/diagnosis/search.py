@@ -324,7 +324,6 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
     """Return "claimed" and the labels of the next cause, or another `End` and no label.
 
     The labels are its own, then those of causes that the data cannot distinguish from it.
-
     p_nothing : bootstrap p-value of no cause, None without a bootstrap
     """
     if not _detected(state, ranking, p_nothing):

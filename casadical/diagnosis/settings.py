@@ -8,7 +8,6 @@ class Settings:
     """Thresholds of the search for causes and of its verdict; probabilities unless said otherwise.
 
     A value without a study is one that several places share.
-
     max_p_nothing : a first cause is detected if the probability of "nothing" is below this, at any
         number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of pure
         noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are below, 0.2

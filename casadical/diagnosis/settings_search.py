@@ -54,7 +54,6 @@ def refined(
 
     A variant of several effects is returned unchanged. The prior sizes of an effect's parts are
     learnt in place of settings.
-
     label : of the candidate; variant : its effects with settings of the grid
     chosen : indices of the columns of causes that are in the model already
     noise : most likely noise with the variant
@@ -105,7 +104,6 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     A load that depends on the joint's angle shifts the apparent cycles per turn: in addition to
     integers, a phase that changes with the load is evaluated, too (values `tried` of a setting),
     and accepted if it gains enough evidence.
-
     label : of the candidate; chosen : indices of the columns in the model
     """
     whole = [f.name for f in fields(effect) if f.metadata.get("whole")]

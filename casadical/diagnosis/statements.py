@@ -37,8 +37,7 @@ class Statement:
     about : topic: VERDICT, PRIOR, GAP, NOISE, ASSUMED, GRAVITY, CHECK, WHERE, WHICH (followed by
         the causes, see `cause_rows`), SET, MORE, AFTER, LAYERS (followed by the table of
         `layer_rows`), CANNOT, RULED, UNKNOWN, LAW, OUT, MISSING, NEXT
-    text : the statement without its topic
-    doubtful : whether it is a warning
+    text : the statement without its topic; doubtful : whether it is a warning
     """
 
     about: str

@@ -95,7 +95,6 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     A joint that errs at few places makes such outliers. For unrelated outliers the cosine between
     error and any direction is uniform from -1 to 1; the chances are combined by Fisher's sum of
     logarithms, with a Bonferroni correction over the joints.
-
     columns : indices of the causes' columns, shape (k,)
     """
     out = ~case.kept
@@ -405,7 +404,6 @@ def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dic
 
     A line is its name with its sine and cosine at the poses, shape (n, 2). The spacing of the
     frequencies is that which the range of the readings resolves.
-
     angle : readings of the joint, shape (n,) [rad]; joint : its number, 1-based
     """
     step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))

@@ -75,7 +75,6 @@ class Context:
         """Return the moment of the weight of a link (1-based) and all after it, shape (3,) [N m].
 
         The payload is included. Axes are those of the base frame.
-
         about : reference point in the base frame, shape (3,) [m]; None: origin of the link's frame
         """
         origin = self.frames[link - 1][:3, 3] if about is None else about
@@ -122,7 +121,6 @@ def compared(turning: Collection[int], first: int, last: int) -> Sequence[int]:
     """Return the revolute joints (1-based) from `first` to `last`, or all of these if none is.
 
     The peak gravity torques of the returned joints have one unit and can be compared.
-
     turning : numbers of the arm's revolute joints
     """
     there = range(first, last + 1)
@@ -272,7 +270,6 @@ class Counterparts:
 
         An axis of negative compliance stays rigid and is added to `left_out`, as is the whole
         effect if the robot has no masses.
-
         label : label of the effect; link : number of the link, 1-based, 0 for the pedestal
         sizes : rotation [rad] by name of the parameter, about each axis, of the pedestal under the
             maximum peak gravity torque, of a link under that of the joints at its two ends
@@ -320,7 +317,6 @@ class Effect:
     A subclass overrides the methods of the insertion points (`energy`, `joint_angle`, `link`, ...)
     at which it acts. Additional fields are settings, in which the effect is not linear (see
     `setting`).
-
     joint : number of the joint, 1-based, of effects that belong to a joint
 
     Examples
@@ -572,8 +568,7 @@ class Effect:
     def counterpart(self, simulator: Counterparts, v: Mapping[str, float]) -> Counterparts:
         """Return a simulator's counterparts with that of this effect added.
 
-        v : values of its parameters by short name [SI]
-        The default adds an `Omission`.
+        v : values of its parameters by short name [SI]. The default adds an `Omission`.
         """
         why = "an effect of the measurement, not of the robot" if self.of_measurement else "no counterpart in MuJoCo"
         return simulator.without(self.label, why)

@@ -70,7 +70,6 @@ def dry_friction(effect: Effect, simulator: Counterparts, v: Mapping[str, float]
     """Return a simulator's counterparts with constant dry friction in the effect's joint [N m].
 
     It is the windup at the joint's mean load, divided by the joint's compliance.
-
     v : `constant`, windup without load [rad], and `load`, its increase at the peak torque [rad]
     """
     soft = simulator.drive(effect.joint).compliance
@@ -88,7 +87,6 @@ def soft_spring(effect: Any, simulator: Counterparts, v: Mapping[str, float]) ->
     """Return a simulator's counterparts with a spring between stops in series in the joint's drive.
 
     It approximates the deflection bend tanh(torque / (knee peak torque)).
-
     v : `bend`, at which the deflection saturates [rad]
     The effect's setting `knee` is the torque scale of saturation, divided by the joint's peak
     gravity torque.
@@ -107,7 +105,6 @@ def hardening_spring(effect: Effect, simulator: Counterparts, v: Mapping[str, fl
 
     Its torque is fitted by least squares to the deflection d = c tau - bend (tau / peak)^3 [rad]
     for torques tau up to 1.2 times the joint's peak gravity torque; c is the joint's compliance.
-
     v : `bend` [rad]
     """
     peak, load = simulator.peak_torque(effect.joint), np.linspace(-1.2, 1.2, 97)
@@ -232,7 +229,6 @@ class Definition(TomlTable):
 
     {joint} and {NAME OF A SETTING} in formulas and in names of parameters and of columns are
     replaced by their values.
-
     summary : first line of the class's documentation; settings : by name
     sizes : typical size and unit of each parameter; formulas : texts by insertion point (`SEAMS`)
     counterpart : name of the counterpart in a simulator, a key of `COUNTERPARTS`; empty for none
@@ -411,8 +407,7 @@ def _unpickled(definition: str, module: str, name: str, settings: Mapping[str, A
 def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffect]:
     """Return the class of a validated definition, the same object for equal definitions.
 
-    module : name of the module of the class
-    Raises InputError that names the faulty key.
+    module : name of the module of the class. Raises InputError that names the faulty key.
     """
     _refuse_names(d)
     kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
@@ -479,8 +474,7 @@ def effect_classes(definitions: Iterable[Definition], module: str = "effect file
 def read_definitions(path: Path, module: str = "effect file") -> dict[str, type[DefinedEffect]]:
     """Return the effect classes that a TOML file defines, by name of the effect.
 
-    module : name of the module of the classes
-    Raises InputError that names the file.
+    module : name of the module of the classes. Raises InputError that names the file.
     """
     file = check(DefinitionFile, load_toml(path), path.name)
     with errors_of(f"{path.name}: "):

@@ -145,7 +145,6 @@ class FormulaEffect(Effect):
         """Return a list of the formula's components at an insertion point, one or three.
 
         It is empty where there is no formula. Their unit is that of `SEAMS`.
-
         more : values of names that exist at this insertion point only
         """
         formula = self.formulas.get(seam)
@@ -222,7 +221,6 @@ class FormulaEffect(Effect):
 
         "point" displaces it as a vector, "distance" away from the anchor, "beam" away from the
         instrument's station, "across" horizontally across the beam.
-
         point : true measured point, shape (3,) [m]; both are in the measuring frame
         """
         moved, names = point, dict(zip(_POINT_NAMES, ca.vertsplit(point), strict=True))
@@ -280,7 +278,6 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
     """Check that a formula is zero where its parameters are, and finite and bounded elsewhere.
 
     Bounds are checked by interval arithmetic, values at 200 random points (see `_range_of`).
-
     parameters : names of the parameters; settings : values of the settings, by name
     Raises InputError.
     """
@@ -346,7 +343,6 @@ def image_columns(side: str, what: str) -> tuple[str, str, str]:
     The vector is in the measuring frame and computed from measured poses. A fixed camera's frame is
     the measuring frame, with its third axis along the optical axis; that of one on the flange is
     the tool frame (see `diagnosis.instrument_columns`).
-
     side : one of CAMERA_SIDES
     what : "depth", the component along the optical axis, or "radial", the component across it
         multiplied by the square of its slope

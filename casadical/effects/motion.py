@@ -36,7 +36,6 @@ def motion_columns(effect: DefinedEffect, seam: str, names: Mapping[str, Array])
 
     The other parameters are zero. Values are torques divided by the peak torque, or responses [rad
     or m].
-
     seam : insertion point, "torque", "torques", "response" or "responses"
     names : samples of the variables of the formula, all of one shape, which is that of each column
     """

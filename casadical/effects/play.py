@@ -15,7 +15,6 @@ class Backlash(Effect):
     """Backlash of a gear, taken up by the gravity torque or by the direction of approach.
 
     The gravity torque decides on the flank in contact where it overcomes friction.
-
     friction : torque below which the direction of approach decides, divided by the joint's peak
         gravity torque
     width : torque over which the contact changes between the flanks, divided by the same

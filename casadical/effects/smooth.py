@@ -232,8 +232,7 @@ class SmoothInTime(_Series):
 class WarmUp(_Smooth):
     """Exponential warm-up of an arm without measured temperature: zeros drift and links grow.
 
-    moved : number of joints
-    settles : time constant, divided by the duration of the campaign
+    moved : number of joints; settles : time constant, divided by the duration of the campaign
     """
 
     moved: int = 6

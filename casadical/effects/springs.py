@@ -257,7 +257,6 @@ class LinkFlexure(Effect):
 
     Its parameters are the rotations of the link's end about the axes of its frame under a constant
     moment, the larger of the peak gravity torques of the joints at its two ends.
-
     member : the link (1-based) that bends, not the last one
     spread : whether its own weight is distributed along it rather than at its mass centre
     """

@@ -54,8 +54,7 @@ class Discovery(Result):
     diagnosis : diagnosis of the same data
     rounds : comparisons of laws with their rivals, each given the laws of the rounds before
     case : linear problem with the laws among its candidates, on the searched poses
-    laws : the claimed laws
-    causes : listed effects in the model with the laws
+    laws : the claimed laws; causes : listed effects in the model with the laws
     noise : most probable noise given both
     values : factors of the laws: (value, standard error, unit) [SI] by name of the parameter
     gap : mean held-out error [m] by model: "base", "causes" (those of the diagnosis), "law" (laws
@@ -185,7 +184,6 @@ class Discovery(Result):
         """Return the result as plain data for JSON in rad, m and nats (gaps in mm).
 
         Keys are campaign, verdict, those of `laws_json`, causes, diagnosis and rounds.
-
         name : name of the campaign, by default that of its table
         """
         first = self.rounds[0]

@@ -110,7 +110,6 @@ class Beam:
 
         The columns equal those of `Linearisation.columns`, which compiles a formula for each
         station.
-
         station : its position in the measuring frame [m]
         towards : direction in which the target faces, in the flange frame
         """
@@ -215,7 +214,6 @@ class Beam:
         """Return the stations [m] whose short waves have the largest products with the residual.
 
         The second item is the number of pairs of a station and a wave number that were searched.
-
         poses : indices of the problem's poses among those of the linearisation
         """
         point, weights = (

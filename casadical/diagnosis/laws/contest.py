@@ -49,7 +49,6 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_la
 
     It does if it is claimed, has enough evidence against several causes, and predicts held-out
     poses better.
-
     first : comparison of laws without a cause in the model
     poses : largest number of poses on which the two are compared
     """
@@ -72,7 +71,6 @@ def laws_before_causes(found: Diagnosis, poses: int = SETTINGS.max_law_poses) ->
     """Return the comparison of laws with their rivals without a cause in the model.
 
     It is under white noise or, if no law is claimed then, under AR(1) noise where that is better.
-
     poses : largest number of poses on which laws are searched
     """
     for full_case, case, ranking in _before_causes(found, poses):
@@ -105,7 +103,6 @@ def with_best_noise(
     """Return a comparison, and its case with all poses, under the best noise given a claimed law.
 
     While the noise given the law has another AR coefficient, all are compared again under it.
-
     case : case with all poses; first : comparison of its laws
     poses : largest number of poses on which laws are searched
     chosen, causes : indices of the columns and labels of the effects in the model
@@ -287,7 +284,6 @@ def _columns(base: Evidence, laws: Sequence[ScoredLaw], train: Array) -> list[Ar
     """Return the columns of laws whose settings are refined on some poses, (n, 3, w) each.
 
     The columns are at all poses; each law is refined given those before it.
-
     base : linear model of all poses; train : indices of the poses used
     """
     columns: list[Array] = []

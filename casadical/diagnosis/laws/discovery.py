@@ -61,7 +61,6 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
 
     The best law is first compared with all causes together and replaces them or not; then further
     laws are searched given the causes or the law.
-
     poses : largest number of poses on which laws are searched, evenly taken from the campaign
     """
     show("laws beside nothing")

@@ -69,7 +69,6 @@ class Screen:
         """Return the Gram matrices (K, w, w) of K laws, and products with the residual (K, w).
 
         Each law has w = parts * d columns, whitened and orthogonal to the base model.
-
         columns : columns of the place, shape (n, 3, d)
         functions : values of the parts of the forms, shape (parts, n, K), or (parts, n, d, K) if
             they differ between columns
@@ -127,7 +126,6 @@ class Screen:
         """Return the log evidence over none of K laws, shape (K,) [nats].
 
         It is the mean over the sizes of the grid, each at the maximum-likelihood noise.
-
         G, b : products of columns in units of their typical sizes (see `products`)
         least : laws whose bound (`reach`) is below this [nats] get `NOT_JUDGED_LOG_EVIDENCE`
         """
@@ -239,8 +237,7 @@ class TriedLaws:
     """The laws of one form and one driver, at one or several places, with all settings.
 
     seams : the places; more than one for the beam of an instrument, whose stations are settings
-    driver, form : driver and form of the laws
-    x : values of the driver at each place, shape (n,)
+    driver, form : driver and form of the laws; x : values of the driver at each place, shape (n,)
     nearby : function of a law and a step that returns the places a step away in each direction, and
         the values of the driver there; None where places cannot be moved
     again : function of a problem and indices of poses that returns the same laws with places found
@@ -343,7 +340,6 @@ def scale_of(values: Array) -> Array:
     """Return the scale of each function over poses and joints, shape (parts, K).
 
     It is the largest of the standard deviation, a tenth of the range, and 1e-3.
-
     values : as of `Form.values`
     """
     flat = values.reshape(len(values), -1, values.shape[-1])
@@ -527,7 +523,6 @@ class Problem:
         """Return the log evidences of laws, averaged over the screened rhos, shape (count,) [nats].
 
         Laws that cannot reach `least` at the most probable rho are not evaluated at the others.
-
         products : function of a screen and indices of laws that returns their `Screen.products`
         """
         some: Array | slice = slice(None)

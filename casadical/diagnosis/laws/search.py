@@ -275,7 +275,6 @@ def _moved(tried: TriedLaws, seam: int, settings: Array, k: int, step: float) ->
 
     A width w is multiplied by exp(10 step); a frequency f changes by 10 step divided by the range
     of the driver, a phase rate p by 20 step, others by step times the range.
-
     seam : index of the law's place
     """
     moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
@@ -332,7 +331,6 @@ def _sigmas(problem: Problem, tried: TriedLaws, seam: int, settings: Array, evid
     """Return the standard error of each setting, from the decrease of the log evidence about it.
 
     A setting that differs by it has 0.5 nats less, for a parabola through the steps evaluated.
-
     evidence : log evidence at the settings [nats]; seam : index of the place
     """
     sigmas = np.empty(len(settings))

@@ -213,7 +213,6 @@ def arbitrated(
 
     The standard deviation of a parameter combines that of the fit, half the difference between fits
     to both halves of the logs, and, for a delay, that by sampling.
-
     fit : logs from which `response` was identified; runs : held-out runs that are replayed
     Raises InputError.
     """

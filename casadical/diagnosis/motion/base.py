@@ -173,7 +173,6 @@ def _servo_gains(m: Motion, model: Array, arm: Arm) -> Array:
     """Return the gain of each servo, declared or estimated, shape (joints,) [N m/rad].
 
     Undeclared gains follow from the position error and the model's torque, by least squares.
-
     model : torque of the bodies, shape (samples, joints) [N m]
     """
     if arm.kp is not None:

@@ -89,7 +89,6 @@ def changes_since(robot: Robot, log: JointLog, healthy: Robot, reference: JointL
     """Return the most probable change of each joint whose response fits both logs.
 
     That with the largest evidence is first.
-
     robot, healthy : robots of the log and of the reference, which differ by their payload only
     Raises InputError: logs without commands, or without a run of two seconds.
     """

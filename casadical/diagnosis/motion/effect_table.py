@@ -42,8 +42,7 @@ INDEPENDENT_SAMPLE_SHARE = 0.05
 class EffectTable:
     """Rms replay errors of each joint with all effects, and without one of them at a time.
 
-    joints : names of the joints
-    before : rms of reading minus command, shape (joints,) [rad]
+    joints : names of the joints; before : rms of reading minus command, shape (joints,) [rad]
     full : rms of reading minus replay with all effects, shape (joints,) [rad]
     without : the same without one effect, by its name
     """

@@ -64,7 +64,6 @@ class Floor:
         """Return torques (joints,) [N m] and contact force [N] by which a step ends on the surface.
 
         Both are 0 where the step ends above the surface without them.
-
         ends : function of joint torques [N m] that returns the angles at the end of the step [rad]
         give : derivative of each of these angles by its torque while the joint slides, shape
             (joints,) [rad/(N m)]

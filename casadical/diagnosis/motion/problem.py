@@ -112,7 +112,6 @@ class MotionCase:
 
     The rows of a block are the torques of all joints, divided by the peak torques, then, if both
     were logged, their position errors [rad].
-
     candidates : possible causes; variants : (candidate, variant) indices of each group of columns;
         groups : indices of the columns of each
     r : residual of the model with nominal parameters, shape (blocks, rows), not whitened
@@ -375,7 +374,6 @@ def daily_changes(
     """Return base columns for the changes of a log's base since the day of the reference.
 
     They are one column for each joint's groups of friction, and small changes of other columns.
-
     base : base columns of the log; reference_coefficients : see `coefficients`
     """
     parts: list[BaseColumn] = []
@@ -500,7 +498,6 @@ def _unlisted(log: LogView, sigma: Array) -> Iterator[_CandidateColumns]:
 
     The variables are time, the joint's load, angles and speeds (of all joints in torque rows, else
     the joint's own), and its angle, with the sign of the direction of motion.
-
     sigma : noise of each row, shape (rows,)
     """
     n, variables = log.arm.joints, log.variables

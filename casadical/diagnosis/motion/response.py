@@ -101,8 +101,7 @@ class Response:
     dynamics : inverse dynamics of the robot
     gain : gain of the servo [N m/rad]; bias : constant torque [N m]; friction : dry friction [N m]
     damping : viscous damping [N m s/rad]; delay : delay of the command [s]
-    inertia : inertia of the joint, rotor included [kg m^2]
-    fitted : sources of the logs
+    inertia : inertia of the joint, rotor included [kg m^2]; fitted : sources of the logs
     moved : mask of the joints that moved in them; the others have the typical response of the
         priors
     torque_terms : coefficients, shape (joints, 4), of logged torques beyond the bodies': dry
@@ -156,7 +155,6 @@ class Response:
 
         Both have shape (rows, joints). The first are those of the bodies alone; the second include
         friction, rotor inertia and constant torque (`torque_terms`).
-
         position : angles of the replay, shape (rows, joints) [rad]
         """
         assert self.torque_terms is not None
@@ -301,7 +299,6 @@ class _Problem:
         """Return simulated angles for variants of the parameters.
 
         Their shape is (steps, pieces, joints, variants) [rad].
-
         x : parameters, shape (joints, PARAMETERS_PER_JOINT, variants); all variants but the last
             one must have equal delays
         """
@@ -332,7 +329,6 @@ class _Problem:
         """Return measured minus simulated angles, and the latter's derivatives by the parameters.
 
         Shapes are (steps, pieces, joints) [rad] and (steps, pieces, joints, PARAMETERS_PER_JOINT).
-
         x : parameters, shape (joints, PARAMETERS_PER_JOINT)
         """
         variants = np.repeat(x[:, :, None], 1 + PARAMETERS_PER_JOINT, axis=2)
@@ -345,7 +341,6 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
     """Return the response of all joints identified from each set of logs, one for each set.
 
     All sets are simulated together, which costs little more than one.
-
     parts : sets of logs
     Raises InputError: logs without commands, or without a run of two seconds.
     """
@@ -434,7 +429,6 @@ def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tupl
 
     Shapes are (rows, joints) [N m] and (rows, joints, 4): smoothed sign of the speed, speed
     [rad/s], acceleration [rad/s^2] and one.
-
     position : angles at the times of the run, shape (rows, joints) [rad]
     """
     q = smoothed(position, smoothing_kernel(run.step))

@@ -142,7 +142,6 @@ def share_of(case: MotionCase, columns: Array, own: Array) -> float:
 
     Both are rms values over the windows in which the cause acts. A delay that a base may have, or
     friction of another day, is no cause however well the data determine it.
-
     columns, own : indices of the columns of all causes in the model, and of this one
     """
     x, theta = case.fitted(columns)
@@ -159,7 +158,6 @@ def folds_of(case: MotionCase, *, local: bool = False) -> Array:
     """Return the index of the fold in which each block is held out, shape (blocks,).
 
     Folds are runs, or thirds of a single run; the reference is fold 0, which is never held out.
-
     local : whether folds are interleaved parts of the log, for causes in a part of one run
     """
     run = np.where(case.of_log, np.cumsum(case.first), 0)
@@ -192,7 +190,6 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
     run, parts of a run are held out in turn. The reference is always fitted. A base that replaces
     the cause by coefficients far from their priors, such as a delay of 30 ms that is declared to
     one, pays for these in equal parts in all runs.
-
     chosen, own : indices of the columns of the causes found before, and of the cause
     local : whether the cause acts in a part of one run
     """

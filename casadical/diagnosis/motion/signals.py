@@ -43,7 +43,6 @@ class Arm:
     """Bodies and drives of an arm, as far as the robot file declares them.
 
     All arrays by joint have the shape (n,) and are None where nothing is declared.
-
     inertial : ten inertial parameters of each link (`Dynamics.names`), the declared payload
         included in the last link's, shape (10 n,) [SI]
     spread : change of `inertial` by one prior standard deviation of each of k independent
@@ -53,8 +52,7 @@ class Arm:
     delay : time from the logged command to the servo, filters included [s]
     kp, kd, ki : gains of the servo [N m/rad, N m s/rad, N m/(rad s)]
     joint_stiffness : stiffness of the gear [N m/rad]
-    gear_ratio : turns of the motor per turn of the joint
-    log_rate : declared sample rate [Hz]
+    gear_ratio : turns of the motor per turn of the joint; log_rate : declared sample rate [Hz]
     """
 
     dynamics: Dynamics
@@ -307,7 +305,6 @@ def play_operator(q: Array, width: float) -> Array:
     """Return the position of an angle within a play that it drags along, -1 to 1, shape of q.
 
     It is a hysteresis state that models the memory of dry friction (Iwan 1966).
-
     q : angles in time order, shape (n, joints) [rad]; width : half-width of the play [rad]
     """
     out, centre = np.empty_like(q), q[0].copy()
@@ -349,7 +346,6 @@ def servo_error(torque: Array, arm: Arm, step: float, start: Array) -> Array:
     """Return the position error e at which each servo gives a torque, (samples, joints) [rad].
 
     It solves kd e' + kp e + ki int e dt = torque.
-
     torque : shape (samples, joints) [N m]; step : time between samples [s]
     start : error at the first sample, shape (joints,) [rad]
     """
