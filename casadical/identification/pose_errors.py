@@ -102,7 +102,7 @@ class PoseErrors:
         return SET_TITLES.get(name, name) + (f" ({', '.join(more)})" if more else "")
 
     def thinned(self, most: int) -> PoseErrors:
-        """Return the set with at most `most` poses, evenly spaced in their order."""
+        """Return the errors at no more than `most` of the poses, evenly spaced in their order."""
         if len(self) <= most:
             return self
         k = np.linspace(0, len(self) - 1, most).round().astype(int)

@@ -174,9 +174,9 @@ class CampaignDiagnosis(Result):
     details: Details = field(default_factory=Details)
 
     def analysed(self, **asked: Any) -> CampaignDiagnosis:
-        """Return the diagnosis with its details. Raises ConvergenceError.
+        """Return the diagnosis with its `details` computed by `casadical.diagnosis.analyse`.
 
-        asked : arguments of `casadical.diagnosis.analyse`
+        asked : arguments of that function. Raises ConvergenceError.
         """
         return replace(self, details=analyse(self.diagnosis, laws=self.options.laws, **asked))
 

@@ -23,7 +23,7 @@ class HandEye(Shown):
 
     camera : "in hand" or "to base"
     parent : frame in which it is given, flange or base; the flange is the last link's frame
-    T : pose of the camera in it, shape (4, 4)
+    T : pose of the camera in it, shape (4, 4) [m]
     std_errors : of its coordinates [m], None where they were not identified
     """
 
@@ -39,7 +39,7 @@ class HandEye(Shown):
     std_errors: tuple[float, float, float] | None = field(metadata=written("std_error", unit="mm"))
 
     def in_words(self) -> str:
-        """Return the transform as a sentence, with what cannot be separated from it."""
+        """Return the transform as a sentence [mm, quaternion], with the errors that it includes."""
         x, y, z = (f"{1e3 * v:.2f}" for v in self.T[:3, 3])
         w, *vector = (f"{v:.5f}" for v in quaternion(self.T[:3, :3]))
         sure = ""
@@ -52,7 +52,10 @@ class HandEye(Shown):
         )
 
     def calib_text(self, name: str) -> str:
-        """Return the file of easy_handeye2, with the command of ROS 2 for the same transform."""
+        """Return the text of a calibration file of easy_handeye2, in metres and a quaternion.
+
+        A comment has the command of ROS 2 for the same transform; name : of the calibration
+        """
         x, y, z = (float(v) for v in self.T[:3, 3])
         w, i, j, k = (float(v) for v in quaternion(self.T[:3, :3]))
         kind = "eye_in_hand" if self.camera == "in hand" else "eye_on_base"

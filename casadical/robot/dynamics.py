@@ -93,7 +93,8 @@ class Dynamics:
     def torque(self, q: Array, v: Array, a: Array, pi: Array | None = None, gravity: Array | None = None) -> Array:
         """Return the joint torques tau, shape (N, n) [N m or N].
 
-        q, v, a : as of `regressor`; pi : shape (11 n,), by default `values`
+        q, v, a : as of `regressor`; pi : inertial parameters, shape (11 n,) [SI], by default
+            `values`
         gravity : in the base frame, shape (3,) [m/s^2], by default the robot's
         """
         g = self.gravity if gravity is None else gravity

@@ -120,7 +120,7 @@ class Knowledge:
         }
 
     def without(self, names: Iterable[str]) -> Knowledge:
-        """Return the knowledge without the covariance of some parameters."""
+        """Return the knowledge with the named parameters removed from all covariance blocks."""
         gone = set(names)
         blocks = (block.only(set(block.names) - gone) for block in self.covariance)
         return replace(self, covariance=tuple(block for block in blocks if block.names))

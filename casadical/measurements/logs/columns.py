@@ -185,7 +185,7 @@ def is_number(word: str) -> bool:
 
 
 def _si_name(unit: str) -> str:
-    """Return the suffix of our columns for a unit of the vocabulary; empty if there is none."""
+    """Return the suffix (deg, rad, mm, m) of casadical's columns for a word of a unit, or ""."""
     ours, factor = UNITS.get(unit, ("", 1.0))
     return {("deg", 1.0): "deg", ("rad", 1.0): "rad", ("mm", 1.0): "mm", ("mm", 1e3): "m"}.get((ours, factor), "")
 

@@ -94,7 +94,7 @@ class LivePage:
 
     @asynccontextmanager
     async def _life(self, _app: Starlette) -> AsyncIterator[None]:
-        """Follow the source for as long as the application runs."""
+        """Read the source in the background for as long as the application runs."""
         follow = asyncio.create_task(self._follow())
         yield
         follow.cancel()
