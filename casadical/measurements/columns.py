@@ -178,7 +178,9 @@ class Columns:
 
     @staticmethod
     def of_frame(table: pd.DataFrame, source: str, row: Array | None = None) -> Columns:
-        """Return the columns of a pandas table. Raises InputError: a heading occurs twice.
+        """Return the columns of a pandas table [units of its headings].
+
+        Raises InputError: a heading occurs twice.
 
         source : what messages call it
         row : line of a file, from 1, of each row, shape (n,); by default as below a line of
@@ -392,9 +394,9 @@ class Columns:
         return np.stack([self.si(f"{prefix}{c}", units) for c in "xyz"], axis=1)
 
     def conditions(self, observations: Iterable[str]) -> dict[str, Array]:
-        """Return the numeric columns that are no readings or observations, by name, shape (n,).
+        """Return the numeric columns that are no readings or observations, (n,) [their own units].
 
-        They are in their own units. Columns of words (remarks, operators) are not among them.
+        Columns of words (remarks, operators) are not among them.
 
         observations : patterns of the columns that the kinds of measurement read
         Raises InputError: words among numbers.
@@ -412,14 +414,14 @@ class Columns:
         return conditions
 
     def tools(self) -> dict[str, Array]:
-        """Return an indicator per name in the column `tool`: "tool_NAME" -> shape (n,), 0 or 1.
+        """Return an indicator per name in the column `tool`: "tool_NAME" -> shape (n,), boolean 0 or 1.
 
         Empty without that column. Raises InputError: an empty cell.
         """
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Return an indicator per name in the column `session`: "session_NAME" -> (n,), 0 or 1.
+        """Return an indicator per name in the column `session`: "session_NAME" -> (n,), boolean 0 or 1.
 
         Empty without that column. Raises InputError: an empty cell.
         """

@@ -164,7 +164,7 @@ class Measurements(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The observed arrays by name, from fields and `extra`, each of shape (n, ...)."""
+        """The observed arrays by name, from fields and `extra`, each of shape (n, ...) [SI]."""
         return {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
 
     @property
