@@ -224,10 +224,10 @@ def fault_of_orientations(robot: Robot, m: Measurements) -> str:
 
 
 def frame_error(robot: Robot, m: Measurements) -> float:
-    """Return the median error of orientations [rad] if they are of another frame than positions.
+    """Return the median orientation error [rad] that shows another frame than the positions', or 0.
 
-    The base is placed by the positions alone. Zero means that both are in one frame, or that the
-    data do not show it.
+    The base is placed by the positions alone. Zero means that positions and orientations are in one
+    frame, or that the data do not show the opposite.
     """
     free = replace(robot, tool=replace(robot.tool, unknown="pose"))
     if robot.base.unknown != "pose" or m.position is None or len(m) < MIN_POSES_PER_PART:
@@ -326,9 +326,9 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def beside(k: int, few: Array = few) -> bool:
-            """Return whether the k-th pose by row is in another unit, too, like those of the part.
+            """Return whether a pose beside a faulty part is in another unit, too.
 
-            few : places of sample poses of the part, in the order of rows
+            k : place of the pose in `by_row`; few : places of sample poses of the part
             """
             # The row is repeated to outweigh the others, for faults that a median shows.
             which = by_row[[*few, *[k] * (len(few) + 1)]]

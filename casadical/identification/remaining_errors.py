@@ -112,7 +112,7 @@ def residuals_and_jacobian(robot: Robot, sets: Iterable[Measurements], names: tu
 
     Residuals are in the measuring frame; the Jacobian is in mm per unit of a parameter's scale.
 
-    names : the k parameters by which it is taken
+    sets : measurements of the poses, n in all; names : the k parameters
     """
     none = np.zeros((0, 3))
     blocks = (make_block(robot, m, names, _MM, 1.0, none, np.zeros(len(m), dtype=int)) for m in sets)

@@ -204,7 +204,7 @@ class Identification(Result):
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """The identified parameters without the errors of estimated masses."""
+        """Names of the identified parameters, without errors of masses that were only estimated."""
         given = self.start.parameters
         return tuple(n for n in self.names if not given[n].guess or given[n].group == "compliance")
 

@@ -76,9 +76,12 @@ def things_to_know(
 
 
 def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | None = None) -> list[Table]:
-    """Return a table of errors [mm] for each set, held-out poses first.
+    """Return a table of the errors of positions or lengths [mm] for each set, held-out poses first.
 
-    Rows are the errors before, and after every method and every network in use.
+    Rows are the errors before, and after every method and every network in use. Columns are
+    statistics over the poses; where orientations were measured, those of their errors [deg], too.
+
+    accuracies : by method, set and state
     """
     last = list(accuracies.values())[-1]
     used = [r for r in networks.results.values() if r.helps] if networks else []
@@ -290,7 +293,10 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
 
 
 def _payload_is_ignored(problem: Problem) -> bool:
-    """Return whether a payload was logged that the model of a compliant robot lacks."""
+    """Return whether `payload_kg` was logged and not zero, but the robot file has no payload.
+
+    Only for a robot with a compliant joint, which deflects under it.
+    """
     payloads = [m.conditions["payload_kg"] for _, m in problem.parts() if "payload_kg" in m.conditions]
     gives = problem.robot.payload is None and any(j.compliance is not None for j in problem.robot.joints)
     return gives and any(np.any(p != 0) for p in payloads)

@@ -239,7 +239,10 @@ def some_rows(rows: Sequence[object]) -> str:
 
 
 def refuse_nameless(m: Measurements, robot: Robot) -> None:
-    """Refuse a table that does not name its target, of several. Raises InputError."""
+    """Refuse a table that does not name its target where the robot file has several.
+
+    Raises InputError.
+    """
     if robot.targets and not names_in(m):
         target_names = ", ".join([robot.tool_name, *(t.name for t in robot.targets)])
         raise InputError(

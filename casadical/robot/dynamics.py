@@ -38,7 +38,7 @@ class Dynamics:
 
     @cached_property
     def robot(self) -> Robot:
-        """The robot without effects, with masses."""
+        """The given robot without effects, with masses estimated from it if it has none."""
         bare = self.given.with_only(())
         return with_estimated_masses(bare) if lacks_masses(bare) else bare
 

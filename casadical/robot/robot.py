@@ -353,25 +353,25 @@ class Robot(Shown, Arm):
 
     @cached_property
     def position(self) -> ca.Function:
-        """Function position:(q[n] rad, phi)->(p[3] m), the measured point in the measuring frame.
+        """CasADi function (q[n], phi)->p[3], the measured point [m] in the measuring frame.
 
-        The payload is the declared one.
+        q are readings [rad or m], phi the parameters [SI]; the payload is the declared one.
         """
         return self.model.at_declared("position", ("p",))
 
     @cached_property
     def pose(self) -> ca.Function:
-        """Function pose:(q[n] rad, phi)->(p[3] m, R[3x3]), the tool frame in the measuring frame.
+        """CasADi function (q[n], phi)->(p[3], R[3x3]), the tool frame [m] in the measuring frame.
 
-        The payload is the declared one.
+        Arguments and payload are as of `position`.
         """
         return self.model.at_declared("pose", ("p", "R"))
 
     @cached_property
     def torque(self) -> ca.Function:
-        """Function torque:(q[n] rad, phi)->(tau[n] N m), gravity on the actuated joints.
+        """CasADi function (q[n], phi)->tau[n], gravity torques of actuated joints [N m or N].
 
-        The payload is the declared one.
+        Arguments and payload are as of `position`.
         """
         return self.model.at_declared("torque", ("tau",))
 

@@ -201,7 +201,10 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
 
 
 def limits_findings(robot: Robot) -> list[Finding]:
-    """Return a note on joints for which the robot file gives no limits, or []."""
+    """Return one note on all joints whose limits are the defaults of a robot file, or [].
+
+    The defaults are 360 deg to either side, 10 m for a prismatic joint.
+    """
     assumed = {"revolute": (-2 * np.pi, 2 * np.pi), "prismatic": (-10.0, 10.0)}
     wide = [str(i) for i, j in enumerate(robot.joints, 1) if (j.lower, j.upper) == assumed[j.kind]]
     if not wide:

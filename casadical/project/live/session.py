@@ -515,7 +515,7 @@ class LiveSession:
     def _reading_json(self, r: Reading, at: Array | None) -> dict[str, Any]:
         """Return a reading for the page: number, at, from, state, why, off_mm and joints.
 
-        The state is good, doubtful, unread or struck.
+        The state is good, doubtful, unread or struck; off_mm is the length of its residual.
 
         at : its joints, shape (joints,) [rad or m]; None where they cannot be read
         """
@@ -534,7 +534,7 @@ class LiveSession:
         }
 
     def _joints(self, q: Array) -> list[float]:
-        """Return joints [rad or m] as rounded numbers in the units of their names."""
+        """Return joints q [rad or m] as rounded numbers in the units of their columns' names."""
         return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
 
     def _next_json(self) -> dict[str, Any]:

@@ -178,7 +178,10 @@ def _coupling(joint: Any, names: list[str]) -> Coupling | None:
 
 
 def _range(joint: Any, source: str) -> tuple[float, float]:
-    """Return lower and upper limit of a joint [rad or m]. Raises InputError where it has none."""
+    """Return lower and upper limit of a joint [rad or m]; -2 pi and 2 pi of a continuous one.
+
+    joint : yourdfpy's; source : the file, for messages. Raises InputError where it has none.
+    """
     # Limit that a continuous joint gets to either side [rad].
     full_turn = 2 * np.pi
     if joint.type == "continuous":
