@@ -167,7 +167,7 @@ def html(pages: Sequence[Page]) -> str:
 # Beginning of a step's words -> share of the work (0 to 1) that is done when the step begins, from
 # typical run times.
 Steps = Mapping[str, float]
-# Steps of a diagnosis.
+# Beginning of the words of each step of a diagnosis -> share of the work, 0 to 1, when it begins.
 DIAGNOSIS: Steps = {
     "calibrating": 0.0,
     "signatures": 0.03,
@@ -188,9 +188,9 @@ DIAGNOSIS: Steps = {
     "what these poses": 0.93,
     "the robot with": 0.96,
 }
-# Steps of a check.
+# The same for the steps of a check of a table (beginning of words -> share of the work, 0 to 1).
 CHECK: Steps = {"comparing": 0.05, "slips": 0.1, "accuracy": 0.9}
-# Steps of a plan.
+# The same for the steps of a plan of poses (beginning of words -> share of the work, 0 to 1).
 PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
 # Pattern of the number of an item and of all items, "k of n", in the words of a step.
 _COUNT = re.compile(r"(\d+) of (\d+)")

@@ -111,7 +111,7 @@ def departure_of(problem: LeastSquares, v: Array, variance: float, names: Sequen
 def _posterior(
     eigen: tuple[Array, Array], product: Array, square: float, count: float, sigma: float
 ) -> Departure | None:
-    """Return the departure by the normal equations of the geometry, all else marginalised.
+    """Return the arm's departure by the normal equations of its geometry, all else marginalised.
 
     None where the free fit is no point to linearise about: no size is likely there.
 

@@ -317,6 +317,7 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
     return best
 
 
+# Type of a result that is computed once and cached.
 T = TypeVar("T")
 
 

@@ -5,6 +5,7 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 
+# Content of vocabulary.toml, as TOML has it.
 _FILE = tomllib.loads(files("casadical.measurements").joinpath("vocabulary.toml").read_text(encoding="utf-8"))
 
 # Word for a unit in a heading -> casadical's unit (mm, m, deg, rad, s, ...), and the factor to it.

@@ -127,7 +127,7 @@ def network_style(method: str) -> Style:
 
 
 def residual_localisation(result: Identification) -> Localisation | None:
-    """Return the localisation of the residual error; None unless of one set of positions."""
+    """Return where the residual error is localised; None unless one set of positions was fitted."""
     if len(result.measurements) != 1 or result.measurements[0].position is None:
         return None
     if len(m := result.measurements[0]) > MAX_LOCALISED_POSES:

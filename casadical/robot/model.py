@@ -128,6 +128,8 @@ class Model:
     def function(self, name: str, outputs: tuple[str, ...]) -> ca.Function:
         """Return the CasADi function name:(q, w, phi)->outputs.
 
+        Its arguments are readings [rad or m], conditions [their own units] and parameters [SI].
+
         name : of the function; outputs : names out of p, R, tau and margin
         """
         whole = self.shared.function(*outputs)
