@@ -167,9 +167,10 @@ class Case:
         """Return mean, sigma and correlated blocks of the base parameters' prior.
 
         The mean is that of the prior minus the present value, mean and sigma have the shape (P,)
-        [SI]. A block holds the indices, shape (k,), and the covariance, shape (k, k) [SI], of
-        effects' parameters.
-        prior : prior of parameters from another campaign; others have the prior of the base model
+        [SI]. A block holds indices into these P parameters, shape (k,), and their covariance, shape
+        (k, k) [SI], which takes the place of their sigma.
+        prior : prior of parameters from another campaign; parameters that it does not name keep the
+            mean and sigma of the base model
         """
         mean, sigma = self.base.delta0.copy(), self.base.prior.copy()
         places = {name: k for k, name in enumerate(self.given.parameters.names)}

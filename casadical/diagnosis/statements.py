@@ -79,7 +79,11 @@ def noise(d: Diagnosis) -> str:
 
 
 def hidden(d: Diagnosis) -> bool:
-    """Return whether structure within the estimated noise exceeds the error beyond the noise."""
+    """Return whether the noise, as estimated, hides structure that is larger than what is left.
+
+    It does if it exceeds an independent figure of the noise, or if the structure in it is larger
+    than the error beyond the noise (rms of a coordinate).
+    """
     beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 

@@ -44,7 +44,8 @@ MIN_FAULT_SIGMAS = 5.0
 # example 1 mm or 1 mrad; required in addition to MIN_FAULT_SIGMAS.
 MIN_FAULT_SIZE = 0.05
 # Smallest standard deviation of a parameter between robots, in units of its scale: a few robots
-# cannot show that a parameter is exactly the same in all.
+# cannot show that a parameter is exactly the same in all. It is the prior standard deviation, too,
+# of parameters that the fleet did not determine.
 MIN_SPREAD = 1e-3
 
 
@@ -117,7 +118,7 @@ class Common:
 
         Its values are those of the drawing plus the mean deviations; its covariance is that of the
         mean plus the variance between robots. Parameters that the fleet did not determine keep the
-        value of the drawing, with a standard deviation of `MIN_SPREAD`.
+        value of the drawing, with a standard deviation of `MIN_SPREAD` times its scale.
 
         robot : robot as drawn, with the nominal values of the type
         """

@@ -52,7 +52,9 @@ def travel_distances(robot: Robot, q: Array) -> Array:
 
 
 def travel(robot: Robot, q: Array) -> float:
-    """Return the sum of the travel from each reading to the next [rad]; see `travel_distances`.
+    """Return the sum, over successive readings, of the travel of the joint that moves most [rad].
+
+    A full stroke of a prismatic joint counts as pi.
 
     q : shape (n, joints) [rad or m]
     """

@@ -305,8 +305,10 @@ class LogCampaign:
         return diagnose_log(self.robot, logs, self.healthy, show, own=self.own)
 
     def replayed(self, show: Show = silent, against: Sequence[Path] = ()) -> Replay | None:
-        """Return the replay of the withheld logs from their commands; None without commands.
+        """Return the replay of the withheld logs from their commands; None if any has no commands.
 
+        Without withheld logs the runs of `logs` are held out in turn; a single run is replayed by
+        its own fit.
         against : files of drive parameters that are replayed, too. Raises InputError.
         """
         logs, withheld = ([self.log(path) for path in paths] for paths in (self.logs, self.withheld))

@@ -348,9 +348,9 @@ def _seen(placed: Robot, m: Measurements) -> Array:
 
 
 def _named(m: Measurements, robot: Robot, names: Array) -> Measurements:
-    """Return the measurements with indicator columns `tool_NAME` set to given targets.
+    """Return the measurements with each column `tool_NAME` 1 in its target's rows, 0 in others.
 
-    names : index of each row's target among the robot's, 0 for the tool's, shape (n,)
+    names : index of each row's target, shape (n,): 0 is the tool, k the k-th of `robot.targets`
     """
     logged = {t.column: (names == k).astype(float) for k, t in enumerate(robot.targets, 1)}
     return replace(m, conditions={**m.conditions, **logged, f"tool_{robot.tool_name}": (names == 0).astype(float)})

@@ -58,7 +58,7 @@ def start(plant: Plant, angles: Array) -> dict[str, float]:
 
 
 def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **more: object) -> Joint:
-    """Return a joint on a spring that comes to rest in `SETTLING_TIME_S`, whatever its stiffness.
+    """Return a joint on a spring, critically damped with the time constant `SETTLING_TIME_S`.
 
     Its inertia and damping are chosen for that; they do not change the equilibrium.
 

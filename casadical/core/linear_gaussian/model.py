@@ -99,9 +99,10 @@ class LinearModel:
         return self.E.take(columns, blocks)
 
     def with_base(self, columns: Array) -> Self:
-        """Return the model with columns of these indices, rising, added to the base.
+        """Return the model with columns of these indices, rising, copied to the base.
 
-        Their prior is `cause_prior_sigmas`. Directions that change no row are dropped, which
+        They stay among the candidates, so that indices keep their meaning. Their prior is
+        `cause_prior_sigmas`. Directions that change no row are dropped, which
         changes its log likelihoods by a constant.
         """
         if not len(columns):

@@ -58,7 +58,8 @@ UNIT_NOISE = Noise(1.0, 0.0)  # noise of whitened rows: standard deviation one
 NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
 # Number of Gaussian bumps of a smooth function of one variable that stands for an unlisted cause.
 BUMPS_PER_FUNCTION = 6
-# Prior standard deviation of the coefficient of such a bump, in units of the row's noise.
+# Typical size of the coefficient of a Gaussian bump of an unlisted cause, in units of the row's
+# noise; its prior standard deviation is a factor of `KAPPA_GRID` times this.
 UNLISTED_SIGMAS = 3.0
 # A candidate with one variant and, for each of its parameters, its column: values at the windows by
 # row of a block.

@@ -176,7 +176,9 @@ class Replay(Result):
         )
 
     def _tables(self) -> Iterator[Table]:
-        """Yield the tables of position errors, torque errors if known, and drive parameters."""
+        """Yield the tables of errors of position, of torque, and without one effect at a time; of
+        given files of drive parameters; and of the identified response of each joint.
+        """
         joints, r = self.runs[0].joints, self.response
         angles = "Open-loop replay, rms of each joint [mrad]: position = command, and with its response"
         torques = (

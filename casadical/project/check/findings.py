@@ -215,7 +215,9 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 
 def held_out_findings(problem: Problem) -> list[Finding]:
-    """Return findings on the held-out poses, on targets and on unused columns."""
+    """Return findings on targets, turned signs of coordinates, held-out poses, copies of rows, and
+    unused columns.
+    """
     findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
     for table in problem.tables:
         made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}

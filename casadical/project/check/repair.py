@@ -150,7 +150,9 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
 
 
 def write_repair(texts: Mapping[Path, str]) -> str:
-    """Write repaired files and return the changed lines as a unified diff. Raises InputError.
+    """Write repaired files and return the changed lines, for display. Raises InputError.
+
+    They are as in a unified diff, without context and hunk headers.
 
     texts : path -> new text
     """

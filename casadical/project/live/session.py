@@ -302,8 +302,9 @@ class LiveSession:
     def _table_without_unreadable(self, new: Sequence[int], why: str) -> Measurements | None:
         """Return the measurements without new readings that make the table unreadable, or None.
 
-        None where no readings can be read. Older readings that waited for more may have become
-        readable; they are tried first.
+        Each reading left out gets its reason in `_unreadable`, and the table file is written again.
+        None where the table cannot be read without all new readings either; `unread` then says why.
+        Older readings that waited for more may have become readable; they are tried first.
 
         new : numbers of the new readings
         why : error of the table with all of them
