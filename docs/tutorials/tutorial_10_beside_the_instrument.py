@@ -56,7 +56,7 @@ def started():
 
 def shown(address, ready):
     """What the page shows as soon as `ready` says so."""
-    with urllib.request.urlopen(f"{address}events", timeout=120) as events:
+    with urllib.request.urlopen(address.replace("/?", "/events?"), timeout=120) as events:
         for line in events:
             if line.startswith(b"data: ") and ready(state := json.loads(line[6:])):
                 return state
@@ -65,7 +65,8 @@ def shown(address, ready):
 
 def do(address, **command):
     """What a button of the page does."""
-    asked = urllib.request.Request(f"{address}do", json.dumps(command).encode(), {"Content-Type": "application/json"})
+    kind = {"Content-Type": "application/json"}
+    asked = urllib.request.Request(address.replace("/?", "/do?"), json.dumps(command).encode(), kind)
     with urllib.request.urlopen(asked, timeout=300) as answer:
         return json.load(answer)["said"]
 

@@ -296,7 +296,7 @@ def test_what_an_instrument_will_read_is_the_error_with_the_noise_of_instrument_
 
     squares = []
     for seed in range(40):
-        found = identify(robot, read(chosen.q, seed), chosen.names)
+        found = identify(robot, read(chosen.q, seed), chosen.names, priors=False)
         squares.append(np.mean(errors(found.robot, read(chosen.task.q, 100 + seed)) ** 2))
     assert chosen.reading_error is not None
     assert np.sqrt(np.mean(squares)) == pytest.approx(chosen.reading_error, rel=0.06)

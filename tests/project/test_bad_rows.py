@@ -85,6 +85,8 @@ def test_worse_than_before_is_an_error_with_its_remedy(tmp_path, monkeypatch, ca
     (tmp_path / "clean").mkdir()
     fitted = read_problem(arm(tmp_path / "clean", {})).sets["identify"][0].row
     folder = arm(tmp_path, {int(row): 30.0 + 5 * k for k, row in enumerate(fitted[::8])})
+    text = (folder / "problem.toml").read_text()
+    (folder / "problem.toml").write_text(f"geometry_prior = false\n{text}")
     out = tmp_path / "out"
     assert main(monkeypatch, "calibrate", folder, "--loss", "linear", "--out", out) == 4
     message = " ".join(capfd.readouterr().err.split())
@@ -118,9 +120,9 @@ def test_a_calibration_that_hardly_helps_says_which_data_would(tmp_path: Path) -
     )
     new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table)
     said = " ".join(" ".join(str(getattr(b, "text", "")) for b in calibrate(tmp_path / "arm").brief()).split())
-    assert "worse than before, perhaps by chance of 9 poses: keep the nominal robot. The calibration would need" in said
-    assert "wider ranges of all joints" in said
-    assert "compliant" not in said.partition("would need")[2]  # it was tried
+    assert "The nominal geometry is right as far as these poses tell: only the frames were found. To learn more" in said
+    assert "would need wider ranges of all joints (less than half of the limits is covered)." in said
+    assert "nothing to calibrate" not in said
 
 
 def test_check_looks_at_the_compliance_that_calibrate_tries(tmp_path: Path) -> None:

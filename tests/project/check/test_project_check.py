@@ -117,7 +117,7 @@ def test_expected_accuracy_is_the_mean_of_many_noisy_calibrations() -> None:
     squares = []
     for _ in range(60):
         noisy = replace(m, position=true + rng.normal(0, 2e-5, true.shape))
-        found = identify(problem.robot, noisy, method="KM").robot
+        found = identify(problem.robot, noisy, method="KM", priors=False).robot
         squares.append(((predicted(found, far)[0] - goal) ** 2).sum(axis=1).mean())
     (view,) = precheck(ROOT / "problems" / "planar", noise=2e-5).outlooks
     assert view.accuracy == pytest.approx(np.sqrt(np.mean(squares)), rel=0.1)
