@@ -1,7 +1,7 @@
 """The diagnosis of a joint log as a result: residual of each joint, causes that fit, confidence."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -20,7 +20,6 @@ from casadical.diagnosis.motion.base import (
     LogView,
     log_view,
 )
-from casadical.diagnosis.motion.change import Change, change_table, changes_since, clear_changes
 from casadical.diagnosis.motion.effect_table import explained, torque_table
 from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
@@ -49,13 +48,9 @@ class LogDiagnosis(Result):
     faults : faults of the log itself; reference : source of the healthy log, empty without one
     contradictions : sentences on contradictions between the log and the robot file
     determined : names of the inertial parameters that the motion determines
-    changes : most probable change of each joint's response since the reference
     """
 
-    line: ClassVar[str] = (
-        " {{ it.log.source }}: {{ it.verdict }}"
-        "{% for f in it.faults %}, {{ f.name }}{% endfor %}{% for c in it.changed %}, {{ c.words }}{% endfor %}"
-    )
+    line: ClassVar[str] = " {{ it.log.source }}: {{ it.verdict }}{% for f in it.faults %}, {{ f.name }}{% endfor %}"
 
     kept_as: ClassVar[str] = "log_diagnosis"
     report: ClassVar[str] = "log.j2"
@@ -65,7 +60,6 @@ class LogDiagnosis(Result):
         Key("verdict"),
         Key("causes"),
         Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting]),
-        Key("changes", lambda d: [asdict(change) | {"clear": change.clear} for change in d.changes]),
         Key("alike", lambda d: [_plain(label, p) for label, p in d.outcome.alike]),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
@@ -84,20 +78,11 @@ class LogDiagnosis(Result):
     reference: str = field(default="", metadata=WRITTEN)
     contradictions: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
-    changes: tuple[Change, ...] = ()
 
     @property
     def fitting(self) -> tuple[Found, ...]:
         """Return the causes that pass the tests of `Found.named`; () if the log is faulty."""
         return () if self.faults else tuple(f for f in self.outcome.found if f.named)
-
-    @property
-    def changed(self) -> tuple[Change, ...]:
-        """Return the clear changes since the reference; () if the log itself is faulty.
-
-        They are reported as hints, not as causes.
-        """
-        return () if self.faults else tuple(clear_changes(self.changes))
 
     @property
     def verdict(self) -> str:
@@ -108,7 +93,7 @@ class LogDiagnosis(Result):
         if self.faults:
             return "explained"
         verdict = self.outcome.verdict
-        return verdict if verdict in ("none", "ambiguous") and not self.fitting and not self.changed else "unknown"
+        return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
 
     def gap(self) -> tuple[Array, Array, Array]:
         """Return the rms residuals of each joint, of three models, shape (joints,) each.
@@ -151,8 +136,8 @@ class LogDiagnosis(Result):
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""
         case, found = self.outcome.case, self.outcome.found
-        said = [f.sentence for f in self.faults] + [change.words for change in self.changed]
-        if not self.changed and self.outcome.verdict != "none":
+        said = [f.sentence for f in self.faults]
+        if self.outcome.verdict != "none":
             best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
             said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
@@ -161,7 +146,6 @@ class LogDiagnosis(Result):
             explained=explained(self.torques) if self.torques else "",
             residuals=self._gap_table(),
             torques=self._torque_table(),
-            changes=change_table(self.log.joints, self.changes) if self.changes else (),
             fits=self._fits(),
             small=[f for f in found if f.share < 1 and not f.named],
             missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
@@ -321,9 +305,7 @@ def diagnose_log(
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", log_views[0].arm
     faults = tuple(faults_of(log, arm, reference))
-    both = reference is not None and log.command is not None and reference.command is not None
-    changes = changes_since(robot, log, healthy or robot, reference) if both and reference else ()
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers, changes)
+    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers)
 
 
 def log_views_of(
