@@ -65,6 +65,7 @@ class LivePage:
         ]
         unknown = dict.fromkeys((404, 405), self._unknown)
         pages = applications.Starlette(routes=routes, exception_handlers=unknown, lifespan=self._life)
+        pages.router.redirect_slashes = False  # /do/ is not served, as any other address
 
         security_headers = {
             "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
