@@ -7,13 +7,21 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from scipy.special import stdtrit
+from scipy.special import chdtri, stdtrit
 
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table, Words, mm
 from casadical.core.telling.plain import IN_MM, WRITTEN, Key
 from casadical.core.telling.result import Result
-from casadical.identification.accuracy import Accuracy, accuracy_of, errors, predicted, summarise
+from casadical.identification.accuracy import (
+    Accuracy,
+    accuracy_of,
+    errors,
+    predicted,
+    residual_mm,
+    summarise,
+    turn_errors,
+)
 from casadical.identification.departure import Departure
 from casadical.identification.fit_statistics import covariance, redundancies
 from casadical.identification.identifiability import Identifiability
@@ -23,6 +31,7 @@ from casadical.identification.reduction import (
     MAX_OUTLIER_ROUNDS,
     MAX_RESIDUAL_OF_REACH,
     MIN_NOISE_FREEDOM,
+    OUTLIER_PROBABILITY,
     solve_without_outliers,
 )
 from casadical.identification.residuals import POINT_SCALE, Loss, make_block
@@ -43,11 +52,13 @@ class LeftOut:
 
     source : its table; row : its row there; error : position error of the calibrated model at it
         [m]
+    column : the one coordinate or reading whose change explains it ("z", "q3"), else ""
     """
 
     source: str = field(metadata=WRITTEN)
     row: int = field(metadata=WRITTEN)
     error: float = field(metadata=IN_MM)
+    column: str = field(default="", metadata=WRITTEN)
 
 
 def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()) -> str:
@@ -57,7 +68,10 @@ def rows_in_words(rows: Sequence[LeftOut], most: int = 8, of: Iterable[str] = ()
     of : names of all files from which they could be
     """
     several = len({*(out.source for out in rows), *of}) > 1
-    words = [f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm)" for out in rows[:most]]
+    words = [
+        f"{f'{out.source} ' if several else ''}row {out.row} ({mm(out.error)} mm{out.column and f' in {out.column}'})"
+        for out in rows[:most]
+    ]
     return ", ".join(words) + (f" and {len(rows) - most} more" if len(rows) > most else "")
 
 
@@ -254,13 +268,65 @@ class Identification(Result):
     @cached_property
     def left_out(self) -> tuple[LeftOut, ...]:
         """The outliers with table, row and error [m], the one with the largest error first."""
-        out = []
-        for k, m in enumerate(self.measurements):
-            poses = [i for place, i in self.outliers if place == k]
-            if poses:
-                e = errors(self.robot, m)
-                out += [LeftOut(m.source, int(m.row[i]), float(e[i])) for i in poses]
+        by_set = [[i for place, i in self.outliers if place == k] for k in range(len(self.measurements))]
+        out = [row for m, poses in zip(self.measurements, by_set, strict=True) for row in self._rows_out(m, poses)]
         return tuple(sorted(out, key=lambda out: -out.error))
+
+    def _rows_out(self, m: Measurements, poses: Sequence[int]) -> list[LeftOut]:
+        """Return the rows of these poses of m with their errors and the columns that explain them.
+
+        A column explains a row if a change of it alone leaves no more than noise.
+        """
+        if not len(poses):
+            return []
+        e, sigma = errors(self.robot, m), self._noise_of(m)[0]
+        columns = dict.fromkeys(poses, "")
+        for i in poses[:20] if m.position is not None else ():  # of more rows no list is read
+            one = m[[i]]
+            square = residual_mm(self.robot, one)[0] ** 2
+            left = dict(zip("xyz", square.sum() - square, strict=True))
+            for j in range(one.q.shape[1]):
+                moved = one
+                for _ in range(8):  # Gauss-Newton steps in one reading
+                    step = np.eye(one.q.shape[1])[[j]] * 1e-6
+                    r = residual_mm(self.robot, moved)[0]
+                    slope = (residual_mm(self.robot, replace(moved, q=moved.q + step))[0] - r) / 1e-6
+                    moved = replace(moved, q=moved.q - 1e6 * step * (slope @ r) / max(slope @ slope, 1e-12))
+                left[f"q{j + 1}"] = float((residual_mm(self.robot, moved)[0] ** 2).sum())
+            # Two coordinates are left over, which noise alone makes larger once in a thousand.
+            enough = [name for name, rest in left.items() if rest < chdtri(2, 1e-3) * (1e3 * sigma) ** 2]
+            columns[i] = enough[0] if len(enough) == 1 else ""
+        return [LeftOut(m.source, int(m.row[i]), float(e[i]), columns[i]) for i in poses]
+
+    def _noise_of(self, m: Measurements) -> tuple[float, float]:
+        """Return the noise of a coordinate [m] and of an angle [rad] of the table of m."""
+        own = (s for s, fitted in zip(self.sigmas, self.measurements, strict=True) if fitted.source == m.source)
+        return next(own, max(self.sigmas))
+
+    def without_outliers(self, m: Measurements) -> tuple[Measurements, list[LeftOut]]:
+        """Return poses that were not fitted without those that this model calls outliers, and these.
+
+        The bound is that of fitted poses (`outlier_masks`): noise alone exceeds it with
+        OUTLIER_PROBABILITY. Noise is that of the fit or of these poses, whichever is larger, and the
+        uncertainty of the prediction widens it. Where more than a fifth would be outliers, none is:
+        then the model errs, not the rows.
+        """
+        out = np.zeros(len(m), dtype=bool)
+        numbers = find_kind(m.kind).lengths
+        turns = turn_errors(self.robot, m)
+        judged = [(errors(self.robot, m), numbers, 0), *([(turns, 3, 1)] if turns is not None else [])]
+        for e, freedom, k in judged:
+            z = (e / max(self._noise_of(m)[k], 1e-8)) ** 2  # data without noise have that of rounding
+            bound = chdtri(freedom, OUTLIER_PROBABILITY) * max(1.0, float(np.median(z) / chdtri(freedom, 0.5)))
+            far = np.flatnonzero(z > bound)
+            if k == 0 and m.position is not None and len(far):
+                some = m[far]
+                C = self.predict(some.q, some.conditions)[1]
+                far = far[z[far] > bound * (1 + np.trace(C, axis1=1, axis2=2) / 3 / self._noise_of(m)[0] ** 2)]
+            out[far] = True
+        if out.sum() > max(1, 0.2 * len(m)):
+            out[:] = False
+        return m[np.flatnonzero(~out)], self._rows_out(m, [int(i) for i in np.flatnonzero(out)])
 
     @property
     def sources(self) -> tuple[str, ...]:

@@ -32,6 +32,7 @@ from casadical.identification.remaining_errors import learn_remaining
 from casadical.identification.residuals import ALL_LOSSES
 from casadical.identification.result import Identification, without_poses
 from casadical.identification.solver import Progress
+from casadical.measurements.measurements import Measurements
 from casadical.project import outcome
 from casadical.project.calibration_page import calibration_figures, calibration_page, residual_localisation, used_poses
 from casadical.project.hand_eye import HandEye, hand_eye_of
@@ -169,7 +170,7 @@ class Calibration(Result):
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
             fit_quality(last),
-            *outcome.left_out_table(self.identifications),
+            *outcome.left_out_table(self.problem, self.identifications),
             *error_tables(problem, self.accuracies, networks),
             *(network_tables(networks) if networks else []),
             *paper_tables(problem.paper, self.accuracies, networks),
@@ -227,16 +228,17 @@ class Calibration(Result):
     def _method(self, method: str) -> dict[str, Any]:
         """Return a method's results for JSON: the keys of its identification, and `sets`.
 
-        `sets` has for each set the errors after and before, and, where held-out poses are far off,
-        those without them.
+        `sets` has for each set the errors after and before, and the held-out rows that are in none
+        of them.
         """
-        usual = outcome.usual_held_out(self.problem, self.identifications[method].robot)
+        out = {name: rows for name, (_, rows) in outcome.held_out_of(self.problem, self.identification).items()}
+        groups = {name: [row for n in names for row in out[n]] for name, names in error_groups(out).items()}
         sets = {
             name: {
                 **plain(states["calibrated"]),
                 "before_nominal": states["nominal"],
                 "before_placed": states["placed"],
-                **({"without_far_off": usual[name]} if name in usual else {}),
+                **({"left_out": groups[name]} if groups.get(name) else {}),
             }
             for name, states in self.accuracies[method].items()
         }
@@ -373,10 +375,12 @@ def calibrate(
             show(f"part {part} of {count}: {text}")
 
         skcm, names = results["SKCM"], problem.networks
-        trained = train_networks(problem, skcm, names, seed=problem.seed, show=progress, judged=used)
+        left = iter(used.values())
+        inliers = replace(problem, sets={k: tuple(next(left) for _ in parts) for k, parts in problem.sets.items()})
+        trained = train_networks(inliers, skcm, names, seed=problem.seed, show=progress)
     sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
-    alone = accuracy_without_prior(plain, results) if plain else None
+    alone = accuracy_without_prior(plain, results, used) if plain else None
     return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show))
 
 
@@ -437,15 +441,18 @@ def _identified(problem: Problem, show: Show, count: int) -> dict[str, Identific
     return {**results, last: final}
 
 
-def accuracy_without_prior(plain: Problem, results: Mapping[str, Identification]) -> Accuracy | None:
+def accuracy_without_prior(
+    plain: Problem, results: Mapping[str, Identification], used: Mapping[str, Measurements]
+) -> Accuracy | None:
     """Return the last method's accuracy on held-out poses if identified without the prior.
 
     None where nothing was held out, or the poses are too few without a prior.
 
     plain : problem without the prior; results : identifications with it, by method
+    used : poses that are judged, by set
     """
     method, last = list(results.items())[-1]
-    parts = {name: m for name, m in plain.parts() if name.startswith("report")}
+    parts = {name: m for name, m in used.items() if name.startswith("report")}
     if not parts:
         return None
     inliers = without_poses(plain.sets["identify"], last.outliers)

@@ -32,6 +32,7 @@ from casadical.identification.pose_errors import (
 from casadical.identification.result import Identification, LeftOut, without_poses
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements, Noise
+from casadical.project import outcome
 from casadical.project.networks import Networks
 from casadical.project.outcome import (
     Accuracies,
@@ -65,12 +66,14 @@ Identifications = Mapping[str, Identification]
 
 
 def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurements]:
-    """Return set -> its measurements, without poses that any method left out as outliers.
+    """Return set -> its measurements, without the outliers of any method or, held out, of the last.
 
     Sets are named as in `Problem.parts`.
     """
     inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
-    return {name: next(inliers) if name.split("/")[0] == "identify" else m for name, m in problem.parts()}
+    fitted = {name: next(inliers) for name, _ in problem.parts() if name.split("/")[0] == "identify"}
+    held_out = outcome.held_out_of(problem, list(results.values())[-1])
+    return {name: fitted[name] if name in fitted else held_out[name][0] for name, _ in problem.parts()}
 
 
 def pose_errors(problem: Problem, results: Identifications, networks: Networks | None = None) -> dict[str, PoseErrors]:
@@ -86,9 +89,8 @@ def pose_errors(problem: Problem, results: Identifications, networks: Networks |
     whole, used = dict(problem.parts()), used_poses(problem, results)
     for name in sorted(used, key=lambda name: order.index(name.split("/")[0])):
         m, every = used[name], whole[name]
-        out = ~np.isin(every.row, m.row)
-        rows = zip(every.row[out], errors(robot, every)[out], strict=True)
-        left_out = tuple(LeftOut(every.source, int(row), float(e)) for row, e in rows)
+        out = np.flatnonzero(~np.isin(every.row, m.row))
+        left_out = tuple(LeftOut(every.source, int(every.row[k]), float(errors(robot, every)[k])) for k in out)
         models = tuple(_models(m, problem, results, networks))
         by_name[name] = PoseErrors(name, name.startswith("report"), m.row, m.q, m.position, models, m.source, left_out)
     return by_name
@@ -236,7 +238,7 @@ def calibration_page(
     figures : figures by name
     """
     last = list(results.values())[-1]
-    errors = [*left_out_table(results), *error_tables(problem, accuracies, networks)]
+    errors = [*left_out_table(problem, results), *error_tables(problem, accuracies, networks)]
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."

@@ -14,7 +14,6 @@ from casadical.core.basics import Array, Show, silent
 from casadical.core.telling.plain import Key
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
-from casadical.measurements.measurements import Measurements
 from casadical.project.problem import Problem, error_groups
 
 
@@ -100,7 +99,6 @@ def train_networks(
     *,
     seed: int = 0,
     show: Show = silent,
-    judged: Mapping[str, Measurements] | None = None,
 ) -> Networks:
     """Train networks on the position residual that SKCM leaves; return the result of each method.
 
@@ -112,10 +110,9 @@ def train_networks(
     result : identification by SKCM; methods : network methods, None: all
     seed : of the split of identification poses and of the training
     show : called with each line of progress, which states the loss
-    judged : poses whose errors are reported, by set; None: all of the problem's
     Raises InputError: a set whose errors are to be reported has no positions.
     """
-    judged = dict(problem.parts()) if judged is None else judged
+    judged = dict(problem.parts())
     trainers = network_methods()
     methods = tuple(trainers) if methods is None else methods
     material = training_material(problem, result, seed)

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from casadical.core.basics import Array, shown
+from casadical.core.basics import shown
 from casadical.core.telling.blocks import Block, Table, Words, mm
 from casadical.core.telling.template import template_blocks
-from casadical.identification.accuracy import Accuracy, errors, summarise
+from casadical.identification.accuracy import Accuracy, errors
 from casadical.identification.gravity import in_words
 from casadical.identification.result import PRIOR_ONLY_REASON, Identification, LeftOut, rows_in_words
 from casadical.identification.undetermined import undetermined
@@ -20,7 +20,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.vocabulary import UNITS
 from casadical.project.check.plausible import coverage
 from casadical.project.networks import Networks
-from casadical.project.problem import Problem, error_groups
+from casadical.project.problem import Problem
 from casadical.project.problem_file import Paper
 from casadical.robot.robot import Robot
 
@@ -200,54 +200,43 @@ def _paper_rows(
             yield result.method, of_set, (e.mean_mm, e.max_mm, e.std_mm)
 
 
-def left_out_table(identifications: Mapping[str, Identification]) -> list[Table]:
-    """Return a table of all rows that a method left out as outliers, with their errors [mm]; or [].
+def left_out_table(problem: Problem, identifications: Mapping[str, Identification]) -> list[Table]:
+    """Return a table of all rows that are in no figure as outliers, with their errors [mm]; or [].
 
-    identifications : by method
+    identifications : by method; the last one judges held-out rows
     """
     rows: dict[tuple[str, int], dict[str, str]] = {}
+    columns: dict[tuple[str, int], str] = {}
+    methods = list(identifications)
     for method, result in identifications.items():
-        for out in result.left_out:
+        for out in (*result.left_out, *(held_outliers(problem, result) if method == methods[-1] else ())):
             rows.setdefault((out.source, out.row), {})[method] = mm(out.error)
+            columns[out.source, out.row] = out.column
     if not rows:
         return []
-    methods = list(identifications)
-    cells = [(source, str(row), *(used.get(m, "used") for m in methods)) for (source, row), used in rows.items()]
+    cells = [
+        (source, str(row), columns[source, row], *(used.get(m, "") for m in methods))
+        for (source, row), used in rows.items()
+    ]
     title = "Rows left out of the fit and of the figures as outliers: error [mm]"
-    return [Table(title, ("file", "row", *methods), cells, frozenset(range(1, 2 + len(methods))))]
+    return [Table(title, ("file", "row", "in column", *methods), cells, frozenset({1, *range(3, 3 + len(methods))}))]
 
 
-def far_held_out(problem: Problem, robot: Robot) -> tuple[list[LeftOut], float]:
-    """Return held-out poses with ten times the median error, worst first, and others' mean [m].
+def held_out_of(problem: Problem, last: Identification) -> dict[str, tuple[Measurements, list[LeftOut]]]:
+    """Return set -> its poses without outliers, and these, for all sets that were not fitted.
 
-    The mean error of the others is zero where there are none.
+    With the loss `linear` every row counts.
+
+    last : identification by the last method, which judges them
     """
-    held_out = _held_out_errors(problem, robot)
-    far = sorted((out for _, some in held_out.values() for out in some), key=lambda out: -out.error)
-    return far, float(np.mean(np.concatenate([e for e, _ in held_out.values()]))) if far else 0.0
+    parts = {name: m for name, m in problem.parts() if name.split("/")[0] != "identify"}
+    counted = problem.loss == "linear"
+    return {name: (m, []) if counted else last.without_outliers(m) for name, m in parts.items()}
 
 
-def usual_held_out(problem: Problem, robot: Robot) -> dict[str, Accuracy]:
-    """Return held-out set -> accuracy without its poses far off, for sets that have such poses."""
-    held_out = _held_out_errors(problem, robot)
-    return {
-        name: summarise(np.concatenate([held_out[n][0] for n in names]))
-        for name, names in error_groups(held_out).items()
-        if any(held_out[n][1] for n in names)
-    }
-
-
-def _held_out_errors(problem: Problem, robot: Robot) -> dict[str, tuple[Array, list[LeftOut]]]:
-    """Return held-out set -> errors of its usual poses, shape (k,) [m], and its poses far off."""
-    # A held-out pose is far off if its error exceeds ten times the median.
-    return {name: _split_far_off(robot, m, 10.0) for name, m in problem.parts() if name.startswith("report")}
-
-
-def _split_far_off(robot: Robot, m: Measurements, times: float) -> tuple[Array, list[LeftOut]]:
-    """Return errors [m] up to `times` the median error, shape (k,), and the poses above that."""
-    e = errors(robot, m)
-    far = e > times * np.median(e)
-    return e[~far], [LeftOut(m.source, int(m.row[k]), float(e[k])) for k in np.flatnonzero(far)]
+def held_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
+    """Return all outliers among poses that were not fitted, the one with the largest error first."""
+    return sorted((out for _, some in held_out_of(problem, last).values() for out in some), key=lambda out: -out.error)
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:
@@ -280,8 +269,9 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
         return ""
     text = f"held-out poses are worse after the calibration, {mm(after.mean)} mm, than before, {mm(before.mean)} mm"
     # A fitted pose is far off if its error exceeds four times the median.
-    far = (out for m in result.used for out in _split_far_off(result.robot, m, 4.0)[1])
-    worst = sorted(far, key=lambda out: -out.error)
+    e = [(m, errors(result.robot, m)) for m in result.used]
+    far = ((m, k, e) for m, e in e for k in np.flatnonzero(e > 4 * np.median(e)))
+    worst = sorted((LeftOut(m.source, int(m.row[k]), float(e[k])) for m, k, e in far), key=lambda out: -out.error)
     if worst and result.loss == "linear":
         cause = f"rows that nothing explains draw the fit ({rows_in_words(worst, 4, result.sources)})"
         return f"{text}: {cause}; use --loss huber, or name them in leave_out"
@@ -343,7 +333,7 @@ _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "in_words": in_words,
     "worse_methods": worse_methods,
     "rows_in_words": rows_in_words,
-    "far_held_out": far_held_out,
+    "held_outliers": held_outliers,
     "undetermined": undetermined,
     "reports": lambda problem: any(name.startswith("report") for name in problem.sets),
     "fitted_mean": lambda last: np.concatenate([errors(last.robot, m) for m in last.used]).mean(),

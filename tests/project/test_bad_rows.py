@@ -5,11 +5,15 @@ from pathlib import Path
 
 import first_hour
 import numpy as np
+import pandas as pd
 import pytest
-from command_line import main
+from command_line import main, own_planar
 
 from casadical import calibrate, read_problem
-from casadical.core.telling.blocks import Table
+from casadical.core.telling.blocks import Table, mm
+from casadical.core.telling.result import plain_text
+from casadical.identification import errors
+from casadical.project.acceptance.certificate import certificate
 from casadical.project.check import precheck
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign
@@ -78,6 +82,33 @@ def test_every_row_left_out_is_named(tmp_path: Path) -> None:
     assert all(f"row {row} (" in said for row in set(SPOILED))  # held-out ones are named, too
     warned = " ".join(f.text for f in precheck(folder).findings if f.topic == "rows")
     assert all(f"{row} (" in warned for row in expected - {20})
+
+
+@pytest.mark.parametrize(("column", "off", "cause"), [("y_mm", 0.9, "y"), ("y_mm", -90.0, "y"), ("q2_deg", 9.0, "q2")])
+def test_a_typing_error_in_a_held_out_row_is_in_no_figure(tmp_path: Path, column: str, off: float, cause: str) -> None:
+    """Every figure is that of the other held-out rows by the clean table's robot; asked for, the row counts."""
+    folder = own_planar(tmp_path / "arm")
+    clean = calibrate(folder)
+    held, robot = clean.problem.sets["report"][0], clean.robot
+    row = int(held.row[4])
+    table = pd.read_csv(folder / "poses.csv")
+    table.loc[row - 2, column] += off  # the first row stands in line 2 of the file
+    table.to_csv(folder / "poses.csv", index=False)
+    found = calibrate(folder)
+    e = 1e3 * np.delete(errors(robot, held), 4)
+    told = found.to_json()["methods"]["KM"]["sets"]["report"]
+    assert (told["n"], told["mean_mm"], told["max_mm"]) == pytest.approx((14, e.mean(), e.max()))
+    assert [(out["row"], out["column"]) for out in told["left_out"]] == [(row, cause)]
+    said = " ".join(plain_text(found.brief()).split())
+    assert f"row {row} (" in said
+    assert f"mm in {cause})" in said
+    page = found.page()
+    assert [tile.value for tile in page.tiles][1:] == [mm(1e-3 * v) for v in (e.mean(), np.quantile(e, 0.95), e.max())]
+    found.write(tmp_path / "results")
+    stated = certificate(tmp_path / "results", problem=folder)
+    assert 1e3 * stated.after.worst < 1.5 * e.max()
+    assert (stated.after.n, [out.row for out in stated.left_out]) == (14, [row])
+    assert calibrate(folder, loss="linear").to_json()["methods"]["KM"]["sets"]["report"]["n"] == 15
 
 
 @pytest.mark.slow

@@ -183,9 +183,10 @@ def test_an_error_is_localised_in_positions_of_one_set_only(calibrated) -> None:
 
 def test_too_few_poses_without_the_prior_are_no_error(calibrated) -> None:
     planar = calibrated("planar")
-    assert accuracy_without_prior(planar.problem, planar.identifications) is not None
+    used = dict(planar.problem.parts())
+    assert accuracy_without_prior(planar.problem, planar.identifications, used) is not None
     few = replace(planar.problem, sets={**planar.problem.sets, "identify": (planar.problem.sets["identify"][0][:2],)})
-    assert accuracy_without_prior(few, planar.identifications) is None
+    assert accuracy_without_prior(few, planar.identifications, used) is None
 
 
 def test_of_many_poses_some_tell_where_the_error_lies(calibrated) -> None:

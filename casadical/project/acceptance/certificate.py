@@ -24,6 +24,7 @@ from casadical.core.telling.pdf import pdf_of
 from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
+from casadical.identification.result import LeftOut, rows_in_words
 from casadical.measurements.measurements import Measurements
 from casadical.project.acceptance.acceptance import Acceptance
 from casadical.project.acceptance.budget import Budget, Conditions, budget_of, repeats_of
@@ -118,6 +119,7 @@ class Certificate(Acceptance):
     iso9283 : figures of a test by ISO 9283, None without one
     refit : number of poses to which the robot file was fitted once it was judged; 0: the file's
         robot is the one that was judged
+    left_out : held-out rows that the calibration called outliers; they are in no figure
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -137,6 +139,7 @@ class Certificate(Acceptance):
     files_: tuple[Path, ...]
     iso9283: Iso9283 | None = field(default=None, metadata=WRITTEN)
     refit: int = field(default=0, metadata=written("refit_poses"))
+    left_out: tuple[LeftOut, ...] = field(default=(), metadata=WRITTEN)
 
     report: ClassVar[str] = "certificate.j2"
 
@@ -259,8 +262,10 @@ class Certificate(Acceptance):
         return Table("", ("", ""), [(name, text or w["not_stated"]) for name, text in rows])
 
     def _refit(self, w: Mapping[str, str]) -> list[Words]:
-        """Return a note on the later fit to all poses, if there was one."""
-        return [Words(w["refit"].format(n=self.refit))] if self.refit else []
+        """Return notes on outliers among the held-out rows and on the later fit to all poses."""
+        rows = rows_in_words(self.left_out).replace("row", w["row"])
+        out = [Words(w["left_out"].format(rows=rows), "warning")] if self.left_out else []
+        return [*out, *([Words(w["refit"].format(n=self.refit))] if self.refit else [])]
 
     def _decided(self, w: Mapping[str, str]) -> list[Words | Table]:
         """Return sentences on the decision and its rule, or that there is no tolerance.
@@ -363,13 +368,20 @@ def certificate(
         raise InputError(f"{place}: the problem folder that was calibrated is not beside it; name it with --problem")
     stated = load_json(place.parent / "result.json")
     calibrated, robot, method = read_problem(folder), read_robot(place), place.name.removesuffix(".robot.toml")
+    figures = dict(stated.get("methods", {}).get(method, {}).get("sets", {}))
+    out = [
+        LeftOut(str(row["source"]), int(row["row"]), 1e-3 * float(row["error_mm"]), str(row["column"]))
+        for row in figures.get("report", {}).get("left_out", ())
+    ]
     sets = [m.positions_alone() for m in calibrated.sets.get("report", ()) if m.position is not None]
+    wrong = {(row.source, row.row) for row in out}
+    sets = [m[[k for k, row in enumerate(m.row) if (m.source, int(row)) not in wrong]] for m in sets]
     if not sets:
         raise InputError(f"{folder}: no measured positions were held out; a certificate needs [sets] report")
     refit = int(stated.get("refit_poses", 0))
     if refit:  # the file's robot has seen the held-out poses: the one before the refit is judged
         robot = with_knowledge(calibrate(replace(calibrated, whole=()), method=method).identification)
-    _refuse_others(stated, method, robot, sets, place)
+    _refuse_others(figures.get("report", {}), robot, sets, place)
     for m in sets:
         check_against(calibrated.robot, m)
     every = [m for parts in calibrated.sets.values() for m in parts]
@@ -381,19 +393,18 @@ def certificate(
     iso = iso9283_test(place, [iso9283]) if iso9283 else None
     tables = [path for t in calibrated.tables if (path := folder / str(t["file"])).is_file()]
     files = (place, place.parent / "result.json", *tables, *(Path(p) for p in (details, iso9283) if p))
-    return Certificate(calibrated, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit)
+    return Certificate(
+        calibrated, method, said, nominal, own, (p - T[:3, 3]) @ T[:3, :3], files, iso, refit, tuple(out)
+    )
 
 
-def _refuse_others(
-    stated: Mapping[str, Any], method: str, robot: Robot, sets: Sequence[Measurements], place: Path
-) -> None:
+def _refuse_others(report: Mapping[str, Any], robot: Robot, sets: Sequence[Measurements], place: Path) -> None:
     """Refuse held-out poses whose errors differ from those that the results state.
 
     They were then split by another seed, or are of another table. Raises InputError.
 
-    stated : content of result.json; robot : calibrated by `method`; place : its file
+    report : figures of the held-out poses in result.json; robot : calibrated; place : its file
     """
-    report = dict(stated.get("methods", {}).get(method, {}).get("sets", {})).get("report", {})
     n, mean = report.get("n"), report.get("mean_mm")
     own = np.concatenate([errors(robot, m) for m in sets])
     # The mean errors of results and measurements of the same calibration agree to rounding.

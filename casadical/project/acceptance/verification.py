@@ -278,9 +278,9 @@ class _Refit:
 def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
     """Return the rms error of held-out poses [m] that the results in a robot file's folder state.
 
-    Of METHOD.robot.toml it is that of the report set in result.json, without poses that were far
-    off. Of diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state
-    a mean, which is converted as that of normally distributed errors.
+    Of METHOD.robot.toml it is that of the report set in result.json, which counts no outliers. Of
+    diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state a mean,
+    which is converted as that of normally distributed errors.
 
     robot : robot file in the folder of results
     kind : kind of measurement; full poses are judged by their positions
@@ -304,7 +304,7 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
         kinds = stated.get("kinds", {})
         held_out_rms = [
-            figures.get("without_far_off", figures)["rms_mm"]
+            figures["rms_mm"]
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
