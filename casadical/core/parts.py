@@ -121,6 +121,8 @@ class Joint:
     coupling : how its reading follows from others, for a mimic, passive or locked joint; None
         otherwise
     name : name that tables of measurements may give its readings
+    leader : joint outside of the chain that drives it, in a URDF: its name, its kind, the factor of
+        its reading and the offset [rad or m]; None: the joint moves by itself
 
     Examples
     --------
@@ -142,6 +144,7 @@ class Joint:
     body: Body | None = None
     coupling: Coupling | None = None
     name: str = ""
+    leader: tuple[str, str, float, float] | None = None
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:

@@ -11,10 +11,12 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import TypeVar
 
 import numpy as np
 
 from casadical.core.basics import Array
+from casadical.core.parts import Joint
 from casadical.measurements.columns import FULL_TURN_RAD, Source, in_seconds, numbers_of
 from casadical.measurements.kinds.position import FIRST_ORIENTATION_COLUMN
 from casadical.measurements.kinds.registry import kinds
@@ -102,6 +104,7 @@ class _Heading:
     unit : word of the unit, or empty
     rest : words without a known meaning, which tell groups of columns apart
     values : cells as numbers, shape (n,)
+    led : kind of a joint, and of its leader kind, factor of the reading and offset, as of `Joint`
     """
 
     name: str
@@ -111,33 +114,35 @@ class _Heading:
     unit: str
     rest: frozenset[str]
     values: Array = field(compare=False)
+    led: tuple[str, str, float, float] | None = None
 
 
 # Headings, casadical's names for them, and their quantity: "angle", "length", or empty for one
 # without a unit.
 _Parts = Sequence[tuple[Sequence[_Heading], Sequence[str], str]]
+_Group = TypeVar("_Group", list[_Heading], dict[int, _Heading])
 # Possible meanings: each in words, with the columns that it implies.
 _Options = Sequence[tuple[str, _Parts]]
 
 
 def understand(
     raw: RawTable,
-    joints: Sequence[str],
+    joints: Sequence[str | Joint],
     given: Collection[str] = (),
     *,
-    names: Sequence[str] = (),
     kind: str | None = None,
 ) -> Understanding:
     """Return the meaning of a table's columns whose headings are not casadical's own.
 
-    joints : kind of each joint ("revolute", "prismatic")
+    joints : each joint with its name and coupling, or its kind alone ("revolute", "prismatic")
     given : casadical's names of columns that the user has assigned already
-    names : names of the joints, as in a URDF
     kind : kind of measurement, None where it is not declared
     """
+    chain = [Joint(kind=j) if isinstance(j, str) else j for j in joints]  # type: ignore[arg-type]
+    free = [i for i, joint in enumerate(chain, 1) if joint.coupling is None]
     ours = {*raw.header, *given}
     own = {int(m[1]) for h in ours if (m := re.fullmatch(r"q(\d+)_(deg|rad|mm|m)", h))}
-    headings = _headings(raw, names) if raw.form.header_line else _by_order(raw, len(joints))
+    headings = _headings(raw, chain) if raw.form.header_line else _by_order(raw, len(free))
     stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
     # Only kinds that determine the scale count: a column "point" alone names touched points, but
     # together with positions it may name the points of a tracker.
@@ -159,15 +164,15 @@ def understand(
             text = which if len(options) > 1 or ask else f"In which unit are {unsure}?"
             questions.append(Question(text, choices, about))
 
-    without_readings = bool(set(range(1, len(joints) + 1)) - own)
+    without_readings = bool({*free} - own)
     if without_readings:
-        groups = _joints(headings, len(joints), _names_in_cells(raw, names))
+        groups = _joints(headings, len(chain), free, _names_in_cells(raw, [j.name for j in chain]))
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
-            numbered = _numbered(raw, len(joints))
-            groups = numbered if len(numbered) == 1 else []
+            numbered = _numbered(raw, len(free))
+            groups = [dict(zip(free, numbered[0], strict=True))] if len(numbered) == 1 else []
         text = "Are these the joint readings?" if unknown else "Which columns are the joint readings?"
-        decide([(_listed(group), _parts_of(group, joints)) for group in groups], text, ask=unknown)
+        decide([(_listed(group.values()), _parts_of(group, chain)) for group in groups], text, ask=unknown)
     if not seen:
         positions = [] if kind == "distance" else _groups(headings, "position", _XYZ)
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
@@ -181,8 +186,8 @@ def understand(
     if not turned and (not seen or seen & {"position", "relative_pose"}):
         ways = (columns, *(way for q in questions for way in q.choices.values()))
         taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
-        free = [h for h in headings if h.name not in taken]
-        decide(*_orientation(free, raw, taken))
+        unused = [h for h in headings if h.name not in taken]
+        decide(*_orientation(unused, raw, taken))
     if seen and not without_readings:  # beside our own names, only headings with a unit count
         headings = [h for h in headings if h.unit]
     columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours)]
@@ -259,26 +264,28 @@ def words_of(heading: str) -> tuple[list[str], str]:
     return words, unit
 
 
-def _headings(raw: RawTable, names: Sequence[str]) -> list[_Heading]:
-    """Return the headings that have a known meaning, taken apart.
-
-    names : of the joints, empty where one has none
-    """
+def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[_Heading]:
+    """Return the headings that have a known meaning, taken apart."""
     below = [*raw.form.units, *([""] * len(raw.header))]
-    named = [(words_of(name)[0], str(i)) for i, name in enumerate(names, 1) if name]
+    named = [(words_of(joint.name)[0], str(i)) for i, joint in enumerate(chain, 1) if joint.name]
+    leaders = [(words_of(joint.leader[0])[0], str(i)) for i, joint in enumerate(chain, 1) if joint.leader]
     headings = []
     for k, name in enumerate(raw.header):
         words, unit = words_of(name)
         if not words or set(words) & WORDS["about"]:
             continue
         said = {w for w in words if w not in WORDS["measured"] | WORDS["nominal"]}
-        quantity, slot, rest = _meaning(words, said, named)
+        quantity, slot, rest = _meaning(words, said, [*named, *leaders])
+        led = None
+        if "by name" in rest and _meaning(words, said, named)[:2] != (quantity, slot):
+            joint = chain[int(slot) - 1]
+            led = (joint.kind, *joint.leader[1:]) if joint.leader else None
         cells = raw.frame.iloc[:, k]
         values = in_seconds(cells) if quantity == "time" else numbers_of(cells)
         if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _CONDITIONS):
             qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
             unit = unit or (below[k] if below[k] in UNITS else "")
-            headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values))
+            headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values, led))
     return headings
 
 
@@ -344,19 +351,25 @@ def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -
     )
 
 
-def _best(ranked: Iterable[tuple[int, list[_Heading]]]) -> list[list[_Heading]]:
+def _best(ranked: Iterable[tuple[int, _Group]]) -> list[_Group]:
     """Return the groups with the lowest rank; ranked : (rank, columns of the group)."""
     groups = list(ranked)
     return [members for rank, members in groups if rank == min(rank for rank, _ in groups)]
 
 
-def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> list[list[_Heading]]:
-    """Return the groups of columns that may be the readings of all n joints, in the joints' order.
+def _joints(
+    headings: Iterable[_Heading], n: int, free: Sequence[int], order: Mapping[str, int]
+) -> list[dict[int, _Heading]]:
+    """Return the groups of columns that may be the joint readings, each by the number of its joint.
 
+    Where no group has the readings of all free joints, the groups with the most are returned, if
+    they have more than half of them.
+
+    n : number of joints; free : numbers of those that need a reading, as they follow no other
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
     groups: dict[tuple[str, frozenset[str]], dict[int, _Heading]] = {}
-    for h in headings:
+    for h in sorted(headings, key=lambda h: h.led is not None):  # a joint's own column ranks first
         if h.quantity == "joint":
             number = order.get(h.slot, -1) if order and "by name" not in h.rest else int(h.slot)
             groups.setdefault((h.qualifier, h.rest), {}).setdefault(number, h)
@@ -365,9 +378,13 @@ def _joints(headings: Iterable[_Heading], n: int, order: Mapping[str, int]) -> l
         # With numbers 0 to n and no n + 1, column 0 is no joint of this robot but, for example, a
         # row counter.
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
-        if all(i in members for i in range(first, first + n)):
-            rank = _QUALIFIER_RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
-            ranked.append((rank, [members[i] for i in range(first, first + n)]))
+        group = {i: members[i + first - 1] for i in range(1, n + 1) if i + first - 1 in members}
+        if [*group] == [*range(1, len(free) + 1)]:  # without the joints that follow others
+            group = dict(zip(free, group.values(), strict=True))
+        rank = _QUALIFIER_RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
+        missing = len({*free} - {*group})
+        if 2 * missing < len(free):
+            ranked.append((rank + 10 * missing, group))
     return _best(ranked)
 
 
@@ -403,19 +420,17 @@ def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_
     return [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
 
 
-def _parts_of(group: Sequence[_Heading], joints: Sequence[str]) -> _Parts:
-    """Return the readings of revolute and of prismatic joints as separate parts.
+def _parts_of(group: Mapping[int, _Heading], chain: Sequence[Joint]) -> _Parts:
+    """Return the readings of revolute and of prismatic joints, and of leaders, as separate parts.
 
-    group : column of each joint; joints : kind of each joint
+    group : number of a joint -> its column
     """
-    return [
-        (
-            [h for h, kind in zip(group, joints, strict=True) if kind == each],
-            [f"q{i}" for i, kind in enumerate(joints, 1) if kind == each],
-            "angle" if each == "revolute" else "length",
-        )
-        for each in dict.fromkeys(joints)
-    ]
+    parts: dict[str, tuple[list[_Heading], list[str]]] = {}
+    for i, heading in group.items():
+        members, names = parts.setdefault(heading.led[1] if heading.led else chain[i - 1].kind, ([], []))
+        members.append(heading)
+        names.append(f"q{i}")
+    return [(*part, "angle" if kind == "revolute" else "length") for kind, part in parts.items()]
 
 
 def _observations(
@@ -544,13 +559,28 @@ def _by_unit(
     def columns(units: Sequence[str]) -> list[Understood]:
         """Return the columns under casadical's names, for the unit of each."""
         return [
-            Understood(f"{name}_{UNITS[unit][0]}", Source(h.name, UNITS[unit][1]), unit, reason)
+            Understood(*_of_leader(h, name, unit), unit, f"{reason}; it drives the joint")
+            if h.led
+            else Understood(f"{name}_{UNITS[unit][0]}", Source(h.name, UNITS[unit][1]), unit, reason)
             for h, name, unit, reason in zip(members, names, units, why, strict=True)
         ]
 
     if sure:
         return [("", columns(units))]
     return [(u, columns([u] * len(units))) for u in (units[0], *(u for u in ours if u != units[0]))]
+
+
+def _of_leader(heading: _Heading, name: str, unit: str) -> tuple[str, Source]:
+    """Return casadical's column of a joint, in rad or m, and how it is computed from its leader's.
+
+    name : of the column, without unit; unit : word of the unit of the leader's column
+    """
+    assert heading.led
+    kind, _, factor, offset = heading.led
+    ours, scale = UNITS[unit]
+    to_si = {"deg": np.pi / 180, "mm": 1e-3}.get(ours, 1.0)
+    column = f"{name}_{'m' if kind == 'prismatic' else 'rad'}"
+    return column, Source(heading.name, float(factor * scale * to_si), offset)
 
 
 def _unit_by_size(values: Array, quantity: str) -> tuple[str, bool]:

@@ -19,7 +19,7 @@ from casadical.measurements.logs.reading import is_log
 from casadical.measurements.raw_table import read_table
 from casadical.measurements.reading import from_columns
 from casadical.project.problem_file import DataTable, ProblemFile, UrdfTable, robot_of_file, table_like, tables_of
-from casadical.project.robot_columns import understood
+from casadical.project.robot_columns import understood, with_coupled
 from casadical.robot.robot import Robot
 
 Given = ParamSpec("Given")
@@ -166,6 +166,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
     meaning = understood(raw, robot, data.sources, data.kind) if robot else understand(raw, of_file, data.sources)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
     columns = columns.without(data.leave_out, "leave_out")
+    columns = with_coupled(columns, robot) if robot else columns
     whole = columns.without(columns.lost_rows, "the table")
     observations = "|".join(k.pattern for k in kinds().values())
     steps = [partial((whole if later else columns).refuse_faults, of_file, observations)]

@@ -37,7 +37,7 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     given : casadical's column name -> declared source
     kind : kind of measurement, None where it is not declared
     """
-    meaning = understand(raw, [j.kind for j in robot.joints], given, names=[j.name for j in robot.joints], kind=kind)
+    meaning = understand(raw, robot.joints, given, kind=kind)
     for question in meaning.questions:
         if question.about:
             meaning = _by_model(raw, robot, given, meaning, question)
@@ -177,7 +177,7 @@ def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source])
 
     sources : casadical's column name -> its source
     """
-    columns = Columns.of_file(raw).mapped(sources)
+    columns = with_coupled(Columns.of_file(raw).mapped(sources), robot)
     return as_poses(from_columns(columns.without(columns.lost_rows, ""), [j.kind for j in robot.joints]), robot)
 
 
@@ -301,7 +301,7 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
     read: dict[int, Array] = {}
     for i, joint in enumerate(robot.joints, 1):
         units = ("_deg", "_rad") if joint.kind == "revolute" else ("_mm", "_m")
-        if i not in coupled or any(f"q{i}{u}" in columns.table for u in units):
+        if any(f"q{i}{u}" in columns.table for u in units):  # others that are missing are refused later
             read[i] = columns.si(f"q{i}", units)
     q = np.column_stack([read.get(i, np.zeros(len(columns.table))) for i in robot.numbers])
     made = robot.coupled(q)

@@ -8,6 +8,8 @@ import pytest
 
 from casadical import InputError, calibrate, read_problem, read_robot, read_urdf
 from casadical.core.parts import Coupling
+from casadical.identification.accuracy import predicted
+from casadical.project.new import new_problem
 from casadical.robot.robot_file import write_robot
 
 HEAD = """\
@@ -125,3 +127,49 @@ def test_mimic_of_a_urdf_is_read(tmp_path: Path) -> None:
     robot = read_urdf(tmp_path / "robot.urdf")
     assert [j.coupling for j in robot.joints] == [None, Coupling(((1, 0.5),), 0.1), None]
     np.testing.assert_allclose(robot.coupled([[0.2, 9.0, 0.3]]), [[0.2, 0.2, 0.3]])
+
+
+def lift_urdf(jaw: str = "") -> str:
+    """A column of stages s1 and s2, driven by a motor beside it, then joints t1 and t2 that turn."""
+
+    def joint(name: str, kind: str, parent: str, child: str, axis: str, mimic: str = "") -> str:
+        limit = '<limit lower="-2" upper="2" effort="1" velocity="1"/><origin xyz="0.2 0 0"/>'
+        ends = f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+        return f'<joint name="{name}" type="{kind}">{ends}{limit}{mimic}</joint>'
+
+    chain = [
+        joint("motor", "prismatic", "a", "m", "0 0 1"),
+        joint("s1", "prismatic", "a", "b", "0 0 1", '<mimic joint="motor" multiplier="0.5"/>'),
+        joint("s2", "prismatic", "b", "c", "0 0 1", '<mimic joint="motor" multiplier="0.25" offset="0.1"/>'),
+        joint("t1", "revolute", "c", "d", "0 0 1"),
+        joint("t2", "revolute", "d", "e", "0 1 0"),
+    ]
+    links = "abcdem" + "f" * bool(jaw)
+    return f'<robot name="lift">{"".join(f"<link name={q!r}/>" for q in links)}{"".join(chain)}{jaw}</robot>'
+
+
+@pytest.mark.parametrize(("heading", "unit"), [("motor", 1.0), ("motor [mm]", 1e3), ("Motor pos (cm)", 100.0)])
+def test_a_leader_beside_the_chain_drives_its_followers(heading: str, unit: float, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    motor, (t1, t2) = rng.uniform(0.2, 1, 30), rng.uniform(-1.5, 1.5, (2, 30))
+    h = 0.5 * motor + 0.25 * motor + 0.1  # of the closed form: the tip turns about points 0.2 m apart
+    p = np.column_stack([0.6 + 0.2 * np.cos(t1), 0.2 * np.sin(t1), h])
+    (tmp_path / "lift.urdf").write_text(lift_urdf())
+    table = pd.DataFrame({heading: unit * motor, "t1": t1, "t2": t2, "x_m": p[:, 0], "y_m": p[:, 1], "z_m": p[:, 2]})
+    table.round(9).to_csv(tmp_path / "poses.csv", index=False)
+    problem = new_problem(tmp_path / "arm", urdf=tmp_path / "lift.urdf", data=tmp_path / "poses.csv")
+    q = problem.whole[0].q
+    np.testing.assert_allclose(q[:, 1], 0.25 * motor + 0.1, atol=1e-8)
+    np.testing.assert_allclose(q[:, 0], 0.5 * motor, atol=1e-8)
+    np.testing.assert_allclose(predicted(problem.robot, problem.whole[0])[0] - p, 0, atol=1e-7)
+
+
+def test_the_one_missing_column_is_named_with_the_way_to_leave_a_gripper_out(tmp_path: Path) -> None:
+    jaw = (
+        '<joint name="jaw" type="prismatic"><parent link="e"/><child link="f"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="0.04" effort="1" velocity="1"/></joint>'
+    )
+    (tmp_path / "lift.urdf").write_text(lift_urdf(jaw))
+    (tmp_path / "poses.csv").write_text("motor,t1,t2,x_m,y_m,z_m\n" + "0.5,0.1,0.2,0.3,0.1,0.2\n" * 3)
+    with pytest.raises(InputError, match=r"readings of joint 5 'jaw' \(prismatic\); .*--tip-link e$"):
+        new_problem(tmp_path / "arm", urdf=tmp_path / "lift.urdf", data=tmp_path / "poses.csv")

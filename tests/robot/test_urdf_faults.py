@@ -87,7 +87,7 @@ FAULTS = {
             joint("j2", "revolute", "b", "c", extra='<mimic joint="j1"/>'),
         ),
         {},
-        "'j1' mimics 'j2', which mimics 'j1'; let both mimic a joint that mimics none",
+        "joint 'j1' mimics itself, by way of j1, j2",
     ),
     "5000 links": (robot(*(link(f"l{k}") for k in range(5000))), {}, "has 5000 links; allowed: up to 1000"),
 }

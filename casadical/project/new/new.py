@@ -3,10 +3,12 @@
 Poses for a first run are simulated with the robot's own model, and marked as synthetic.
 """
 
+import re
 import tempfile
 import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,15 @@ from casadical.project.faults import each_of
 from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
-from casadical.project.robot_columns import Camera, as_poses, computed, placed_by, poses_in_words, understood
+from casadical.project.robot_columns import (
+    Camera,
+    as_poses,
+    computed,
+    placed_by,
+    poses_in_words,
+    understood,
+    with_coupled,
+)
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
 
@@ -131,7 +141,8 @@ def new_problem(
         lambda: read_table(data) if data else None,
     ]
     (texts, robot), given = each_of(steps)
-    understood = _understood(given, robot, camera, ask, show) if given else Given()
+    before = partial(_before_gripper, urdf, base_link, tip_link)
+    understood = _understood(given, robot, camera, ask, show, before) if given else Given()
     if len(understood.tools) > 1 and show:
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(understood.tools)
         show(Words(f"Column 'tool' names {len(understood.tools)} measured points, {listed}: {place} has each."))
@@ -169,12 +180,44 @@ def new_problem(
     return made
 
 
+def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | None, joint: int) -> str:
+    """Return how to end the arm before a joint, as a sentence; empty unless it is from a URDF.
+
+    joint : number of the joint, from 1; other arguments are as of `new_problem`
+    """
+    if urdf is None or joint == 1:
+        return ""
+    from casadical.robot.urdf.reading import read_chain
+
+    link = read_chain(urdf, base_link, tip_link).moving[joint - 1].parent
+    return f". If it is a gripper's, end the arm before it: --tip-link {link}"
+
+
+def _refuse_missing(raw: RawTable, robot: Robot, found: Understanding, before: Callable[[int], str]) -> None:
+    """Refuse a table in which the readings of some joints have columns, but not of all.
+
+    before : returns how to end the arm before a joint. Raises InputError.
+    """
+    there = {m[1] for name in (*raw.header, *found.sources) if (m := re.match(r"q(\d+)_(deg|rad|mm|m)$", name))}
+    free = [str(i) for i, joint in enumerate(robot.joints, 1) if joint.coupling is None]
+    missing = [int(i) for i in free if i not in there]
+    if missing and len(missing) < len(free):
+        joint = robot.joints[missing[0] - 1]
+        name = f" {joint.name!r}" * bool(joint.name) + (f", which {joint.leader[0]!r} drives" if joint.leader else "")
+        more = f", nor of joint {', '.join(map(str, missing[1:]))}" if missing[1:] else ""
+        raise InputError(
+            f"{raw.path}: no column has the readings of joint {missing[0]}{name} ({joint.kind}){more}; "
+            f"there are {', '.join(raw.header)}{before(missing[0])}"
+        )
+
+
 def _understood(
     raw: RawTable,
     robot: Robot,
     camera: Camera,
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
+    before: Callable[[int], str],
 ) -> Given:
     """Return the interpretation of a table by which the files of the folder are written.
 
@@ -182,6 +225,7 @@ def _understood(
     are shown by `show`.
 
     camera : where the camera is, empty if unknown
+    before : returns how to end the arm before a joint, as a sentence
     """
     meaning = understood(raw, robot, {})
     if show:
@@ -189,6 +233,7 @@ def _understood(
             show(block)
     for question in meaning.questions:
         meaning = meaning.answered(question, ask(question) if ask else next(iter(question.choices)), "the answer")
+    _refuse_missing(raw, robot, meaning, before)
     columns = Columns.of_file(raw).mapped(meaning.sources)
     kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)
     tools, rare = tools_in(columns)
@@ -228,7 +273,7 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     The angle is NaN where the data do not show it; the poses are None where they cannot be read.
     """
     try:
-        m = as_poses(from_columns(columns, [j.kind for j in robot.joints]), robot, camera=camera)
+        m = as_poses(from_columns(with_coupled(columns, robot), [j.kind for j in robot.joints]), robot, camera=camera)
         placed, median = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None

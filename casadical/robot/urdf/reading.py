@@ -1,6 +1,6 @@
 """Reading a serial robot with its masses from a URDF, as from a robot file."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +28,7 @@ class UrdfChain:
         frame; None without mass
     up : the root link's z axis in the base link's frame, shape (3,)
     notes : assumptions that a user must know
+    followed : coupling and leader of each moving joint, as of `Joint`
     """
 
     name: str
@@ -40,6 +41,7 @@ class UrdfChain:
     bodies: tuple[Body | None, ...]
     up: Array
     notes: tuple[str, ...]
+    followed: tuple[tuple[Coupling | None, tuple[str, str, float, float] | None], ...] = ()
 
 
 def read_urdf(
@@ -73,8 +75,9 @@ def read_urdf(
     for i, (row, j, body) in enumerate(zip(chain.dh.rows, chain.moving, chain.bodies, strict=True), 1):
         kind: Literal["revolute", "prismatic"] = "prismatic" if j.type == "prismatic" else "revolute"
         lower, upper = _range(j, str(path))
-        soft, coupling = 0.0 if i in compliant else None, _coupling(j, [other.name for other in chain.moving])
-        more = {"compliance": soft, "body": body, "coupling": coupling, "name": j.name}
+        coupling, leader = chain.followed[i - 1]
+        soft = 0.0 if i in compliant else None
+        more = {"compliance": soft, "body": body, "coupling": coupling, "name": j.name, "leader": leader}
         joints.append(replace(row, kind=kind, lower=lower, upper=upper, **more))
     robot = Robot(
         name=chain.name or Path(path).stem,
@@ -109,14 +112,9 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
             f"{MAX_JOINTS}; name other links"
         )
     own = {j.name for j in moving}
-    led = {j.name: j.mimic.joint for j in moving if j.mimic is not None and j.mimic.joint in own}
     for j in moving:
         _refuse_unusable(j, str(path))
-        if (leader := led.get(j.name)) in led:
-            raise InputError(
-                f"{path}: joint {j.name!r} mimics {leader!r}, which mimics {led[leader]!r}; let "
-                "both mimic a joint that mimics none"
-            )
+    followed = _followed(moving, {j.name: j for j in urdf.joints}, str(path))
     frames, movers = tree.at_zero(base, own)
     placed = [(frames[j.child], j.axis / np.linalg.norm(j.axis)) for j in moving]
     dh = rows_from_axes([Axis(T[:3, 3], T[:3, :3] @ axis) for T, axis in placed], frames[tip])
@@ -124,9 +122,14 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
     notes = [f"from {path.name}: {base} to {tip}"]
     if aside := [j.name for j in urdf.joints if j.type != "fixed" and movers.get(j.child) and j.name not in own]:
         notes.append(f"masses on side branches stand as at zero reading of {', '.join(aside)}")
-    for j in moving:
-        if j.mimic is not None and j.mimic.joint not in own:
+    for j, (coupling, leader) in zip(moving, followed, strict=True):
+        if j.mimic is not None and leader is None and coupling is None:
             notes.append(f"{j.name} mimics {j.mimic.joint}, which is not between base and tip: it has its own reading")
+        elif leader is not None:
+            notes.append(
+                f"{j.name} mimics {leader[0]}, which is not between base and tip: its reading is "
+                f"{leader[2]:g} x that of {leader[0]}" + f" {leader[3]:+g}" * bool(leader[3])
+            )
     massive = [link for link in urdf.links if movers.get(link.name) and link.inertial and link.inertial.mass]
     if odd := [k.name for k in massive if np.any(k.inertial.inertia) and _inertia(k) is None]:
         notes.append(f"no body has the inertia of {', '.join(odd)}: it is taken as unknown")
@@ -148,6 +151,7 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
         bodies=bodies,
         up=tree.frame_of(base)[2, :3],
         notes=tuple(notes),
+        followed=followed,
     )
 
 
@@ -163,18 +167,42 @@ def _refuse_unusable(joint: Any, source: str) -> None:
         raise InputError(f"{name} has the axis {joint.axis.tolist()}; it needs three finite numbers, not all zero")
 
 
-def _coupling(joint: Any, names: list[str]) -> Coupling | None:
-    """Return the coupling of a joint that mimics another one of the chain, else None.
+def _followed(
+    moving: Sequence[Any], joints: Mapping[str, Any], source: str
+) -> tuple[tuple[Coupling | None, tuple[str, str, float, float] | None], ...]:
+    """Return coupling and leader, as of `Joint`, of each moving joint of the chain.
 
-    One that mimics a joint elsewhere has its own reading.
+    Of several joints that mimic one joint outside of the chain, the first has that leader and the
+    others follow the first.
 
-    joint : yourdfpy's; names : of the chain's moving joints, in order
+    moving, joints : joints (yourdfpy's) of the chain in order, and all of the file by name
+    source : the file, for messages. Raises InputError: joints that mimic each other in a ring.
     """
-    if joint.mimic is None or joint.mimic.joint not in names:
-        return None
-    times, plus = joint.mimic.multiplier, joint.mimic.offset
-    factor = 1.0 if times is None else float(times)
-    return Coupling(((names.index(joint.mimic.joint) + 1, factor),), float(plus or 0.0))
+    names = [j.name for j in moving]
+    first: dict[str, tuple[int, float, float]] = {}
+    followed: list[tuple[Coupling | None, tuple[str, str, float, float] | None]] = []
+    for i, joint in enumerate(moving, 1):
+        leader, factor, plus, ring = joint, 1.0, 0.0, {joint.name}
+        while leader.mimic is not None and leader.mimic.joint in joints:
+            times, offset = leader.mimic.multiplier, float(leader.mimic.offset or 0.0)
+            leader = joints[leader.mimic.joint]
+            if leader.name in ring:
+                raise InputError(f"{source}: joint {joint.name!r} mimics itself, by way of {', '.join(sorted(ring))}")
+            ring.add(leader.name)
+            factor, plus = factor * (1.0 if times is None else float(times)), plus + factor * offset
+        if leader is joint:
+            followed.append((None, None))
+        elif leader.name in names or factor == 0.0:
+            follows = ((names.index(leader.name) + 1, factor),) if factor else ()
+            followed.append((Coupling(follows, plus), None))
+        elif leader.name in first:
+            k, other, at = first[leader.name]
+            followed.append((Coupling(((k, factor / other),), plus - at * factor / other), None))
+        else:
+            first[leader.name] = (i, factor, plus)
+            kind = "prismatic" if leader.type == "prismatic" else "revolute"
+            followed.append((None, (leader.name, kind, factor, plus)))
+    return tuple(followed)
 
 
 def _range(joint: Any, source: str) -> tuple[float, float]:

@@ -180,8 +180,14 @@ class Tree:
             return ends[0] if ends else base
         ways = [self.path(base, end) for end in ends]
         common = [joints[0] for joints in zip(*ways, strict=False) if all(j is joints[0] for j in joints)]
-        arm, *fingers = (sum(j.type != "fixed" for j in way) for way in (common, *(w[len(common) :] for w in ways)))
-        if arm <= max(fingers):
+        beyond = [[j for j in way[len(common) :] if j.type != "fixed"] for way in ways]
+        arm, most = sum(j.type != "fixed" for j in common), max(map(len, beyond))
+        if arm <= most:
+            # A branch that only leads joints of a longer one, such as a lift's motor, is no end.
+            led = {j.mimic.joint for way in beyond if len(way) == most for j in way if j.mimic is not None}
+            arms = [e for e, way in zip(ends, beyond, strict=True) if not {j.name for j in way} <= led]
+            if len(arms) == 1:
+                return arms[0]
             raise InputError(
                 f"{self.source}: the chain branches; its ends are {', '.join(ends)}; name the one "
                 "that is measured, or on which the gripper is, as tip_link (casadical new: "
