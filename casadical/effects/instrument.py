@@ -25,7 +25,7 @@ class FrameDrift(Effect):
     of_measurement = True
     signature = "a measuring frame that creeps with time"
     needs = ("progress",)
-    physics = "Tripods settle and floors warm: the instrument's frame moves some tens of micrometres an hour."
+    physics = "Tripods settle and floors warm up, by tens of micrometres an hour."
     confused_with = "thermal_growth and thermal_zero_drift while the temperature only rises; a step in time"
     size = dict.fromkeys("xyz", (6e-05, "m")) | {f"r{c}": (25e-6, "rad") for c in "xyz"}
 
@@ -88,9 +88,9 @@ class FrameStep(Effect):
 
     name = "frame_step"
     on_list = "extended"
-    signature = "a jump of the foot, the instrument or one link, in all six freedoms"
+    signature = "a jump of the pedestal, the instrument or one link, in all six degrees of freedom"
     needs = ("progress",)
-    physics = "A foot that slips in its anchors, a knocked tripod or a bolted flange that slips moves as a body."
+    physics = "A pedestal slips in its anchors, a tripod is knocked or a bolted flange slips."
     confused_with = "target_shift and joint_zero_step at the same time; frame_drift"
     size = dict.fromkeys("xyz", (6e-5, "m")) | {f"r{c}": (4e-5, "rad") for c in "xyz"}
 
@@ -134,10 +134,9 @@ class SmrOffset(Effect):
     name = "smr_offset"
     on_list = "extended"
     of_measurement = True
-    signature = "an offset that stays fixed against the beam"
+    signature = "an offset of the reflector that is constant with respect to the beam"
     physics = (
-        "A reflector is turned in its nest to face the instrument: its offset, some micrometres, stays fixed against "
-        "the beam (ISO 10360-10), along it and, if it is always held the same way up, above it."
+        "A reflector is turned in its nest to face the instrument: its centre offset follows the beam (ISO 10360-10)."
     )
     confused_with = "tracker_scale; refraction"
     size = {"along": (10e-6, "m"), "across": (10e-6, "m"), "above": (10e-6, "m")}
@@ -173,7 +172,7 @@ class Session(Effect):
     on_list = "unknown"
     of_measurement = True
     held = 1.0
-    signature = "another session: instrument, foot and target were set up again"
+    signature = "another session: instrument, pedestal and target were set up again"
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:

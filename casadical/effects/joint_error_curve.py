@@ -41,11 +41,9 @@ class JointErrorCurve(Effect):
     held = 1.0
     covers = frozenset({"gear_eccentricity", "transmission_ripple", "unknown_of_own_angle"})
     physics = (
-        "A joint's encoder and its link differ by a function that repeats every turn. The wave generator and the teeth "
-        "of a strain-wave gear give lines at multiples of the ratio (Tuttle and Seering 1996; Ghorbel, Gandhi and "
-        "Alpeter 2001), an encoder disc off its centre the first order, its graduation and interpolation the high ones "
-        "(Sanchez-Brea and Morlanes 2008). The curve alone does not tell which: a line at a known ratio suggests the "
-        "gear, no more."
+        "A strain-wave gear gives lines at multiples of its ratio (Tuttle and Seering 1996; "
+        "Ghorbel, Gandhi and Alpeter 2001), an eccentric encoder disc the first order, its "
+        "graduation the high ones (Sanchez-Brea and Morlanes 2008)."
     )
     confused_with = (
         "gear_eccentricity and transmission_ripple, which are one or two of its harmonics in one joint; joint_scale "

@@ -25,10 +25,10 @@ class Backlash(Effect):
 
     name = "backlash"
     on_list = "standard"
-    signature = "two positions, by the sign of gravity's torque"
+    signature = "two positions, by the sign of the gravity torque"
     physics = (
-        "The tooth rests on the flank to which gravity pushes it; where friction holds it against gravity, on the "
-        "flank that drove it there (Ruderman, Hoffmann and Bertram 2009)."
+        "Gravity or, where it is small, friction of the last motion decides on which flank the "
+        "tooth rests (Ruderman, Hoffmann and Bertram 2009)."
     )
     confused_with = "friction_windup where the torque is small; nonlinear_stiffness where it is large"
     together = True
@@ -166,10 +166,10 @@ class BearingPlay(Effect):
     acts_at = "joints"
     signature = "a bearing or flange that rocks under the weight beyond it"
     physics = (
-        "A bearing or a bolted flange holds the moment across its axis by its tilting stiffness, after play; its inner "
-        "ring drops along the load by the radial play (ISO 5753-1; Harris, Rolling Bearing Analysis)."
+        "A bearing or bolted flange resists tilting by its stiffness, after play; its inner "
+        "ring drops by the radial play (ISO 5753-1)."
     )
-    confused_with = "link_flexure of the links beside it; axis_wobble; payload_error at the flange"
+    confused_with = "link_flexure of the adjacent links; axis_wobble; payload_error at the flange"
     size = {"rock": (60e-6, "rad"), "drop": (30e-6, "m")}
 
     def link(self, number: int, context: Context) -> Symbolic:

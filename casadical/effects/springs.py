@@ -30,10 +30,7 @@ class GravityCompensator(Effect):
     name = "gravity_compensator"
     on_list = "standard"
     signature = "a smooth torque on joint 2 (spring, gas balancer)"
-    physics = (
-        "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)): without preload a sine, with "
-        "preload the sine over the spring's length (Klimchik et al. 2013)."
-    )
+    physics = "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)) (Klimchik et al. 2013)."
     confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
     # Coefficients of the spring's torque, divided by the joint's peak gravity torque.
     size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
@@ -83,11 +80,8 @@ class HoseDrag(Effect):
 
     name = "hose_drag"
     on_list = "extended"
-    signature = "a pull at the wrist that grows as hose or cable is drawn out"
-    physics = (
-        "A dress pack is a weak spring with some tension from its clip on the forearm to the load; its pull turns the "
-        "wrist joints through their own springs, by the slope of its length."
-    )
+    signature = "a pull at the wrist that grows as a hose or cable is extended"
+    physics = "A dress pack is a weak, pretensioned spring from the forearm to the load."
     confused_with = "gear_eccentricity and joint_scale of joint 5; any smooth error of the wrist"
     # Parts of the energy at twice the usual length of the hose, divided by the peak gravity torque
     # of the last joint but one.
@@ -129,13 +123,10 @@ class LinkMasses(Effect):
 
     name = "link_masses"
     on_list = "standard"
-    signature = "torque errors of the links' own weight (masses and mass centres of the robot file)"
+    signature = "gravity torque errors by the robot file's masses and mass centres"
     # The standard deviations are declared by the user and need no wider prior.
     held = 1.0
-    physics = (
-        "Gravity on the true links differs from that on the declared ones; it acts through the joints' springs. Masses "
-        "and mass centres of data sheets and of drawings without cables are off by a tenth and some centimetres."
-    )
+    physics = "Gravity on the true links differs from that on the declared ones and acts through the joints' springs."
     confused_with = "nonlinear_stiffness and gravity_compensator; payload_error where the payload never changes"
 
     @classmethod
@@ -225,11 +216,8 @@ class BaseCompliance(Effect):
     name = "base_compliance"
     on_list = "standard"
     acts_at = "arm"
-    signature = "a foot that tilts under the overturning moment"
-    physics = (
-        "Foundation and pedestal are a rotary spring about two horizontal axes at some height below the base: tilt = "
-        "moment / stiffness, and the base moves with the tilt."
-    )
+    signature = "a pedestal that tilts under the overturning moment"
+    physics = "Foundation and pedestal are a rotary spring about two horizontal axes: tilt = moment / stiffness."
     confused_with = "axis_wobble of joint 1; link_flexure of the first link"
     size = {"rx": (60e-6, "rad"), "ry": (60e-6, "rad")}
 
@@ -268,9 +256,7 @@ class LinkFlexure(Effect):
     on_list = "standard"
     signature = "a link that bends under the weight beyond it"
     physics = (
-        "A beam under a moment turns its end by M l / (E I) about each axis; the part about the next joint's axis is "
-        "that joint's compliance (Klimchik, Pashkevich and Chablat 2013). Its own weight bends it less where it is "
-        "spread. Turns are those under the peak gravity torque of the joints at its ends."
+        "A beam under a moment turns its end by M l / (E I) about each axis (Klimchik, Pashkevich and Chablat 2013)."
     )
     confused_with = "cross_coupling of torques; base_compliance for the first link"
 

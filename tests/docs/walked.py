@@ -3,7 +3,6 @@ first call: python walked.py WAY FOLDER. A process of its own, so that nothing i
 """
 
 import json
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -35,16 +34,6 @@ def diagnose(folder: Path) -> None:
     campaign = CAMPAIGNS / "kr210-P05.csv"
     answer = folder / "answer.json"
     command("diagnose", PROBLEMS / "kr210", campaign, "--effects", "payload_error,backlash", "--json", answer, "-q")
-
-
-def verify(folder: Path) -> None:
-    results, table = folder / "results", folder / "later.csv"
-    calibrated = ["calibrate", PROBLEMS / "planar", "--out", results, "--quiet"]
-    program = "from casadical.cli import main; main()"  # a process of its own: this way begins after it
-    subprocess.run([sys.executable, "-c", program, *calibrated], check=True, cwd=ROOT)
-    (first,) = (ROOT / "data" / "planar").glob("*.csv")
-    table.write_text("\n".join(first.read_text().splitlines()[:16]))
-    command("verify", results, table, "--quiet")
 
 
 def effect(folder: Path) -> None:
