@@ -102,7 +102,7 @@ def test_the_calibrate_command_runs() -> None:
 
 @pytest.mark.slow
 def test_the_example_runs(tmp_path: Path) -> None:
-    (code,) = in_language(README, "python")
+    (code,) = in_language(ROOT / "docs" / "README.md", "python")
     assert len([line for line in code.splitlines() if line.strip()]) <= 15
     for name in ("problems", "data"):
         (tmp_path / name).symlink_to(ROOT / name)
