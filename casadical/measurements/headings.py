@@ -38,6 +38,19 @@ _ROTATION_WORDS = {f"{before}{c}": c for before in ("r", "q", "o") for c in "xyz
 _ROLL_PITCH_YAW = ("roll", "pitch", "yaw")
 # Casadical's columns of a position, without units.
 _XYZ = ("x", "y", "z")
+# Form of an orientation in words -> casadical's columns, without units, and their quantity.
+_ORIENTATION_FORMS: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "a rotation vector": (tuple(f"rotvec_{c}" for c in _XYZ), "angle"),
+    "angles about x, then the new y, then the new z": (tuple(f"r{c}" for c in _XYZ), "angle"),
+    "roll, pitch, yaw: angles about the fixed x, y, z": (_ROLL_PITCH_YAW, "angle"),
+    "angles about z, then the new y, then the new x": (_ROLL_PITCH_YAW[::-1], "angle"),
+    "a quaternion, w first": (("qw", "qx", "qy", "qz"), ""),
+    "a quaternion, w last": (("qx", "qy", "qz", "qw"), ""),
+    "a matrix, row by row": (tuple(f"R{i}{j}" for i in range(3) for j in range(3)), ""),
+    "a matrix, column by column": (tuple(f"R{j}{i}" for i in range(3) for j in range(3)), ""),
+}
+# Forms that three angles rx, ry, rz may have.
+_ANGLES = tuple(_ORIENTATION_FORMS)[:3]
 
 
 @dataclass(frozen=True)
@@ -63,7 +76,7 @@ class Question:
     text : the question
     choices : possible answers in words, each with the columns that it means; the most probable
         first
-    about : "orientation" or "observation" if the robot's model may decide it; else empty
+    about : "orientation", "observation" or "layout", which the robot's model orders; else empty
     """
 
     text: str
@@ -176,13 +189,15 @@ def understand(
     if not seen:
         positions = [] if kind == "distance" else _groups(headings, "position", _XYZ)
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
-        options, about = _observations(positions, lengths)
+        frames = _frames(raw) if kind in (None, "position", "pose") else []
+        options, about = _observations(positions, lengths, frames)
         decide(options, "What was measured?", about)
     turned = any(re.fullmatch(FIRST_ORIENTATION_COLUMN, name) for name in ours) or kind not in (
         None,
         "pose",
         "relative_pose",
     )
+    turned = turned or any(c.ours == "R00" for c in columns)
     if not turned and (not seen or seen & {"position", "relative_pose"}):
         ways = (columns, *(way for q in questions for way in q.choices.values()))
         taken = {*given, *(name for way in ways for c in way for name in (c.source.name, *c.source.add))}
@@ -333,22 +348,27 @@ def _meaning(
     return "", "", ()
 
 
-def _groups(headings: Iterable[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
+def _groups(headings: Sequence[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
     """Return the groups of columns that fill all slots of a quantity, only those of the best rank.
 
     A group has equal qualifier and unexplained words, and its columns are in the order of slots.
     Measured ones rank before unqualified ones, and those with unexplained words last; nominal
     columns are excluded.
     """
-    groups: dict[tuple[str, frozenset[str]], dict[str, _Heading]] = {}
-    for h in headings:
-        if h.quantity == quantity and h.qualifier != "nominal":
-            groups.setdefault((h.qualifier, h.rest), {}).setdefault(h.slot, h)
-    return _best(
-        (_QUALIFIER_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
-        for (qualifier, rest), members in groups.items()
-        if all(slot in members for slot in slots)
-    )
+    for alone in (True, False):  # words that say nothing tell groups apart, too, if they are complete
+        groups: dict[tuple[str, frozenset[str], frozenset[str]], dict[str, _Heading]] = {}
+        for h in headings:
+            if h.quantity == quantity and h.qualifier != "nominal":
+                key = (h.qualifier, h.rest, frozenset(words_of(h.name)[0]) & WORDS["filler"] if alone else frozenset())
+                groups.setdefault(key, {}).setdefault(h.slot, h)
+        found = _best(
+            (_QUALIFIER_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
+            for (qualifier, rest, _), members in groups.items()
+            if all(slot in members for slot in slots)
+        )
+        if found:
+            return found
+    return []
 
 
 def _best(ranked: Iterable[tuple[int, _Group]]) -> list[_Group]:
@@ -433,8 +453,67 @@ def _parts_of(group: Mapping[int, _Heading], chain: Sequence[Joint]) -> _Parts:
     return [(*part, "angle" if kind == "revolute" else "length") for kind, part in parts.items()]
 
 
+def _frames(raw: RawTable) -> _Options:
+    """Return the possible meanings of columns that are homogeneous matrices, such as T00 to T33.
+
+    They are 4x4 or 3x4 by the indices in their headings (n, o, a, p for the columns, too), or 12 or
+    16 numbered columns; the values show where rotation and translation are.
+    """
+    grids: dict[str, dict[tuple[int, int], str]] = {}
+    for name in raw.header:
+        if match := re.fullmatch(
+            r"(.*?)[\[(_,.\s]*(\d)[\])(\[_,;.\s]*(\d)[\])]*(?:\s*[\[(_]\s*[a-z]+\s*[\])]?)?", name
+        ):
+            grids.setdefault(match[1], {})[int(match[2]), int(match[3])] = name
+        elif match := re.fullmatch(r"(.*?)([noap])[_.\s]?([xyz])(?:[\s_\[(]*[a-z]+[\])]*)?", name, re.IGNORECASE):
+            entry = "xyz".index(match[3].lower()), "noap".index(match[2].lower())
+            grids.setdefault(f"{match[1]} noap", {})[entry] = name
+    columns = []
+    for grid in grids.values():
+        first = min((min(entry) for entry in grid), default=0)
+        if {*grid} in [
+            {*product(range(first, first + r), range(first, first + c))} for r, c in ((4, 4), (3, 4), (4, 3))
+        ]:
+            columns.append([grid[entry] for entry in sorted(grid)])
+    columns += [[h.name for h in group] for n in (12, 16) for group in _numbered(raw, n)]
+    options: list[tuple[str, _Parts]] = []
+    for names in columns:
+        headings = [_Heading(n, "", "", "", words_of(n)[1], frozenset(), numbers_of(raw.frame[n])) for n in names]
+        options += _matrices(headings)
+    return options
+
+
+def _matrices(columns: Sequence[_Heading]) -> list[tuple[str, _Parts]]:
+    """Return the possible meanings of 16 or 12 columns as homogeneous matrices, in words.
+
+    Only those whose rotation is one in every row are returned; the last row of 4x4 is 0, 0, 0, 1.
+    """
+    by_rows, by_columns = (0, 1, 2, 4, 5, 6, 8, 9, 10), (0, 4, 8, 1, 5, 9, 2, 6, 10)
+    whole, turned = tuple(range(9)), (0, 3, 6, 1, 4, 7, 2, 5, 8)
+    forms: Sequence[tuple[str, Sequence[int], Sequence[int], Sequence[int]]] = (
+        ("a 4x4 matrix, row by row", by_rows, (3, 7, 11), (12, 13, 14, 15)),
+        ("a 4x4 matrix, column by column", by_columns, (12, 13, 14), (3, 7, 11, 15)),
+    )
+    if len(columns) == 12:
+        forms = (
+            ("a 3x4 matrix, row by row", by_rows, (3, 7, 11), ()),
+            ("a 3x4 matrix, column by column", turned, (9, 10, 11), ()),
+            ("a rotation, row by row, then a position", whole, (9, 10, 11), ()),
+            ("a position, then a rotation, row by row", [k + 3 for k in whole], (0, 1, 2), ()),
+            ("a position, then a rotation, column by column", [k + 3 for k in turned], (0, 1, 2), ()),
+        )
+    found: list[tuple[str, _Parts]] = []
+    for words, rotation, position, last in forms:
+        R, p = [columns[k] for k in rotation], [columns[k] for k in position]
+        constant = _finite([columns[k] for k in last]) if last else np.zeros((1, 0))
+        if (np.abs(constant - [0, 0, 0, 1][4 - len(last) :]) < 1e-9).all() and len(_finite(R)) and _is_rotation(R):
+            label = f"{words}: {columns[0].name} to {columns[-1].name}"
+            found.append((label, [(p, _XYZ, "length"), (R, tuple(f"R{i}{j}" for i in range(3) for j in range(3)), "")]))
+    return found
+
+
 def _observations(
-    positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]]
+    positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]], frames: _Options
 ) -> tuple[_Options, str]:
     """Return the possible observations, and the topic (`about`) of a question on them.
 
@@ -442,13 +521,16 @@ def _observations(
     empty unless both remain.
 
     positions, lengths : groups of columns, of three and of one
+    frames : possible meanings of homogeneous matrices
     """
+    whole = [{h.name for members, _, _ in parts for h in members} for _, parts in frames]
+    positions = [g for g in positions if not any({h.name for h in g} <= names for names in whole)]
     said = [any(g[0].qualifier == "measured" for g in groups) for groups in (positions, lengths)]
     if positions and lengths and said[0] != said[1]:
         positions, lengths = (positions, ()) if said[0] else ((), lengths)
     options: list[tuple[str, _Parts]] = [(_listed(g), [(g, _XYZ, "length")]) for g in positions]
-    options += [(_listed(g), [(g, ("distance",), "length")]) for g in lengths]
-    return options, "observation" if positions and lengths else ""
+    options += [*frames, *((_listed(g), [(g, ("distance",), "length")]) for g in lengths)]
+    return options, "observation" if len(options) > 1 else ""
 
 
 def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
@@ -458,16 +540,11 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
     """
     which = "Which columns are the orientation?"
     triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
-    quaternion_columns = ("qw", "qx", "qy", "qz")
-    matrix_columns = tuple(f"R{i}{j}" for i in range(3) for j in range(3))
+    quaternion_columns, _ = _ORIENTATION_FORMS["a quaternion, w first"]
+    matrix_columns, _ = _ORIENTATION_FORMS["a matrix, row by row"]
     # Numbers of a rotation matrix's entries, counted from 0 and from 1.
     matrix_entries = tuple([f"{i}{j}" for i in range(k, k + 3) for j in range(k, k + 3)] for k in (0, 1))
-    # Possible meaning of three angles rx, ry, rz -> casadical's names for them, without units.
-    triples_by_meaning = {
-        "a rotation vector": tuple(f"rotvec_{c}" for c in _XYZ),
-        "angles about x, then the new y, then the new z": tuple(f"r{c}" for c in _XYZ),
-        "roll, pitch, yaw: angles about the fixed x, y, z": _ROLL_PITCH_YAW,
-    }
+    vector = _ORIENTATION_FORMS["a rotation vector"][0]
     sure = [
         ([g for g in _groups(headings, "turn", ("w", *_XYZ)) if _is_unit(g)], quaternion_columns, ""),
         *(([g for g in _groups(headings, "matrix", e) if _is_rotation(g)], matrix_columns, "") for e in matrix_entries),
@@ -475,21 +552,19 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
             (_groups(headings, quantity, _ROLL_PITCH_YAW), _ROLL_PITCH_YAW, "angle")
             for quantity in ("roll", "abc", "wpr")
         ),
-        ([g for g in triples if g[0].rest & WORDS["vector"]], triples_by_meaning["a rotation vector"], "angle"),
+        ([g for g in triples if g[0].rest & WORDS["vector"]], vector, "angle"),
     ]
     for groups, names, quantity in sure:
         if groups:
             return [(_listed(g), [(g, names, quantity)]) for g in groups], which, ""
-    ways: Mapping[str, Sequence[str]] = {}
-    quantity = ""
+    ways: Sequence[str] = ()
     if groups := _groups(headings, "turn", _XYZ):
-        ways, quantity = triples_by_meaning, "angle"
+        ways = _ANGLES
     elif groups := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
-        ways = {"a quaternion, w first": quaternion_columns, "a quaternion, w last": (*quaternion_columns[1:], "qw")}
+        ways = ("a quaternion, w first", "a quaternion, w last")
     elif groups := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:
-        turned = tuple(f"R{name[2]}{name[1]}" for name in matrix_columns)
-        ways = {"a matrix, row by row": matrix_columns, "a matrix, column by column": turned}
-    options = [(way, [(groups[0], names, quantity)]) for way, names in ways.items()]
+        ways = ("a matrix, row by row", "a matrix, column by column")
+    options = [(way, [(groups[0], *_ORIENTATION_FORMS[way])]) for way in ways]
     return options, f"How is the orientation {_listed(groups[0])} meant?" if groups else "", "orientation"
 
 
@@ -616,6 +691,71 @@ def _stated_units(lines: Sequence[str]) -> dict[str, str]:
                 if quantity:
                     units.setdefault(quantity, word)
     return units
+
+
+def layout(raw: RawTable, chain: Sequence[Joint]) -> Question | None:
+    """Return the question which columns of a table without headings are what; None without choices.
+
+    A choice has readings of all free joints in neighbouring columns, and a position or a matrix in
+    others; where some columns are matrices, only choices with a matrix are returned.
+    """
+    values = [numbers_of(raw.frame[name]) for name in raw.header]
+    columns = [_Heading(n, "", "", "", "", frozenset(), v) for n, v in zip(raw.header, values, strict=True)]
+    numeric = np.array([bool(np.isfinite(v).mean() > 0.5) for v in values])
+    free = [i for i, joint in enumerate(chain, 1) if joint.coupling is None]
+    seen: list[tuple[int, int, tuple[str, _Parts]]] = []
+    for width in (16, 12):
+        for k in range(len(columns) - width + 1 if not seen else 0):
+            if numeric[k : k + width].all():
+                seen += [(k, k + width, form) for form in _matrices(columns[k : k + width])]
+    for k in range(len(columns) - 2 if not seen else 0):
+        part = columns[k : k + 3]
+        if numeric[k : k + 3].all() and all(np.nanstd(h.values) > 0 for h in part):
+            seen.append((k, k + 3, (f"position: {_listed(part)}", [(part, _XYZ, "length")])))
+    options: list[tuple[str, _Parts]] = []
+    for j in range(len(columns) - len(free) + 1):
+        readings = columns[j : j + len(free)]
+        most = max(float(np.nanmax(np.abs(h.values))) for h in readings) if numeric[j : j + len(free)].all() else np.inf
+        if most <= 4 * 360:
+            label = f"readings: {readings[0].name} to {readings[-1].name}"
+            parts = _parts_of(dict(zip(free, readings, strict=True)), chain)
+            options += [
+                (f"{label}; {words}", [*parts, *what])
+                for start, end, (words, what) in seen
+                if end <= j or start >= j + len(free)
+            ]
+    stated = _stated_units([*raw.comments, *(text for _, text in raw.form.skipped)])
+    choices = _choices(options, stated, "layout")
+    return Question("Which columns are what?", choices, "layout") if choices else None
+
+
+def orientations_in_order(raw: RawTable, taken: Collection[str]) -> Iterator[Question]:
+    """Yield the question which columns of a table without headings are an orientation, if some are.
+
+    These are a unit quaternion, a matrix or three angles in neighbouring columns, constant ones and
+    those that are taken left out.
+
+    taken : names of columns in use
+    """
+    values = {name: numbers_of(raw.frame[name]) for name in raw.header if name not in taken}
+    columns = [
+        _Heading(name, "", "", "", "", frozenset(), v)
+        for name, v in values.items()
+        if np.isfinite(v).mean() > 0.5 and np.nanstd(v) > 0
+    ]
+    options: list[tuple[str, _Parts]] = []
+    forms = (
+        (9, ("a matrix, row by row",), _is_rotation),
+        (4, ("a quaternion, w first", "a quaternion, w last"), _is_unit),
+        (3, _ANGLES, bool),
+    )
+    for width, words, fits in forms:
+        for k in range(len(columns) - width + 1 if not options else 0):
+            group = columns[k : k + width]
+            if fits(group):
+                options += [(f"{way}: {_listed(group)}", [(group, *_ORIENTATION_FORMS[way])]) for way in words]
+    if choices := _choices(options, {}, "orientation"):
+        yield Question("Which columns are the orientation?", choices, "orientation")
 
 
 def _by_order(raw: RawTable, n: int) -> list[_Heading]:

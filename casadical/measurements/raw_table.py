@@ -7,8 +7,10 @@ import csv
 import io
 import re
 import zipfile
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -301,7 +303,8 @@ def _headings(
     if after < first and table_form.is_units(above[after][1]):
         units, after = above[after], after + 1
     if place and len(set(header[1])) < len([c for c in header[1] if c.strip()]):
-        header = (header[0], _grouped(above[place - 1][1], header[1]))
+        lines = [cells for _, cells in above[:place] if sum(bool(c.strip()) for c in cells) > 1]
+        header = (header[0], _grouped(lines, header[1]))
     return after, header, units
 
 
@@ -311,16 +314,28 @@ def _names_in(cells: Sequence[str]) -> int:
     return 0 if table_form.is_units(cells) else words
 
 
-def _grouped(groups: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return headings, those that occur twice preceded by the heading of their group.
+def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
+    """Return headings that occur twice, and others of their groups, preceded by those of the groups.
 
-    groups : cells above, where a group's heading stands over its first column
+    lines : lines above, in which a group's heading stands over its first column or over each; lines
+        that do not tell columns of one name apart, such as those of a type, are not used
     """
-    headings, group = [], ""
-    for k, name in enumerate(names):
-        group = (groups[k].strip() if k < len(groups) else "") or group
-        headings.append(f"{group} {name.strip()}" if name.strip() and list(names).count(name) > 1 else name)
-    return headings
+    groups = [""] * len(names)
+    again = [k for k, name in enumerate(names) if name.strip() and list(names).count(name) > 1]
+    for cells in lines:
+        given = [cells[k].strip() if k < len(cells) else "" for k in range(len(names))]
+        each = any(a and a == b for a, b in pairwise(given))  # over each column, then gaps have none
+        group, found = "", []
+        for cell in given:
+            group = cell or ("" if each else group)
+            found.append(group)
+        further = [f"{before} {own}".strip() for before, own in zip(groups, found, strict=True)]
+        several = min(Counter(found[k] for k in again).values()) > 1  # columns in each of its groups
+        if several and len({groups[k] for k in again}) < len({further[k] for k in again}):
+            groups = further
+    twice = {groups[k] for k in again}
+    whole = zip(groups, names, strict=True)
+    return [f"{g} {name.strip()}".strip() if name.strip() and g in twice else name for g, name in whole]
 
 
 def refuse_repeated_names(names: Iterable[str], source: str) -> None:

@@ -1,21 +1,23 @@
 """Interpretation of a table by the nominal robot: ambiguous headings, targets, coupled joints."""
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.statistics import ranked
-from casadical.identification.accuracy import errors
+from casadical.identification.accuracy import errors as position_errors
+from casadical.identification.accuracy import predicted
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import frame_error, orientation_error
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.columns import ORIENTATION, Columns, Source
-from casadical.measurements.headings import Question, Understanding, understand
+from casadical.measurements.headings import Understanding, layout, orientations_in_order, understand
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns
@@ -37,11 +39,26 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     given : casadical's column name -> declared source
     kind : kind of measurement, None where it is not declared
     """
-    meaning = understand(raw, robot.joints, given, kind=kind)
-    for question in meaning.questions:
-        if question.about:
-            meaning = _by_model(raw, robot, given, meaning, question)
+    question = None if raw.form.header_line or given else layout(raw, robot.joints)
+    if question:
+        meaning = _by_model(raw, robot, given, Understanding((), (question,)))
+        usual = understand(raw, robot.joints, given, kind=kind)
+        if not meaning.questions or not usual.columns:
+            return meaning if meaning.questions else _with_orientation(raw, robot, meaning, kind)
+    meaning = _by_model(raw, robot, given, understand(raw, robot.joints, given, kind=kind))
     return _without_other_frame(raw, robot, given, meaning)
+
+
+def _with_orientation(raw: RawTable, robot: Robot, found: Understanding, kind: str | None) -> Understanding:
+    """Return the meaning of a table without headings, with an orientation if one fits the robot.
+
+    found : meaning of readings and positions
+    """
+    if kind == "position" or "R00" in found.sources:
+        return found
+    used = {name for source in found.sources.values() for name in (source.name, *source.add)}
+    more = _by_model(raw, robot, {}, replace(found, questions=tuple(orientations_in_order(raw, used))))
+    return replace(more, questions=())
 
 
 def poses_in_words(m: Measurements) -> str:
@@ -77,7 +94,8 @@ def _without_other_frame(
     with suppress(InputError, np.linalg.LinAlgError):
         m = _measurements_of(raw, robot, {**found.sources, **given})
         if m.orientation is not None and (
-            frame_error(robot, m) or _orientation_error(robot, m) < computed_orientation_tolerance_rad
+            frame_error(robot, m)
+            or (_orientation_error(robot, m) < computed_orientation_tolerance_rad and not computed(robot, m))
         ):
             return replace(found, columns=tuple(c for c in found.columns if c not in turned))
     return found
@@ -139,37 +157,89 @@ def _camera_of(m: Measurements) -> Camera:
     return "in hand" if near == "in hand" else "to base"
 
 
-def _by_model(
-    raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding, question: Question
-) -> Understanding:
-    """Return the meaning of columns with one question answered by the nominal robot, if it can.
+def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
+    """Return the meaning of columns with the questions answered by the nominal robot, if it can.
 
-    Where the answer is not clear, the choices of the question are ordered, the best fit first.
+    Every reading of the table, which is one choice of each question, is judged by its error: that
+    of the robot, its frames placed to fit. A choice is taken where all readings with another choice
+    have an error at least MIN_ERROR_RATIO_TO_OTHERS times as large. Where that is not clear, the
+    choices of questions with a topic are ordered, the best fit first.
 
-    given : casadical's column name -> declared source; found : meaning with the open question
+    given : casadical's column name -> declared source; found : meaning with the open questions
     """
-    error_of: dict[str, float] = {}
-    for choice in question.choices:
+    questions = found.questions
+    if not questions or math.prod(len(q.choices) for q in questions) > 2000:
+        return found
+    errors: dict[tuple[str, ...], tuple[float, float]] = {}
+    copied: set[tuple[str, ...]] = set()
+    for choices in product(*(q.choices for q in questions)):
+        tried = found
+        for question, choice in zip(questions, choices, strict=True):
+            tried = tried.answered(question, choice)
         with suppress(InputError, np.linalg.LinAlgError):
-            m = _measurements_of(raw, robot, {**found.answered(question, choice).sources, **given})
-            if question.about == "orientation" and m.orientation is not None:
-                error_of[choice] = _orientation_error(robot, m)
-            if m.kind == "position" and computed(robot, m):
-                length = next(c for c in question.choices if len(question.choices[c]) == 1)
-                return found.answered(question, length, "the coordinates are computed, as the nominal robot has them")
-    tried = list(error_of)
-    order = [tried[k] for k in ranked([-error_of[choice] for choice in tried])]
+            m = _measurements_of(raw, robot, {**tried.sources, **given})
+            if m.position is not None and len(m) >= 8:
+                turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
+                errors[choices] = (placed_by(robot, m)[1], turn)
+                copied |= {choices} if computed(robot, m, rounded=True) else set()
+    answers: dict[str, tuple[str, str]] = {}
+    order = sorted(errors, key=lambda c: _total(robot, errors[c]))
+    for k, question in enumerate(questions):
+        lengths = [c for c in question.choices if len(question.choices[c]) == 1]
+        if question.about == "observation" and lengths and copied:
+            answers[question.text] = lengths[0], "the coordinates are computed, as the nominal robot has them"
+            continue
+        # Coordinates that a controller computed fit best, but were not measured.
+        if question.about == "observation" and len({c[k] for c in errors}) > len({c[k] for c in copied}):
+            order = [c for c in order if c[k] not in {c[k] for c in copied}]
+        if not order:
+            continue
+        best, others = order[0], [c for c in order if c[k] != order[0][k]]
+        if len(errors) < len(question.choices) and not others and len(question.choices) > 1:
+            continue
+        least, second = (_total(robot, errors[c]) if c else np.inf for c in (best, others[0] if others else None))
+        bound = MAX_ORIENTATION_ERROR_RAD if others else 0.02
+        if least < bound and MIN_ERROR_RATIO_TO_OTHERS * least < second:
+            answers[question.text] = (
+                best[k],
+                _why(
+                    "" if question.about == "layout" else f"{best[k]}: ",
+                    errors[best],
+                    errors[others[0]] if others else None,
+                ),
+            )
+    for question in questions:
+        if question.text in answers:
+            found = found.answered(question, *answers[question.text])
     if not order:
         return found
-    others = [error_of[choice] for choice in order[1:]]
-    if error_of[order[0]] < MAX_ORIENTATION_ERROR_RAD and all(
-        MIN_ERROR_RATIO_TO_OTHERS * error_of[order[0]] < other for other in others
-    ):
-        best, second = (np.rad2deg(v) for v in (error_of[order[0]], min(others, default=np.inf)))
-        return found.answered(question, order[0], f"{order[0]}: {best:.2g} deg from the robot, else {second:.2g}")
-    choices = {c: question.choices[c] for c in (*order, *(c for c in question.choices if c not in error_of))}
-    asked = tuple(replace(q, choices=choices) if q is question else q for q in found.questions)
-    return replace(found, questions=asked)
+    asked = []
+    for question in found.questions:
+        k = questions.index(question)
+        ranked = dict.fromkeys([*(c[k] for c in order), *question.choices])
+        # A layout has too many choices to be asked: the best are.
+        some = [*ranked][: 5 if question.about == "layout" else None]
+        asked.append(replace(question, choices={c: question.choices[c] for c in some}) if question.about else question)
+    return replace(found, questions=tuple(asked))
+
+
+def _total(robot: Robot, error: tuple[float, float]) -> float:
+    """Return the dimensionless error of a reading of a table.
+
+    error : median error of positions [m] and of orientations [rad]
+    """
+    return error[0] / robot.reach + error[1]
+
+
+def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | None) -> str:
+    """Return how a choice is known, by the errors [m, rad] of the best reading and the next one.
+
+    choice : beginning of the text
+    """
+    turned = error[1] and other is not None and other[1]
+    unit, k, factor = ("deg", 1, 180 / np.pi) if turned else ("mm", 0, 1e3)
+    rest = f", else {factor * other[k]:.2g}" if other else ""
+    return f"{choice}{factor * error[k]:.2g} {unit} from the robot{rest}"
 
 
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:
@@ -186,10 +256,13 @@ def _orientation_error(robot: Robot, m: Measurements) -> float:
     return orientation_error(replace(robot, tool=replace(robot.tool, unknown="pose")), m)
 
 
-def computed(robot: Robot, m: Measurements) -> bool:
+def computed(robot: Robot, m: Measurements, rounded: bool = False) -> bool:
     """Return whether positions equal the nominal robot's within rounding, so are not measured.
 
     Base and tool may differ. False for fewer than six poses.
+
+    rounded : whether the rounding of the readings counts, too, by which the positions of a robot
+        that was measured coarsely may agree by chance
     """
     if m.position is None or len(m) < 6:
         return False
@@ -197,14 +270,34 @@ def computed(robot: Robot, m: Measurements) -> bool:
     # Positions that agree with the nominal model within this [m], or within their last digit, were
     # computed by a controller and not measured.
     computed_position_tolerance = 2e-6
-    return placed_by(robot, m)[1] < max(computed_position_tolerance, 10.0**-digits)
+    placed, error = placed_by(robot, m)
+    tolerance = max(computed_position_tolerance, 10.0**-digits)
+    if rounded:
+        steps = np.array([_last_digit(q) for q in m.q.T])
+        moved = replace(m, q=m.q + steps * np.random.default_rng(0).uniform(-0.5, 0.5, m.q.shape))
+        off = predicted(placed, moved)[0] - predicted(placed, m)[0]
+        # Both the logged readings and those that the frames are fitted to are rounded.
+        tolerance += 1.5 * float(np.median(np.linalg.norm(off, axis=1)))
+    return error < tolerance
+
+
+def _last_digit(q: Array) -> float:
+    """Return the unit of the last decimal [rad or m] in which readings of a joint were written.
+
+    q : readings, shape (n,) [rad or m], written in deg, rad, mm or m
+    """
+    for digits in range(5):
+        for unit in (np.pi / 180, 1.0, 1e-3):
+            if np.abs(q / unit - (q / unit).round(digits)).max() < 1e-9:
+                return float(unit * 10.0**-digits)
+    return 0.0
 
 
 def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
     """Return the robot with base and tool position fitted, and its median position error [m]."""
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
     placed = place_frames(free, m.positions_alone())
-    return placed, float(np.median(errors(placed, m.positions_alone())))
+    return placed, float(np.median(position_errors(placed, m.positions_alone())))
 
 
 def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
