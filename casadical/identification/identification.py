@@ -367,6 +367,7 @@ def calibrated(
     priors: AnyPriors = False,
     screen: bool = True,
     weighed: bool = False,
+    in_camera: bool = True,
     progress: Progress | None = None,
 ) -> Identification:
     """Identify the parameters of a prepared problem; arguments as of `identify`.
@@ -375,6 +376,7 @@ def calibrated(
 
     weighed : whether the tilt of the pedestal is identified by the weight of the links alone, where
         nothing at rest was measured
+    in_camera : whether the noise of a camera's poses is that of its own axes
     Raises InputError, ConvergenceError.
     """
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
@@ -395,13 +397,19 @@ def calibrated(
         )
     if screen and loss != "linear" and (far := gross_errors(robot, sets)):
         rest = replace(prepared, sets=without_poses(sets, far))
-        options: Any = {"loss": loss, "priors": "auto" if by_departure else priors, "weighed": weighed}
+        options: Any = {
+            "loss": loss,
+            "priors": "auto" if by_departure else priors,
+            "weighed": weighed,
+            "in_camera": in_camera,
+        }
         result = calibrated(rest, free, progress=progress, **options)
         kept = [[i for i in range(len(m)) if (k, i) not in far] for k, m in enumerate(sets)]
         outliers = tuple(sorted((*far, *((k, kept[k][i]) for k, i in result.outliers))))
         return replace(result, measurements=sets, outliers=outliers)
     plain: Loss = "linear" if loss == "auto" else loss
-    problem = LeastSquares(start, sets, names, plain, priors, initial_sigmas(sets), known=prior.known, weighed=weighed)
+    seen = tuple(m.in_camera_axes() for m in sets) if in_camera else sets
+    problem = LeastSquares(start, seen, names, plain, priors, initial_sigmas(sets), known=prior.known, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
     (reduced, solution, judged), outliers = solve(problem, MAX_OUTLIER_ROUNDS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions
@@ -428,7 +436,9 @@ def calibrated(
             departure = departure_of(result.problem, solution.v, result.variance, told)
         result = replace(result, departure=departure)
         if departure and (given := departure.priors(start)):
-            result = _with_priors(prepared, result, told, given, weighed=weighed, progress=progress)
+            result = _with_priors(
+                prepared, result, told, given, weighed=weighed, in_camera=in_camera, progress=progress
+            )
     if not robot.effects:
         return result
     learnt = learnt_from(result, prepared.knowledge)
@@ -463,4 +473,4 @@ def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic",
     free : parameters to identify, as of `identify`
     Raises InputError, ConvergenceError.
     """
-    return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True)
+    return calibrated(prepared, free, loss="huber", priors=True, screen=False, weighed=True, in_camera=False)

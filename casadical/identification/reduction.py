@@ -24,7 +24,9 @@ from casadical.identification.least_squares import MANY_PARAMETERS, LeastSquares
 from casadical.identification.plausibility import undefined
 from casadical.identification.residuals import POINT_SCALE
 from casadical.identification.solver import Progress, Solution
+from casadical.measurements.camera_noise import refined
 from casadical.measurements.kinds.registry import find_kind
+from casadical.measurements.measurements import Measurements
 
 # The problem reduced to its identifiable parameters, its solution, and the verdict on each
 # parameter.
@@ -65,16 +67,40 @@ def _solve_with_sigmas(problem: LeastSquares, progress: Progress | None, optima:
         solved = reduce_and_solve(problem, progress, optima)
         if not matters:
             break
-        sigmas = _estimated_sigmas(*solved[:2])
+        sets, sigmas = _in_camera(*solved[:2], _estimated_sigmas(*solved[:2]))
         change = _largest_log_change(problem.sigmas, sigmas)
-        problem = replace(problem, sigmas=sigmas)
+        if any(m.noise for m in sets):
+            change += _largest_log_change(*([m.noise.ratios for m in s if m.noise] for s in (problem.sets, sets)))
+        problem = replace(problem, sets=sets, sigmas=sigmas)
         if change < SIGMA_LOG_TOLERANCE:
             break
     return solved
 
 
-def _largest_log_change(before: Sequence[tuple[float, float]], now: Sequence[tuple[float, float]]) -> float:
-    """Return the largest absolute change of ln(sigma) between two lists of sigmas [m, rad]."""
+def _in_camera(
+    problem: LeastSquares, solution: Solution, sigmas: tuple[tuple[float, float], ...]
+) -> tuple[tuple[Measurements, ...], tuple[tuple[float, float], ...]]:
+    """Return the sets and their sigmas with the noise of cameras' poses as the residuals show it.
+
+    sigmas : of each set as estimated; declared ones are kept
+    """
+    sets, result = list(problem.sets), list(sigmas)
+    for k, (m, (r, freedom)) in enumerate(
+        zip(sets, _residuals_with_redundancies(problem, solution) if any(m.noise for m in sets) else (), strict=False)
+    ):
+        some = np.flatnonzero(m.weight > 0)
+        if problem.loss != "linear":
+            some = np.setdiff1d(some, np.flatnonzero(_outliers(r, freedom)))
+        # With less freedom there are too few numbers to tell the components apart.
+        if m.noise and freedom[some].sum() > 2 * MIN_NOISE_FREEDOM:
+            noise, own = refined(m[some], r[some], freedom[some], problem.sigmas[k])
+            length, angle = (max(sigma, MIN_SIGMA) for sigma in own)
+            sets[k], result[k] = replace(m, noise=noise), (m.sigma or length, m.sigma_angle or angle)
+    return tuple(sets), tuple(result)
+
+
+def _largest_log_change(before: Sequence[tuple[float, ...]], now: Sequence[tuple[float, ...]]) -> float:
+    """Return the largest absolute change of the logarithms between two lists of sigmas or ratios."""
     return float(np.abs(np.log(np.array(now) / np.array(before))).max())
 
 
@@ -152,10 +178,15 @@ def solve_without_outliers(
             for k, back in enumerate(again):
                 taken_back[k][back] = True
             kept = [np.union1d(index, back) for index, back in zip(kept, again, strict=True)]
-        sets = tuple(m[index] for m, index in zip(problem.sets, kept, strict=True))
+        sets = _with_noise_of(solved[0], [m[index] for m, index in zip(problem.sets, kept, strict=True)])
         solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress, optima)
     out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
     return solved, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
+
+
+def _with_noise_of(fitted: LeastSquares, sets: Sequence[Measurements]) -> tuple[Measurements, ...]:
+    """Return the sets with the noise of cameras that a fit of a part of their poses has found."""
+    return tuple(replace(m, noise=own.noise) if own.noise else m for m, own in zip(sets, fitted.sets, strict=True))
 
 
 def solve_by_auto(
@@ -223,12 +254,17 @@ def outlier_masks(problem: LeastSquares, solution: Solution, share: float = 1.0)
 
     share : factor on that bound
     """
-    masks = []
-    for r, freedom in _residuals_with_redundancies(problem, solution):
-        # A pose with high leverage shows little of its error.
-        z = r / np.sqrt(np.maximum(freedom, MIN_REDUNDANCY))
-        masks.append((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_PROBABILITY) * robust_std(z) ** 2)
-    return masks
+    return [_outliers(*both, share) for both in _residuals_with_redundancies(problem, solution)]
+
+
+def _outliers(r: Array, freedom: Array, share: float = 1.0) -> Array:
+    """Return the mask of the poses of one set that are outliers, shape (n,); see `outlier_masks`.
+
+    r, freedom : residuals [sigma] and their redundancy numbers, equal shapes
+    """
+    # A pose with high leverage shows little of its error.
+    z = r / np.sqrt(np.maximum(freedom, MIN_REDUNDANCY))
+    return np.asarray((z**2).sum(axis=1) > share * chdtri(r.shape[1], OUTLIER_PROBABILITY) * robust_std(z) ** 2)
 
 
 def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
@@ -240,7 +276,7 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     problem : with all poses; solved : of a part of these poses
     """
     fitted, solution, _ = solved
-    whole = replace(fitted, sets=problem.sets)
+    whole = replace(fitted, sets=_with_noise_of(fitted, problem.sets))
     x, u = fitted.separate(solution.v)
     known = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
     places = [known.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]

@@ -243,8 +243,8 @@ def make_block(
     group : index of each pose's point among these, shape (n,); fixed_loads : see `kernel`
     held : maximum number of poses whose inputs are cached
     """
-    kind = find_kind(m.kind)
-    compiled = kernel(robot, kind, bool(kind.point_names(m.arrays)), tuple(names), fixed_loads)
+    kind, arrays = find_kind(m.kind), m.arrays
+    compiled = kernel(robot, kind.of(arrays), bool(kind.point_names(arrays)), tuple(names), fixed_loads)
 
     def data(m: Measurements, at: slice) -> Array:
         """Return the kernel's inputs of the k poses m, shape (numbers, k); at : their slice."""

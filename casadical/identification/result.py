@@ -457,7 +457,8 @@ class Identification(Result):
         if not groups:
             return self.start
         names = self.start.parameters.select(groups)
-        free = LeastSquares(self.start, self.used, names, self.loss, False, initial_sigmas(self.used))
+        used = tuple(replace(m, noise=own.noise) for m, own in zip(self.used, self.problem.sets, strict=True))
+        free = LeastSquares(self.start, used, names, self.loss, False, initial_sigmas(used))
         try:
             (problem, solution, _), _ = solve_without_outliers(free, MAX_OUTLIER_ROUNDS, None)
             return self.start.with_values(problem.values(solution.v))

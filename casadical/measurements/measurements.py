@@ -14,6 +14,7 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.telling.blocks import Table
 from casadical.core.telling.result import Shown, html
+from casadical.measurements.camera_noise import CameraNoise, whitening
 from casadical.measurements.kinds.registry import find_kind
 
 
@@ -89,6 +90,8 @@ class Measurements(Shown):
     inverted : whether the source has the inverse of each pose: the measuring frame as the tool sees
         it
     camera : where the camera is that saw the poses, "in hand" or "to base"; empty: not known
+    noise : ratios of the noise of a camera's poses in its own axes; None: equal in all axes of the
+        measuring frame
     Raises InputError: arrays that do not fit the kind or each other.
 
     Examples
@@ -132,6 +135,7 @@ class Measurements(Shown):
     lost: tuple[int, ...] = ()
     inverted: bool = False
     camera: Literal["", "in hand", "to base"] = ""
+    noise: CameraNoise | None = None
 
     def __post_init__(self) -> None:
         for name in ("q", "position", "orientation", "distance", "target", "other", "label", "weight", "row"):
@@ -164,8 +168,16 @@ class Measurements(Shown):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """The observed arrays by name, from fields and `extra`, each of shape (n, ...) [SI]."""
-        return {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
+        """The observed arrays by name, from fields and `extra`, each of shape (n, ...) [SI].
+
+        With the noise of a camera they include `whitening`, shape (n, 6, 6).
+        """
+        arrays = {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
+        return arrays if self.noise is None else arrays | {"whitening": whitening(self, self.noise)}
+
+    def in_camera_axes(self) -> Measurements:
+        """Return the measurements with noise in the camera's axes, where a camera measured poses."""
+        return self if self.noise or not self.camera or self.kind != "pose" else replace(self, noise=CameraNoise())
 
     @property
     def residuals(self) -> int:
@@ -182,13 +194,13 @@ class Measurements(Shown):
     def inverse(self) -> Measurements:
         """Return the same measurements with each pose inverted: the measuring frame in the tool's.
 
-        They must have positions and orientations; `inverted` is negated.
+        They must have positions and orientations; `inverted` is negated, and no noise of a camera kept.
         """
         assert self.position is not None
         assert self.orientation is not None
         R = self.orientation.transpose(0, 2, 1)
         p = -np.einsum("nij,nj->ni", R, self.position)
-        return replace(self, position=p, orientation=R, inverted=not self.inverted)
+        return replace(self, position=p, orientation=R, inverted=not self.inverted, noise=None)
 
     @property
     def copies_in_words(self) -> str:
@@ -322,7 +334,7 @@ def _refuse_malformed(m: Measurements) -> None:
         if name not in arrays:
             raise InputError(f"{m.source}: kind {m.kind!r} needs {name}")
     entries = {"position": (3,), "orientation": (3, 3), "target": (3,), "other": m.q.shape[1:]}
-    entries |= {name: value.shape[1:] for name, value in m.extra.items()}
+    entries |= {name: value.shape[1:] for name, value in arrays.items() if name not in FIELDS}
     shaped = [(name, value, entries.get(name, ())) for name, value in arrays.items()]
     shaped += [(name, value, ()) for name, value in (*m.conditions.items(), ("weight", m.weight), ("row", m.row))]
     for name, value, entry in shaped:

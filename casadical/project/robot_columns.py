@@ -121,7 +121,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
     if inverted is None and len(m) >= 5:
         here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
         inverted = MIN_ERROR_RATIO_TO_OTHERS * there < here
-        undecided = here < MIN_ERROR_RATIO_TO_OTHERS * there and not inverted
+        undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
     m = m.inverse() if inverted else m
     return replace(m, camera=camera or _camera_of(m))

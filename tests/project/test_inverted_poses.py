@@ -85,8 +85,9 @@ def test_an_inverse_is_the_inverse() -> None:
 
 
 @pytest.mark.parametrize("inverted", [False, True])
-def test_poses_are_read_as_the_robot_has_them(inverted: bool) -> None:
-    m = as_poses(seen(inverted), ur5e())
+@pytest.mark.parametrize("declared", ["", "in hand"])
+def test_poses_are_read_as_the_robot_has_them(inverted: bool, declared: str) -> None:
+    m = as_poses(seen(inverted), ur5e(), camera=declared)
     assert m.inverted == inverted
     assert m.camera == "in hand"
     np.testing.assert_allclose(m.position, seen(False).position, atol=1e-12)

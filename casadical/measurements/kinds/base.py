@@ -161,6 +161,10 @@ class MeasurementKind(ABC):
         Raises InputError: a column is missing, or holds what cannot be measured.
         """
 
+    def of(self, arrays: Arrays) -> "MeasurementKind":
+        """Return the kind with the residual that some observed arrays ask for; by default itself."""
+        return self
+
     @abstractmethod
     def residual(self, pose: PoseExpression) -> Symbolic:
         """Return model minus measurement at a pose: `lengths` numbers [m], then `angles` [rad]."""

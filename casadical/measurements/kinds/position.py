@@ -136,9 +136,26 @@ class Pose(Position):
         """Return arrays `position`, shape (n, 3) [m], and `orientation`, shape (n, 3, 3)."""
         return {**super().read(columns, q), "orientation": orientations(columns)}
 
+    def of(self, arrays: Arrays) -> MeasurementKind:
+        """Return the kind whose residual is whitened, where the arrays have `whitening`."""
+        return _WHITENED_POSE if "whitening" in arrays else self
+
     def residual(self, pose: PoseExpression) -> Symbolic:
         """Return model minus measurement: position (3 numbers [m]), then rotation (3 [rad])."""
         return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
+
+
+class _WhitenedPose(Pose):
+    """Pose of a camera whose noise is in its own axes (see `camera_noise`)."""
+
+    def residual(self, pose: PoseExpression) -> Symbolic:
+        """Return the whitened residual of a pose: three lengths [m] and three angles [rad]."""
+        residual = super().residual(pose)
+        return ca.reshape(pose.take("whitening", 36), 6, 6).T @ residual
+
+
+# The one instance, by which compiled functions are cached.
+_WHITENED_POSE = _WhitenedPose()
 
 
 def turned_off(R: Symbolic, measured: Symbolic) -> Symbolic:

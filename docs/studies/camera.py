@@ -1,0 +1,262 @@
+"""Poses of a board in a camera: errors of the hand-eye transform, with frames alone and as calibrate finds it.
+
+    python docs/studies/camera.py [--runs 24] [--keep FILE --seconds 500] [--opencv]
+
+Simulated UR5e and iiwa 7 arms, eye in hand and eye to base, 15, 25 and 40 stations at which the target is in the
+image. Scenes: "right" arms have their nominal geometry, "off" ones are off by normal errors of 1 mm and 1 mrad in every
+parameter; the noise of the camera is normal in its own axes (lateral, lateral, depth [mm]; angles about them [mrad]),
+or that of pixels through a PnP fit ("pnp": 0.25 px, a board of 10 x 7 corners whose origin is a corner). "outliers":
+12 % of the poses are wrong by decimetres. The hand-eye transform is compared with the true one in the nominal last row
+(the offset and zero of the last joint are not separable from it): X_g, in mm. Held out: the target's place in the
+camera at 200 other stations, without noise, rms in mm, after the fit's own target. "Chosen" frees the geometry as
+calibrate does, "equal weights" too, but as if it were not known that a camera measured. --opencv adds OpenCV's
+solvers, for eye in hand.
+"""
+
+import argparse
+from dataclasses import replace
+
+import kept
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from casadical.core.basics import Array, ConvergenceError, InputError
+from casadical.core.parts import Joint, Placement
+from casadical.core.transforms import frame
+from casadical.identification.accuracy import predicted
+from casadical.identification.identification import identify
+from casadical.identification.result import Identification
+from casadical.measurements.measurements import Measurements
+from casadical.robot.robot import Robot
+
+HELD_OUT = 200
+# Name of a scene -> errors of the geometry [mm, mrad], camera noise or pixels, share of outliers.
+SCENES: dict[str, tuple[float, Array | float, float]] = {
+    "a right, 1 1 3 mm": (0.0, np.array([1, 1, 3, 2, 2, 0.7]), 0.0),
+    "f right, .3 mm": (0.0, np.array([0.3, 0.3, 0.9, 0.6, 0.6, 0.2]), 0.0),
+    "h right, pnp": (0.0, 0.25, 0.0),
+    "b off, 1 1 3 mm": (1.0, np.array([1, 1, 3, 2, 2, 0.7]), 0.0),
+    "e off, .3 mm": (1.0, np.array([0.3, 0.3, 0.9, 0.6, 0.6, 0.2]), 0.0),
+    "g off, pnp": (1.0, 0.25, 0.0),
+    "c right, outliers": (0.0, np.array([1, 1, 3, 2, 2, 0.7]), 0.12),
+}
+# Arm -> multiples of a right angle alpha, and a and d [m], of its rows in modified DH.
+ARMS = {
+    "UR5e": ((0, 0, 0.1625), (1, 0, 0), (0, -0.425, 0), (0, -0.3922, 0.1333), (1, 0, 0.0997), (-1, 0, 0.0996)),
+    "iiwa7": ((0, 0, 0.34), (-1, 0, 0), (1, 0, 0.4), (1, 0, 0), (-1, 0, 0.4), (-1, 0, 0), (1, 0, 0.126)),
+}
+# Focal length of the simulated camera [px].
+FOCAL_PX = 800.0
+
+
+def arm(name: str) -> Robot:
+    """The arm as its data sheet has it; base and tool are unknown."""
+    joints = tuple(
+        Joint(
+            alpha=alpha * np.pi / 2,
+            a=a,
+            d=d,
+            beta=0.0 if name == "UR5e" and i in (2, 3) else None,
+            lower=-2.9,
+            upper=2.9,
+        )
+        for i, (alpha, a, d) in enumerate(ARMS[name])
+    )
+    return Robot(name, joints, base=Placement(np.eye(4), "pose"), tool=Placement(np.eye(4), "pose"))
+
+
+def poses_of(robot: Robot, q: Array) -> Array:
+    """Poses of the tool in the measuring frame, shape (n, 4, 4) [m]."""
+    p, R = predicted(robot, Measurements(q, "position", position=np.zeros((len(q), 3))))
+    T = np.tile(np.eye(4), (len(q), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    return T
+
+
+def visible(T_ct: Array, near: float, far: float) -> Array:
+    """Mask of the poses of a target in the camera, (n, 4, 4), at which it is in the image and seen from the front."""
+    x, y, z = T_ct[:, :3, 3].T
+    line = T_ct[:, :3, 3] / np.linalg.norm(T_ct[:, :3, 3], axis=1)[:, None]
+    frontal = -(line * T_ct[:, :3, 2]).sum(axis=1) > np.cos(np.deg2rad(55))
+    return np.asarray((z > near) & (z < far) & (np.abs(x) < 0.3 * z) & (np.abs(y) < 0.22 * z) & frontal)
+
+
+def stations(built: Robot, X: Array, in_hand: bool, n: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Readings (n, joints) at which the target is visible, and its poses in the camera, (n, 4, 4)."""
+    low, high = built.limits
+    while True:
+        q0 = rng.uniform(0.6 * low, 0.6 * high)
+        q = np.clip(q0 + 0.5 * rng.normal(size=(20_000, built.n)), low, high)
+        q[:, -1] = rng.uniform(low[-1], high[-1], len(q))
+        T = poses_of(replace(built, tool=replace(built.tool, T=X)), np.vstack([q0, q]))
+        away = frame(np.diag([1.0, -1, -1]), np.array([0, 0, rng.uniform(0.45, 0.65) if in_hand else 1.1]))
+        turned = frame(Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix(), np.zeros(3))
+        seen = np.linalg.inv(T[1:]) @ (T[0] @ away @ turned) if in_hand else away @ turned @ np.linalg.inv(T[0]) @ T[1:]
+        good = np.flatnonzero(visible(seen, *((0.3, 0.9) if in_hand else (0.6, 1.7))))
+        if len(good) >= n and T[1:, 2, 3][good].min() > -0.5:
+            return q[good[:n]], seen[good[:n]]
+
+
+def first_corner(in_hand: bool) -> Array:
+    """The frame of the board's first corner in that of its centre; squares are of 25 or 40 mm."""
+    return frame(np.eye(3), (0.025 if in_hand else 0.04) * np.array([-4.5, -3, 0]))
+
+
+def through_pixels(T: Array, pixels: float, in_hand: bool, rng: np.random.Generator) -> Array:
+    """Poses, (n, 4, 4), that a PnP fit finds of the noisy corners of a board whose origin is its first corner."""
+    grid = np.stack(np.meshgrid(np.arange(10), np.arange(7), indexing="ij"), axis=-1).reshape(-1, 2)
+    corners = (1 - grid / [4.5, 3]) @ np.eye(2, 3) * first_corner(in_hand)[:3, 3]
+
+    def image(T: Array) -> tuple[Array, Array]:
+        c = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], corners)
+        return FOCAL_PX * c[:, :, :2] / c[:, :, 2:], c
+
+    seen = image(T)[0] + rng.normal(0, pixels, (len(T), len(corners), 2))
+    for _ in range(6):
+        uv, c = image(T)
+        J = np.zeros((*c.shape[:2], 2, 6))
+        J[..., 0, 0] = J[..., 1, 1] = FOCAL_PX / c[..., 2]
+        J[..., 2] = -uv / c[..., 2:]
+        lever = c - T[:, None, :3, 3]
+        J[..., 3:] = np.cross(lever[:, :, None, :], J[..., :3])
+        flat, r = J.reshape(len(T), -1, 6), (seen - uv).reshape(len(T), -1)
+        step = np.linalg.solve(np.einsum("nki,nkj->nij", flat, flat), np.einsum("nki,nk->ni", flat, r)[..., None])[
+            ..., 0
+        ]
+        T = T.copy()
+        T[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ T[:, :3, :3]
+        T[:, :3, 3] += step[:, :3]
+    return T @ first_corner(in_hand)
+
+
+def scene(name: str, which: str, in_hand: bool, n: int, seed: int) -> tuple[Robot, Measurements, Measurements, Array]:
+    """Nominal arm, measured poses, exact poses that are held out, and the true X_g (4, 4)."""
+    size, noise, outliers = SCENES[name]
+    rng, robot = np.random.default_rng(seed), arm(which)
+    off = {p.name: p.value + 1e-3 * size * rng.normal() for p in robot.parameters if p.group == "geometry"}
+    built = robot.with_values(off)
+    tilt = Rotation.from_rotvec([*rng.normal(0, 0.3, 2), 0]) * Rotation.from_rotvec([0, 0, rng.uniform(-3, 3)])
+    X = frame(tilt.as_matrix(), np.array([*rng.uniform(-0.07, 0.07, 2), rng.uniform(0.02, 0.1)]))
+    q, T = stations(built, X, in_hand, n + HELD_OUT, rng)
+    seen, exact = T[:n].copy(), T[n:]
+    if isinstance(noise, float):
+        seen, exact = through_pixels(seen, noise, in_hand, rng), through_pixels(exact, 0.0, in_hand, rng)
+    else:
+        e = 1e-3 * noise * rng.normal(size=(n, 6))
+        seen[:, :3, :3] = Rotation.from_rotvec(e[:, 3:]).as_matrix() @ seen[:, :3, :3]
+        seen[:, :3, 3] += e[:, :3]
+    wrong = rng.choice(n, round(outliers * n), replace=False)
+    seen[wrong, :3, :3] = Rotation.random(len(wrong), rng=rng).as_matrix() if len(wrong) else seen[wrong, :3, :3]
+    seen[wrong, :3, 3] += rng.normal(0, 0.1, (len(wrong), 3))
+    made = [
+        Measurements(
+            q, "pose", position=T[:, :3, 3], orientation=T[:, :3, :3], camera="in hand" if in_hand else "to base"
+        )
+        for q, T in ((q[:n], seen), (q[n:], exact))
+    ]
+    fit, held_out = (m.inverse() if in_hand else m for m in made)
+    if not in_hand and isinstance(noise, float):  # the tool is the board's frame
+        X = X @ first_corner(in_hand)
+    return robot, fit, held_out, in_last_row(robot, built, X)
+
+
+def in_last_row(robot: Robot, other: Robot, X: Array) -> Array:
+    """The tool frame of another arm in the nominal frame of the last link."""
+    row = []
+    for r in (robot, other):
+        d, theta = (r.parameters[f"{name}{r.n}"].value for name in ("d", "theta"))
+        row.append(frame(Rotation.from_rotvec([0, 0, theta]).as_matrix(), np.array([0, 0, d])))
+    return np.asarray(np.linalg.inv(row[0]) @ row[1] @ X)
+
+
+def held_out_error(found: Identification, held_out: Measurements, in_hand: bool) -> float:
+    """Rms error [mm] of the target's place in the camera."""
+    T = poses_of(found.robot, held_out.q)
+    p = (np.linalg.inv(T) if in_hand else T)[:, :3, 3]
+    seen = held_out.inverse() if in_hand else held_out
+    assert seen.position is not None
+    return 1e3 * float(np.sqrt(((p - seen.position) ** 2).sum(axis=1).mean()))
+
+
+def by_opencv(robot: Robot, m: Measurements, in_hand: bool) -> dict[str, Array]:
+    """Solver -> hand-eye transform (4, 4) by OpenCV with the nominal arm."""
+    import cv2
+
+    arm_poses, seen = poses_of(robot, m.q), m.inverse() if in_hand else m
+    gripper = arm_poses if in_hand else np.linalg.inv(arm_poses)
+    assert seen.position is not None
+    assert seen.orientation is not None
+    found = {}
+    for solver in ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS"):
+        R, t = cv2.calibrateHandEye(
+            list(gripper[:, :3, :3]),
+            list(gripper[:, :3, 3]),
+            list(seen.orientation),
+            list(seen.position),
+            method=getattr(cv2, f"CALIB_HAND_EYE_{solver}"),
+        )
+        found[solver] = frame(np.asarray(R), np.asarray(t).ravel())
+    return found
+
+
+def judged(entry: tuple[str, str, bool, int, int, bool]) -> kept.Row:
+    """Errors [mm] of one scene; entry : scene, arm, whether in hand, stations, seed, whether OpenCV is asked."""
+    *what, opencv = entry
+    robot, fit, held_out, truth = scene(*what)
+    row: kept.Row = {}
+    unknown = replace(fit, camera="")
+    for name, (m, free) in {
+        "frames": (fit, ["placement"]),
+        "chosen": (fit, ["kinematic"]),
+        "equal weights": (unknown, ["kinematic"]),
+    }.items():
+        try:
+            found = identify(robot, m, free)
+        except (ConvergenceError, InputError) as error:
+            row |= {name: float("nan"), f"{name} held out": float("nan"), f"{name} refused": str(error)}
+            continue
+        X = in_last_row(robot, found.robot, found.robot.tool.T)
+        row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
+        row[f"{name} held out"] = held_out_error(found, held_out, what[2])
+    if opencv and what[2]:
+        for name, X in by_opencv(robot, fit, True).items():
+            row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
+    return row
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=24)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--opencv", action="store_true")
+    kept.add_options(parser, "camera")
+    given = parser.parse_args()
+    todo = [
+        ("/".join(map(str, entry)), entry)
+        for run in range(given.runs)
+        for name in SCENES
+        for entry in [
+            (name, list(ARMS)[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], given.seed + run, given.opencv)
+        ]
+    ]
+    rows = kept.rows_of(todo, judged, given)
+    print(f"{'scene':20s}{'runs':>5s}  X_g median / 95 % [mm]; held out in brackets")
+    for name in SCENES:
+        own = [row for row in rows if row["name"].startswith(f"{name}/")]
+        if own:
+            words = [f"{name:20s}{len(own):5d}"]
+            for solver in [k for k in own[0] if k != "name" and "held out" not in k and "refused" not in k]:
+                e = np.array([row[solver] for row in own if solver in row])
+                good = e[np.isfinite(e)]
+                some = (
+                    f" {solver} {np.median(good):.3f} / {np.quantile(good, 0.95):.3f}" if len(good) else f" {solver} -"
+                )
+                if f"{solver} held out" in own[0]:
+                    some += f" ({np.nanmedian([row[f'{solver} held out'] for row in own]):.3f})"
+                words.append(some + (f" [{len(e) - len(good)} refused]" if len(good) < len(e) else ""))
+            print(";".join(words))
+
+
+if __name__ == "__main__":
+    main()
