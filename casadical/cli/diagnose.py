@@ -142,7 +142,7 @@ def diagnose(
     )
     file = measure_next if len(given) == 1 else None
     answers: list[CampaignDiagnosis] = []
-    texts: dict[Path, str] = {}
+    texts: dict[Path, str | bytes] = {}
     for campaign in given:
         workspace = campaign.workspace(room)
         with working(quiet, "diagnosing", campaign.name, DIAGNOSIS) as show:
@@ -211,7 +211,7 @@ def _diagnose_logs(
     against : files of drive parameters that are replayed, too
     """
     console = wrapped(quiet)
-    texts: dict[Path, str] = {}
+    texts: dict[Path, str | bytes] = {}
     with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
         answer = campaign.diagnosed(show)
     tell(console, *answer.blocks())

@@ -121,7 +121,7 @@ def _of_a_set(name: str) -> bool:
     output_file_patterns = (
         *("result.json", "*.robot.toml", "*.robot.urdf", "*.parameters.csv", "*.compensator.json"),
         *("manifest.json", "diagnosis.json", "diagnosis.txt", "discovery.json", "discovery.txt"),
-        "*.effect.toml",
+        *("*.effect.toml", "*.covariance.npz"),
     )
     return any(fnmatch(name, pattern) for pattern in output_file_patterns)
 
@@ -148,6 +148,7 @@ def _inputs(path: Path) -> Iterator[Path]:
         always = (
             "robot.toml",
             "*.robot.toml",
+            "*.covariance.npz",
             "result.json",
             "withheld.json",
             "key.json",

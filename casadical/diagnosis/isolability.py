@@ -6,8 +6,9 @@ model's, whose parameters are re-estimated with every cause, in the noise's metr
 visible signal r per coordinate, in units of the noise, at n poses has noncentrality 3 n r^2.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
 
 import numpy as np
@@ -54,16 +55,20 @@ class Isolability(Result):
         model absorbs; visible_mm, the rms of the rest; visible_to_noise, its rms per coordinate in
         units of the noise; findable_from, the multiple of its realistic size from which it is found
         nine times in ten
-    alike : fraction, 0 to 1, of the energy of the visible signal of each candidate (row) that
-        another one (column) reproduces
+    compare : function of no argument that returns `alike`; most reports do not show it
     missing : columns that would have to be logged, by label of the effect
     """
 
     line: ClassVar[str] = " of {{ it.effects | length }} candidates"
 
     effects: pd.DataFrame
-    alike: pd.DataFrame
+    compare: Callable[[], pd.DataFrame]
     missing: dict[str, tuple[str, ...]]
+
+    @cached_property
+    def alike(self) -> pd.DataFrame:
+        """Fraction, 0 to 1, of the energy of each candidate's (row) visible signal in another's (column) span."""
+        return self.compare()
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Return the candidates that reproduce a large part of a candidate's visible signal.
@@ -213,10 +218,7 @@ def _judged(
     effects = table.groupby("label", sort=False).mean()
     # At a noncentrality of 36 one among about a hundred candidates is found nine times in ten.
     effects["findable_from"] = np.sqrt(36.0 / evidence.count) / effects["visible_to_noise"]
-    # Effects are compared on at most 500 poses, evenly spaced.
-    some = evidence if n <= 500 else evidence.at(np.linspace(0, n - 1, 500).astype(int))
-    seen = some.projected(rho).columns(some.take(np.arange(some.width)))
-    return Isolability(effects, _alike(seen, columns, owner), missing)
+    return Isolability(effects, partial(_alike, evidence, rho, columns, owner), missing)
 
 
 def _squares(evidence: Evidence, rho: float) -> Array:
@@ -237,13 +239,17 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     return np.concatenate(squares, axis=1)
 
 
-def _alike(E: Array, columns: list[Array], owner: list[str]) -> pd.DataFrame:
+def _alike(evidence: Evidence, rho: float, columns: list[Array], owner: list[str]) -> pd.DataFrame:
     """Return the fraction of a candidate's visible energy (row) in another's span (column).
 
     It is the mean over the candidate's settings and the maximum over the other's.
-    E : visible columns, whitened, shape (rows, columns)
+    rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     columns : indices of the columns of each setting; owner : label of each setting
     """
+    # Effects are compared on at most 500 poses, evenly spaced.
+    n = len(evidence.r)
+    at_poses = evidence if n <= 500 else evidence.at(np.linspace(0, n - 1, 500).astype(int))
+    E = at_poses.projected(rho).columns(at_poses.take(np.arange(at_poses.width)))
     which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):

@@ -15,7 +15,7 @@ from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.statements import assumptions, floor_of, headline, missing_columns
 from casadical.diagnosis.text import page_of
 from casadical.identification.gravity import as_json as gravity_as_json
-from casadical.robot.robot_file import to_toml
+from casadical.robot.robot_file import robot_files
 
 
 def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[str, Any]:
@@ -77,7 +77,7 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
 
 def diagnosis_files(
     folder: str | Path, found: Diagnosis, more: Details, name: str, *, unlisted: bool = False
-) -> dict[Path, str]:
+) -> dict[Path, str | bytes]:
     """Return the text of each file that `casadical diagnose --out` writes: robot, data and report.
 
     Keys are the paths.
@@ -91,7 +91,7 @@ def diagnosis_files(
     comment = f"Diagnosed by casadical from {name}.\n{headline(found, more)}\n{refit.verdict}"
     kinds = [type(effect) for effect in refit.robot.effects]
     return {
-        folder / "diagnosed.robot.toml": to_toml(refit.robot, comment, kinds, known_alone=True),
+        **robot_files(folder / "diagnosed.robot.toml", refit.robot, comment, kinds, known_alone=True),
         folder / "diagnosis.json": json_text(as_json(found, name, more)),
         folder / "diagnosis.txt": page_of(found, more) + "\n",
     }

@@ -43,7 +43,7 @@ from casadical.project.problem import Carried, Problem, error_groups, nothing_ca
 from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import to_toml
+from casadical.robot.robot_file import robot_files
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,13 +262,13 @@ class Calibration(Result):
         kinds = {name: m.kind for name, m in self.problem.parts()}
         return {name: kinds[names[0]] for name, names in error_groups(kinds).items()}
 
-    def files(self, folder: str | Path) -> dict[Path, str]:
+    def files(self, folder: str | Path) -> dict[Path, str | bytes]:
         """Return path -> text of the files in a folder of results.
 
         They are result.json, robots and parameters by method, compensators, and hand_eye.calib.
         """
         folder, problem = Path(folder), self.problem
-        texts = {folder / "result.json": json_text(self.to_json())}
+        texts: dict[Path, str | bytes] = {folder / "result.json": json_text(self.to_json())}
         if self.hand_eye:
             texts[folder / "hand_eye.calib"] = self.hand_eye.calib_text(problem.folder.name)
         for name, trained in (self.networks.results if self.networks else {}).items():
@@ -280,7 +280,8 @@ class Calibration(Result):
             made = outcome.report_blocks(problem, self.accuracies, block="made_readings")
             said = [b.text for b in made if isinstance(b, Words) and b.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
-            texts[folder / f"{name}.robot.toml"] = to_toml(noted, f"{origin}\n{result.verdict}", known_alone=True)
+            comment = f"{origin}\n{result.verdict}"
+            texts |= robot_files(folder / f"{name}.robot.toml", noted, comment, known_alone=True)
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)

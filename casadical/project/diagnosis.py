@@ -240,7 +240,7 @@ class CampaignDiagnosis(Result):
         answer = as_json(self.diagnosis, self.campaign.name, self.details)
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
-    def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str]:
+    def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str | bytes]:
         """Return path -> text of the result files: robot file with the causes, answer in JSON.
 
         unlisted : whether the description of an unknown cause is one of them

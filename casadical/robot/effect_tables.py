@@ -4,6 +4,7 @@ They belong to robot files of version 2; values are in SI. Effect files have the
 to be put into any robot or to be a candidate.
 """
 
+import io
 import math
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -18,13 +19,13 @@ from pydantic import Field
 from casadical import __version__
 from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.parts import Arm
-from casadical.core.reading import load_toml
+from casadical.core.reading import archive_of, foreign, load_toml, read_bytes
 from casadical.core.schema import Pair, TomlTable, check
 from casadical.core.statistics import known_digits
 from casadical.effects import Effect
 from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
-from casadical.robot.robot import Covariance, Knowledge, RemainingErrors, Robot
+from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, RemainingErrors, Robot
 
 # Number of significant digits of a covariance in a file: enough for correlations of 1 - 1e-9, with
 # a quarter less text than all digits.
@@ -96,23 +97,53 @@ def effects_of(
 
 
 class CovarianceTable(TomlTable):
-    """A covariance as its lower triangle, row by row."""
+    """A covariance as its lower triangle, row by row, in the table or in an NPZ file next to it."""
 
     names: list[str] = Field(min_length=1)
-    lower: list[list[float]] = Field(min_length=1)
+    lower: list[list[float]] | None = Field(default=None, min_length=1)
+    file: str | None = Field(default=None, pattern=r"^[^/\\]+\.npz$")
 
-    def covariance(self) -> Covariance:
+    def covariance(self, folder: Path) -> Covariance:
         """Return the covariance of the table.
 
-        Raises InputError for rows that make no triangle, and what `Covariance` raises.
+        folder : that of the file with the table, in which `file` is looked for
+        Raises InputError for rows that make no triangle, for a file that is missing or has another
+        covariance, and what `Covariance` raises.
         """
         k = len(self.names)
-        if [len(row) for row in self.lower] != list(range(1, k + 1)):
-            raise InputError(f"lower: rows of {[len(row) for row in self.lower]} numbers; of {k} names: 1 to {k}")
+        if (self.lower is None) == (self.file is None):
+            raise InputError(f"names = {self.names[:3]}: give the rows `lower`, or the `file` that has them")
         matrix = np.zeros((k, k))
-        for i, row in enumerate(self.lower):
-            matrix[i, : i + 1] = matrix[: i + 1, i] = row
-        return Covariance(tuple(self.names), matrix)
+        if self.file is not None:
+            matrix[np.tril_indices(k)] = _triangle_in(folder / self.file, self.names[0], k * (k + 1) // 2)
+        elif [len(row) for row in self.lower or ()] != list(range(1, k + 1)):
+            sizes = [len(row) for row in self.lower or ()]
+            raise InputError(f"lower: rows of {sizes} numbers; of {k} names: 1 to {k}")
+        else:
+            matrix[np.tril_indices(k)] = np.concatenate([np.array(row) for row in self.lower or ()])
+        return Covariance(tuple(self.names), matrix + np.tril(matrix, -1).T)
+
+
+def _triangle_in(path: Path, name: str, count: int) -> Array:
+    """Return the lower triangle of a covariance from an NPZ file, shape (count,) [SI].
+
+    name : of the array, which is that of the covariance's first parameter
+    Raises InputError.
+    """
+    if not path.is_file():
+        raise InputError(
+            f"file = {path.name!r}: is not in the folder of the robot file; the covariance that was written with the "
+            "robot is in it: copy both together, or take the tables with `file` out, without the covariance"
+        )
+    with foreign(f"file = {path.name!r}: not a readable NPZ file"):
+        arrays = np.load(archive_of(read_bytes(path), path.name), allow_pickle=False)
+        lower = arrays[name] if name in arrays else np.zeros(0)
+    if lower.dtype != np.float64 or lower.shape != (count,):
+        raise InputError(
+            f"file = {path.name!r}: {lower.shape} numbers of {name}; the covariance has {count}: it belongs to another "
+            "robot file"
+        )
+    return np.asarray(lower)
 
 
 class LearntTable(TomlTable):
@@ -166,18 +197,20 @@ def knowledge_of(
     learnt: LearntTable,
     covariance: Sequence[CovarianceTable],
     errors: Mapping[str, float],
+    folder: Path,
 ) -> Knowledge | None:
     """Return the covariances and ranges in the tables of a file, None if they are empty.
 
     names : of the robot's parameters
     errors : parameter -> standard error given next to its value [SI]; one that is in no covariance
         makes a block of its own
+    folder : of the file
     Raises InputError that names the key.
     """
     parts = []
     for k, table in enumerate(covariance, 1):
         with errors_of(f"covariance[{k}]."):
-            parts.append(table.covariance())
+            parts.append(table.covariance(folder))
     for block in parts:
         for name in block.names:
             if name not in names:
@@ -204,12 +237,13 @@ def text_of(
     knowledge: Knowledge | None,
     remaining: RemainingErrors | None = None,
     known_alone: bool = False,
+    companion: str = "",
 ) -> Iterator[str]:
     """Yield the tables of effects and knowledge as lines of TOML.
 
     They are [[definition]], [[effect]], [learnt], [[covariance]] and [remaining], where they apply.
 
-    known_alone : as of `to_toml`
+    known_alone : as of `to_toml`; companion : name of the file of `large_covariances`; "" without it
     """
     known = knowledge or Knowledge()
     for definition in defined_in_files(effects):
@@ -222,8 +256,11 @@ def text_of(
     for block in known.covariance:
         # The variance of a single parameter is already written as std_error next to its value.
         if len(block.names) > 1 or block.names[0] not in own:
-            yield from ("", "[[covariance]]", f"names = {_text(block.names)}", "lower = [")
-            yield from (*(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
+            yield from ("", "[[covariance]]", f"names = {_text(block.names)}")
+            if companion and len(block.names) > MAX_BLOCK_PARAMETERS:
+                yield f"file = {_text(companion)}"
+                continue
+            yield from ("lower = [", *(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
     if remaining:
         rest = known_digits(remaining.rest, remaining.rest, KNOWN_DIGITS) if known_alone else remaining.rest
         numbers = {"rest": rest, "poses": remaining.poses, "names": remaining.names}
@@ -232,21 +269,56 @@ def text_of(
         yield "]"
 
 
-def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
-    """Yield the lower triangle of a covariance, row by row, rounded as a file has it.
+def large_covariances(knowledge: Knowledge | None, known_alone: bool) -> bytes:
+    """Return the covariances of more than `MAX_BLOCK_PARAMETERS` parameters as an NPZ file.
+
+    Each is an array of the lower triangle row by row, named by its first parameter [SI]. It is empty
+    where there is none.
 
     known_alone : as of `to_toml`
+    """
+    blocks = [block for block in (knowledge or Knowledge()).covariance if len(block.names) > MAX_BLOCK_PARAMETERS]
+    stream = io.BytesIO()
+    if blocks:
+        np.savez(stream, **{block.names[0]: _rounded(block, known_alone) for block in blocks})  # type: ignore[arg-type]
+    return stream.getvalue()
+
+
+def _rounded(block: Covariance, known_alone: bool) -> Array:
+    """Return the lower triangle of a covariance as an NPZ file has it, shape (k (k + 1) / 2,) [SI].
+
+    known_alone : as of `to_toml`
+    """
+    sizes, digits = _sizes_and_digits(block)
+    C, lower = block.matrix, np.tril_indices(len(block.names))
+    if known_alone and digits < COVARIANCE_DIGITS:
+        unit = 10.0 ** (digits - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0))))
+        C = np.rint(C * unit) / unit
+    return np.asarray(C[lower])
+
+
+def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
+    """Yield the lower triangle of a covariance, row by row, rounded as a text has it.
+
+    known_alone : as of `to_toml`
+    """
+    sizes, digits = _sizes_and_digits(block)
+    for i, row in enumerate(block.matrix):
+        if known_alone and digits < COVARIANCE_DIGITS:
+            yield [known_digits(v, s, digits) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
+        else:
+            yield [float(f"{v:.{COVARIANCE_DIGITS}g}") for v in row[: i + 1]]
+
+
+def _sizes_and_digits(block: Covariance) -> tuple[Array, int]:
+    """Return the products of standard deviations, shape (k, k) [SI], and the digits from them on.
+
+    Correlations need more digits than their smallest eigenvalue has zeros.
     """
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
     least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
-    # Correlations need more digits than their smallest eigenvalue has zeros.
-    digits = 3 - math.floor(math.log10(max(least, 10.0**-COVARIANCE_DIGITS)))
-    for i, row in enumerate(block.matrix):
-        if known_alone and digits < COVARIANCE_DIGITS:
-            yield [known_digits(v, s, max(digits, KNOWN_DIGITS)) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
-        else:
-            yield [float(f"{v:.{COVARIANCE_DIGITS}g}") for v in row[: i + 1]]
+    return sizes, max(3 - math.floor(math.log10(max(least, 10.0**-COVARIANCE_DIGITS))), KNOWN_DIGITS)
 
 
 def _effect_lines(

@@ -10,6 +10,7 @@ Trans_z(d). `beta` exists where neighbouring axes are nearly parallel (Hayati an
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import groupby
@@ -62,7 +63,10 @@ class Covariance:
         eigenvalue_tolerance = 1e-9
         if not np.allclose(correlation, correlation.T, rtol=0, atol=eigenvalue_tolerance):
             raise InputError(f"{some}: it is not symmetric")
-        least = float(np.linalg.eigvalsh(correlation)[0]) if k else 0.0
+        with suppress(np.linalg.LinAlgError):  # a Cholesky factor exists, and is faster, above the tolerance
+            np.linalg.cholesky(correlation + eigenvalue_tolerance * k * np.eye(k))
+            return
+        least = float(np.linalg.eigvalsh(correlation)[0])
         if least < -eigenvalue_tolerance * k:
             raise InputError(
                 f"{some}: the least eigenvalue of its correlations is {least:.3g}; a covariance has none below zero"
@@ -71,6 +75,8 @@ class Covariance:
     def only(self, names: Iterable[str]) -> Covariance:
         """Return the covariance of those of the named parameters that it has, in its own order."""
         wanted = set(names)
+        if wanted.issuperset(self.names):
+            return self
         which = [k for k, name in enumerate(self.names) if name in wanted]
         return Covariance(tuple(self.names[k] for k in which), self.matrix[np.ix_(which, which)])
 

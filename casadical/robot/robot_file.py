@@ -11,7 +11,7 @@ import tomlkit
 
 from casadical import __version__
 from casadical.core.basics import InputError, errors_of, shown
-from casadical.core.files import write_whole
+from casadical.core.files import write_together
 from casadical.core.parts import WIDTHS, Body, BodyWidth, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
@@ -19,7 +19,7 @@ from casadical.core.statistics import known_digits
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
-from casadical.robot.effect_tables import FILE_VERSION, text_of
+from casadical.robot.effect_tables import FILE_VERSION, large_covariances, text_of
 from casadical.robot.robot import Robot, dh_row, in_file_units
 from casadical.robot.robot_schema import RobotFile, ToolTable
 
@@ -39,13 +39,16 @@ def read_robot(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Robot:
     (2, 'Planar arm of two links')
     """
     path = Path(path)
-    return robot_from(load_toml(path), path.name, effects)
+    return robot_from(load_toml(path), path.name, effects, path.parent)
 
 
-def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effect]] = ()) -> Robot:
+def robot_from(
+    data: Mapping[str, Any], source: str, effects: Sequence[type[Effect]] = (), folder: Path = Path()
+) -> Robot:
     """Return the robot that the tables of a robot file describe.
 
     data : content of the TOML file; source : its name in messages; effects : as of `read_robot`
+    folder : of the file, in which those lie that it names
     Raises InputError for a file that is no robot, or of a newer version.
     """
     version = data.get("casadical")
@@ -57,7 +60,7 @@ def robot_from(data: Mapping[str, Any], source: str, effects: Sequence[type[Effe
         )
     file = check(RobotFile, _with_tools_apart(data), source)
     with errors_of(f"{source}: "):
-        return file.robot(effects)
+        return file.robot(effects, folder)
 
 
 def _with_tools_apart(data: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -102,10 +105,32 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
     >>> bool(casadical.read_robot("calibrated.toml").parameters["a1"].value == found.robot.parameters["a1"].value)
     True
     """
-    write_whole(Path(path), to_toml(robot, comment, effects))
+    write_together(robot_files(Path(path), robot, comment, effects))
 
 
-def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, known_alone: bool = False) -> str:
+def robot_files(
+    path: Path, robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, known_alone: bool = False
+) -> dict[Path, str | bytes]:
+    """Return the content of the robot's file by its path, and of the file of its large covariances.
+
+    That of arm.robot.toml is arm.covariance.npz.
+
+    path : of the robot file; further arguments, and Raises InputError : as of `to_toml`
+    """
+    covariances = large_covariances(_as_written(robot).knowledge, known_alone)
+    companion = path.with_name(path.name.removesuffix(".toml").removesuffix(".robot") + ".covariance.npz")
+    text = to_toml(robot, comment, effects, known_alone=known_alone, companion=companion.name if covariances else "")
+    return {path: text, **({companion: covariances} if covariances else {})}
+
+
+def to_toml(
+    robot: Robot,
+    comment: str = "",
+    effects: Sequence[type[Effect]] = (),
+    *,
+    known_alone: bool = False,
+    companion: str = "",
+) -> str:
     """Return the robot as the text of a TOML file, at full precision.
 
     Units are mm and degrees, of effects SI. Sessions belong to their measurements: base and tool
@@ -114,9 +139,9 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     comment, effects, and Raises InputError : as of `write_robot`
     known_alone : whether digits are left out that depend on a processor's rounding, so that a
         result is the same file everywhere
+    companion : name of the file that has the large covariances; "": the text has them
     """
-    if any(isinstance(e, Session) for e in robot.effects):
-        robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
+    robot = _as_written(robot)
     defined = {definition.name for definition in defined_in_files(robot.effects)}
     for effect in robot.effects:
         if effect.name not in defined and find_effect(effect.name, effects) is not type(effect):
@@ -152,12 +177,22 @@ def to_toml(robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (
     )
     text = tomlkit.dumps(document)
     if more:
-        known = robot.knowledge
-        if known:  # parameters that the robot no longer has are left out
-            known = known.without(set(known.std_errors) - set(robot.parameters.names))
-        text = "\n".join([text.rstrip("\n"), *text_of(robot, robot.effects, known, robot.remaining, known_alone), ""])
+        lines = text_of(robot, robot.effects, robot.knowledge, robot.remaining, known_alone, companion)
+        text = "\n".join([text.rstrip("\n"), *lines, ""])
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
+
+
+def _as_written(robot: Robot) -> Robot:
+    """Return the robot without the effects and covariances that a file has not.
+
+    These are sessions, and covariances of parameters that the robot no longer has.
+    """
+    if any(isinstance(e, Session) for e in robot.effects):
+        robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
+    known = robot.knowledge
+    gone = set(known.std_errors) - set(robot.parameters.names) if known else set[str]()
+    return replace(robot, knowledge=known.without(gone)) if known and gone else robot
 
 
 def _without_rounding_digits(key: str, value: Any) -> Any:

@@ -10,6 +10,7 @@ import unicodedata
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -313,10 +314,10 @@ class RobotFile(TomlTable):
             self.drive.refuse_other(len(self.joint))
         return self
 
-    def robot(self, own: Sequence[type[Effect]]) -> Robot:
+    def robot(self, own: Sequence[type[Effect]], folder: Path) -> Robot:
         """Return the robot that the file describes.
 
-        own : classes of effects in addition to the installed ones
+        own : classes of effects in addition to the installed ones; folder : of the file
         Raises InputError for values that do not fit each other.
         """
         joints = [row.joint() for row in self.joint]
@@ -349,7 +350,7 @@ class RobotFile(TomlTable):
             notes=tuple(self.notes),
         )
         names = robot.parameters.names
-        known = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors)
+        known = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors, folder)
         remaining = self.remaining.errors() if self.remaining else None
         if remaining:
             refuse_other(robot, remaining)

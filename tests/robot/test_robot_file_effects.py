@@ -12,12 +12,13 @@ import pytest
 from bench import FIRST, campaign, robot, with_columns
 
 from casadical import InputError, Robot, identify, read_robot, write_robot
+from casadical.core.files import write_together
 from casadical.diagnosis.candidates import extended_candidates
-from casadical.effects import Backlash, Effect, ThermalGrowth
+from casadical.effects import Backlash, Effect, JointErrorCurve, ThermalGrowth
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import text_of
 from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, blocks
-from casadical.robot.robot_file import robot_from, to_toml
+from casadical.robot.robot_file import robot_files, robot_from, to_toml
 
 # What reads distances or full poses has columns of its own, of where it measures to.
 OF_INSTRUMENTS = {
@@ -145,6 +146,35 @@ def test_large_covariances_are_kept_effect_by_effect() -> None:
     assert second.names == tuple(names[70:])
     small = blocks(names[:9], [n[0] for n in names[:9]], np.eye(9))
     assert [len(block.names) for block in small] == [9]
+
+
+def test_a_large_covariance_lies_in_a_file_beside_the_robot(tmp_path: Path) -> None:
+    """Predicted sigmas are those before, and a file without its companion, or with another one, is refused."""
+    curve = JointErrorCurve(orders=12)
+    names = tuple(p.name for p in curve.parameters())
+    A = np.random.default_rng(0).normal(size=(len(names), len(names) + 5))
+    C = 1e-9 * A @ A.T
+    known = replace(robot("ur10e").with_effect(curve), knowledge=Knowledge((Covariance(names, C),), "one", 9))
+    for known_alone in (False, True):
+        write_together(robot_files(tmp_path / "arm.robot.toml", known, known_alone=known_alone))
+        assert (tmp_path / "arm.robot.toml").stat().st_size < 40_000
+        (block,) = read_robot(tmp_path / "arm.robot.toml").knowledge.covariance
+        variances = np.einsum("ij,ij->i", A.T @ block.matrix, A.T), np.einsum("ij,ij->i", A.T @ C, A.T)
+        np.testing.assert_allclose(*map(np.sqrt, variances), rtol=1e-6)
+    companion = tmp_path / "arm.covariance.npz"
+    for content, said in (
+        (b"PK", "not a zip file"),
+        (None, "copy both together"),
+        ("one row", "another robot file"),
+    ):
+        companion.unlink()
+        if content == "one row":
+            np.savez(companion, **{names[0]: np.ones(1)})
+        elif content:
+            companion.write_bytes(content)
+        with pytest.raises(InputError, match=said):
+            read_robot(tmp_path / "arm.robot.toml")
+        companion.touch()
 
 
 @dataclass(frozen=True)

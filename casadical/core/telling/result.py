@@ -192,7 +192,7 @@ class Result(Shown):
         """Return the commands of `next` as they are typed, for the JSON file."""
         return [step.code for step in self.next]
 
-    def files(self, folder: str | Path) -> Mapping[Path, str]:
+    def files(self, folder: str | Path) -> Mapping[Path, str | bytes]:
         """Return the texts of the files that save the result in a folder, by their paths.
 
         They are the JSON file and the report as plain text; nothing is written.

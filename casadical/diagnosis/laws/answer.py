@@ -30,7 +30,7 @@ from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import to_toml
+from casadical.robot.robot_file import robot_files
 
 # Unit in reports, and factor from SI to it, by SI unit of a law's factor.
 REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
@@ -215,7 +215,7 @@ class Discovery(Result):
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
         }
 
-    def files(self, folder: str | Path, name: str = "") -> dict[Path, str]:
+    def files(self, folder: str | Path, name: str = "") -> dict[Path, str | bytes]:
         """Return the text of each file of `casadical diagnose --laws --out`, by path.
 
         They are robot, laws, JSON and report. folder : folder of the files; name : name of the
@@ -224,7 +224,7 @@ class Discovery(Result):
         refit, folder, name = self.refit(), Path(folder), name or self.case.m.source
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
         kinds = [type(e) for e in refit.robot.effects]
-        texts = {folder / "discovered.robot.toml": to_toml(refit.robot, comment, kinds, known_alone=True)}
+        texts = robot_files(folder / "discovered.robot.toml", refit.robot, comment, kinds, known_alone=True)
         if self.kept == "law":
             laws = tuple(s.law for s in self.laws)
             texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment, known_alone=True)

@@ -204,7 +204,7 @@ class Replay(Result):
         columns = ("joint", "kp", "F", "F / kp", "b", "rotor", "delay", "const")
         yield Table(title, columns, drives, frozenset(range(1, 8)))
 
-    def files(self, folder: str | Path) -> Mapping[Path, str]:
+    def files(self, folder: str | Path) -> Mapping[Path, str | bytes]:
         """Return the text of each file by path: plain data, report, and robot with its drives."""
         comment = "[drive]: response of the joints to their commands, by casadical diagnose"
         made = to_toml(self.response.robot(), comment)

@@ -99,7 +99,7 @@ def other_conventions(path: Path) -> list[Robot]:
     with suppress(InputError):
         if path.suffix == ".toml":
             other = {"modified": "standard", "standard": "modified"}[convention_of(path)]
-            return [robot_from({**load_toml(path), "convention": other}, path.name)]
+            return [robot_from({**load_toml(path), "convention": other}, path.name, folder=path.parent)]
     return []
 
 

@@ -218,7 +218,7 @@ def files_with_targets(folder: Path, names: Sequence[str], points: Array, rows: 
         return {path: tomlkit.dumps(problem)}
     document = tomlkit.parse(read_text(place))
     bare = {key: value for key, value in load_toml(place).items() if key != "tool"}
-    document["tool"] = _tools(names, points, robot_from(bare, place.name).tool.T, unknown)
+    document["tool"] = _tools(names, points, robot_from(bare, place.name, folder=place.parent).tool.T, unknown)
     return {path: tomlkit.dumps(problem), place: tomlkit.dumps(document)}
 
 
