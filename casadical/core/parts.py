@@ -93,10 +93,10 @@ def possible_inertia(moments: Array) -> bool:
 
 @dataclass(frozen=True)
 class Coupling:
-    """The reading of a joint without encoder: at + sum of factor * reading of other joints.
+    """A value made of joint readings: at + sum of factor * reading.
 
-    follows : (number of a joint, from 1, factor of its reading) for each joint that it follows;
-        empty for a locked joint
+    follows : (number of a joint, from 1, factor of its reading) for each reading; empty for a
+        locked joint
     at : constant term [rad or m]
     """
 
@@ -123,6 +123,8 @@ class Joint:
     name : name that tables of measurements may give its readings
     leader : joint outside of the chain that drives it, in a URDF: its name, its kind, the factor of
         its reading and the offset [rad or m]; None: the joint moves by itself
+    readings : how the row's variable follows from the controller's readings, where the controller
+        counts otherwise than the row; None: it is its own reading
 
     Examples
     --------
@@ -145,6 +147,7 @@ class Joint:
     coupling: Coupling | None = None
     name: str = ""
     leader: tuple[str, str, float, float] | None = None
+    readings: Coupling | None = None
 
 
 def refuse_joint(robot: str, i: int, joint: Joint) -> None:
@@ -353,6 +356,11 @@ class Arm:
                     own = [str(k) for k, j in enumerate(self.joints, 1) if not j.coupling and k != i]
                     allowed = f"{', '.join(own)}, which are not coupled"
                     raise InputError(f"joint[{i}].follows: joint {other}; allowed: {allowed}")
+            for other, _ in joint.readings.follows if joint.readings else ():
+                if other not in self.numbers:
+                    raise InputError(f"joint[{i}].readings: joint {other}; allowed: 1 to {self.n}")
+        if self.counts_otherwise and abs(np.linalg.det(self.reading_map[0])) < 1e-9:
+            raise InputError("joint.readings: several positions of the arm have the same readings; each needs its own")
         for k, loop in enumerate(self.loops, 1):
             _refuse_unbuildable(self, k, loop)
         if self.drive:
@@ -403,6 +411,55 @@ class Arm:
             if joint.coupling is not None:
                 made[:, i] = joint.coupling.at + sum(k * made[:, j - 1] for j, k in joint.coupling.follows)
         return made
+
+    @property
+    def counts_otherwise(self) -> bool:
+        """Return whether the controller's readings differ from the variables of the rows."""
+        return any(joint.readings is not None for joint in self.joints)
+
+    @cached_property
+    def reading_map(self) -> tuple[Array, Array]:
+        """Return A, shape (n, n), and b, shape (n,): the rows' variables are A readings + b."""
+        A, b = np.eye(self.n), np.zeros(self.n)
+        for i, joint in enumerate(self.joints):
+            if joint.readings is not None:
+                A[i], b[i] = 0.0, joint.readings.at
+                for j, k in joint.readings.follows:
+                    A[i, j - 1] += k
+        return A, b
+
+    def variables_of(self, readings: Array) -> Array:
+        """Return the rows' variables of the controller's readings, shape (poses, n) [rad or m]."""
+        A, b = self.reading_map
+        return readings @ A.T + b if self.counts_otherwise else readings
+
+    def readings_of(self, variables: Array) -> Array:
+        """Return the controller's readings of the rows' variables, shape (poses, n) [rad or m]."""
+        A, b = self.reading_map
+        return np.linalg.solve(A, (variables - b).T).T if self.counts_otherwise else variables
+
+    @property
+    def reading_limits(self) -> tuple[Array, Array]:
+        """Return the least and greatest reading of each joint within the limits, each (n,)."""
+        lower, upper = self.limits
+        if not self.counts_otherwise:
+            return lower, upper
+        centre, half = self.readings_of(np.array([(lower + upper) / 2]))[0], (upper - lower) / 2
+        reach = np.abs(np.linalg.inv(self.reading_map[0])) @ half
+        return centre - reach, centre + reach
+
+    @property
+    def readings_in_words(self) -> str:
+        """Return how the rows' variables q follow from the controller's readings J; "" if alike."""
+        made = []
+        for i, (joint, row) in enumerate(zip(self.joints, self.reading_map[0], strict=True), 1):
+            if joint.readings is not None:
+                factor, unit = (180 / np.pi, "deg") if joint.kind == "revolute" else (1e3, "mm")
+                signs = {1.0: "+", -1.0: "-"}
+                terms = [f"{signs.get(k, f'{k:+g} ')}J{j}" for j, k in enumerate(row, 1) if k]
+                terms += [f"{factor * joint.readings.at:+.6g} {unit}"] if joint.readings.at else []
+                made.append(f"q{i} = {' '.join(terms)}")
+        return ", ".join(made)
 
     def near(self, joint: int) -> tuple[int, ...]:
         """Return the numbers, from 1, of up to two joints before a joint and two after it."""

@@ -262,7 +262,7 @@ def table_of(
     """
     rows = drawn.m[np.array(picked, dtype=np.int64)]
     table = pd.DataFrame({"order": np.arange(1, len(picked) + 1)})
-    for (name, unit), q in zip(case.robot.reading_units.items(), rows.q.T, strict=True):
+    for (name, unit), q in zip(case.robot.reading_units.items(), case.robot.readings_of(rows.q).T, strict=True):
         table[name] = np.round(q / unit, 4)
     needed = {c for e in effects for c in e.conditions}
     if "payload_kg" in rows.conditions:
@@ -359,7 +359,7 @@ def _idle(case: Case, poses: pd.DataFrame) -> list[str]:
     A joint is without load below 15 % of its peak gravity torque; before is in the campaign.
     """
     units = case.given.reading_units
-    q = poses[[*units]].to_numpy() * [*units.values()]
+    q = case.given.variables_of(poses[[*units]].to_numpy() * [*units.values()])
     new = unmeasured(q, {"payload_kg": poses["payload_kg"].to_numpy()} if "payload_kg" in poses else {})
     # A joint is without load below this fraction of its peak gravity torque.
     idle, usual = ((np.abs(case.torques(m)) < 0.15 * case.given.torque_scale).mean(axis=0) for m in (new, case.m))

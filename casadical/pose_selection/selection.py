@@ -277,9 +277,9 @@ class Selection(DesignProblem, Shown):
 
 
 def readings_table(robot: Robot, q: Array) -> pd.DataFrame:
-    """Return readings as a table with columns q1_deg, q2_mm, ..., rounded to 1e-6 deg or mm.
+    """Return the controller's readings as a table, q1_deg, q2_mm, ..., rounded to 1e-6 deg or mm.
 
-    q : shape (n, joints) [rad or m]
+    q : variables of the rows, shape (n, joints) [rad or m]
     """
     columns = robot.reading_units
-    return pd.DataFrame(np.round(q / list(columns.values()), 6), columns=list(columns))
+    return pd.DataFrame(np.round(robot.readings_of(q) / list(columns.values()), 6), columns=list(columns))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -32,7 +33,7 @@ from casadical.measurements.measurements import SETS
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
-from casadical.robot.robot_schema import ToolTable
+from casadical.robot.robot_schema import ReadingsTable, RobotTables, ToolTable
 
 # Name of a method that identifies the robot, without networks.
 BaseMethod = Literal["KM", "SKCM"]
@@ -212,18 +213,29 @@ class SessionsTable(_Strict):
         return Sessions(self.base, self.tool, self.zeros)
 
 
-class UrdfTable(_Strict):
-    """[urdf] of problem.toml: which part of a URDF is the robot.
+class UrdfTable(RobotTables):
+    """[urdf] of problem.toml: which part of a URDF is the robot, and what a URDF cannot say of it.
 
     base_link, tip_link : ends of the chain; None: the only ones there are
     compliant : numbers of the joints whose compliance is identified
     tool : measured points in the tip link's frame, where there are several
+    joint : joints by name whose angle differs from the controller's reading
     """
 
     base_link: str | None = None
     tip_link: str | None = None
-    compliant: list[int] = []
-    tool: list[ToolTable] = []
+    compliant: list[int] = Field(default=[])
+    tool: list[ToolTable] = Field(default=[])
+    joint: list[ReadingsTable] = Field(default=[])
+
+    def added_to(self, robot: Robot) -> Robot:
+        """Return the URDF's robot with tools and all that these tables declare."""
+        robot, names = super().added_to(robot), [j.name for j in robot.joints]
+        if unknown := [j.name for j in self.joint if j.name not in names]:
+            raise InputError(f"problem.toml: urdf.joint: name {unknown[0]!r}; allowed: {', '.join(names)}")
+        made = {j.name: j.made_of() for j in self.joint}
+        joints = tuple(replace(j, readings=made.get(j.name, j.readings)) for j in robot.joints)
+        return with_tools(replace(robot, joints=joints), self.tool) if self.tool else replace(robot, joints=joints)
 
 
 def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
@@ -235,8 +247,7 @@ def robot_of_file(path: Path, urdf: UrdfTable) -> Robot:
     if path.suffix == ".urdf":
         from casadical.robot.urdf import read_urdf
 
-        robot = read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant)
-        return with_tools(robot, urdf.tool) if urdf.tool else robot
+        return urdf.added_to(read_urdf(path, urdf.base_link, urdf.tip_link, compliant=urdf.compliant))
     return read_robot(path)
 
 

@@ -383,13 +383,14 @@ def unmeasured(sets: Mapping[str, Sequence[Measurements]], robot: Robot) -> list
 
 
 def with_coupled(columns: Columns, robot: Robot) -> Columns:
-    """Return the table with readings of coupled and locked joints added, by the robot file.
+    """Return the table with the variables of the robot file's rows in place of readings.
 
-    Added columns are in rad or m. Raises InputError where a logged reading contradicts the robot
-    file.
+    Readings of coupled and locked joints are added. Where the controller counts otherwise than the
+    rows (`readings` of the robot file), its readings are converted. Such columns are in rad or m.
+    Raises InputError where a logged reading contradicts the robot file.
     """
     coupled = [i for i, joint in enumerate(robot.joints, 1) if joint.coupling is not None]
-    if not coupled:
+    if not coupled and not robot.counts_otherwise:
         return columns
     read: dict[int, Array] = {}
     for i, joint in enumerate(robot.joints, 1):
@@ -409,6 +410,10 @@ def with_coupled(columns: Columns, robot: Robot) -> Columns:
         # computes [rad or m]; it is well above the resolution of a reading.
         if off.max() > 2e-3:
             _refuse_coupled_reading(columns, robot, i, int(np.argmax(off)), q, made)
+    if robot.counts_otherwise and {*read, *coupled} == {*robot.numbers}:
+        table = table.drop(columns=[c for c in table if re.fullmatch(r"q\d+_(deg|rad|mm|m)", str(c))])
+        names = [f"q{i}_{unit}" for i, unit in enumerate(robot.units, 1)]
+        table = table.assign(**dict(zip(names, robot.variables_of(made).T, strict=True)))
     return replace(columns, table=table)
 
 

@@ -12,7 +12,7 @@ import tomlkit
 from casadical import __version__
 from casadical.core.basics import InputError, errors_of, shown
 from casadical.core.files import write_together
-from casadical.core.parts import WIDTHS, Body, BodyWidth, Joint, Placement, Target
+from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.core.statistics import known_digits
@@ -253,6 +253,8 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     if joint.coupling is not None:
         table["follows"] = [[j, float(k)] for j, k in joint.coupling.follows]
         table[f"at_{unit}"] = to_unit(joint.coupling.at)
+    if joint.readings is not None:
+        table |= readings_table(joint.readings, joint.kind)
     if joint.compliance is not None:
         table["compliant"] = True
         if joint.compliance > 0:
@@ -261,6 +263,13 @@ def _joint_table(joint: Joint) -> dict[str, Any]:
     if joint.body:
         table["body"] = _body_table(joint.body)
     return table
+
+
+def readings_table(readings: Coupling, kind: str) -> dict[str, Any]:
+    """Return the keys of a file by which a row's variable follows from the controller's readings."""
+    unit, to_unit = ("mm", _mm) if kind == "prismatic" else ("deg", _deg)
+    offset = {f"offset_{unit}": to_unit(readings.at)} if readings.at else {}
+    return {"readings": [[j, float(k)] for j, k in readings.follows], **offset}
 
 
 def _width_tables(robot: Robot) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
@@ -92,7 +92,46 @@ def _moments(six: list[float]) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-class _Joint(TomlTable):
+class ReadingsTable(TomlTable):
+    """How the variable of a joint's row follows from the controller's readings.
+
+    name : of the joint
+    """
+
+    readings: list[tuple[int, float]] = Field(default=[])
+    offset: Annotated[float, READING] = 0.0
+    name: str = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _pairs(cls, data: Any) -> Any:
+        """Convert arrays [joint, factor] of `follows` and `readings` to tuples, factors to floats."""
+
+        def pair(given: Any) -> Any:
+            """Return the tuple (joint, factor) for an array of two, or anything else unchanged."""
+            if not isinstance(given, list) or len(given) != 2:
+                return given
+            joint, factor = given
+            return (joint, float(factor) if type(factor) is int else factor)
+
+        if not isinstance(data, dict):
+            return data
+        listed = {key: data[key] for key in ("follows", "readings") if isinstance(data.get(key), list)}
+        return {**data, **{key: [pair(given) for given in pairs] for key, pairs in listed.items()}}
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        """Refuse an offset that is added to nothing."""
+        if self.offset and not self.readings:
+            raise FaultError("offset", "belongs to `readings`, of which the row's variable is made; give both")
+        return self
+
+    def made_of(self) -> parts.Coupling | None:
+        """Return how the row's variable follows from the readings; None: it is its own reading."""
+        return parts.Coupling(tuple(self.readings), self.offset) if self.readings else None
+
+
+class _Joint(ReadingsTable):
     """A joint with its row in a file."""
 
     alpha: Angle = 0.0
@@ -109,22 +148,6 @@ class _Joint(TomlTable):
     body: _Body | None = None
     follows: list[tuple[int, float]] = Field(default=[])
     at: Annotated[float | None, READING] = None
-    name: str = ""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _pairs(cls, data: Any) -> Any:
-        """Convert the arrays [joint, factor] of `follows` to tuples, with factors as floats."""
-
-        def pair(given: Any) -> Any:
-            """Return the tuple (joint, factor) for an array of two, or anything else unchanged."""
-            if not isinstance(given, list) or len(given) != 2:
-                return given
-            joint, factor = given
-            return (joint, float(factor) if type(factor) is int else factor)
-
-        listed = data.get("follows") if isinstance(data, dict) else None
-        return {**data, "follows": [pair(given) for given in listed]} if isinstance(listed, list) else data
 
     @model_validator(mode="before")
     @classmethod
@@ -173,6 +196,7 @@ class _Joint(TomlTable):
             self.body.body() if self.body else None,
             parts.Coupling(tuple(self.follows), self.at or 0.0) if self.follows or self.at is not None else None,
             self.name,
+            readings=self.made_of(),
         )
 
 
@@ -253,8 +277,37 @@ class _Widths(TomlTable):
         given = {group: getattr(self, group).model_dump(exclude_none=True) for group in parts.WIDTHS}
         return {group: replace(default, **given[group]) for group, default in parts.WIDTHS.items()}
 
+    def bodies(self) -> parts.BodyWidth:
+        """Return the prior widths of masses and mass centres."""
+        return parts.BodyWidth(self.body.mass_share, self.body.com)
 
-class RobotFile(TomlTable):
+
+class RobotTables(TomlTable):
+    """What a robot file says of any robot, and problem.toml of a URDF, which has no place for it."""
+
+    masses: Literal["declared", "estimated"] = "declared"
+    gravity: _Gravity = _Gravity()
+    payload: _Body | None = None
+    drive: Drive | None = None
+    width: _Widths = _Widths()
+
+    def added_to(self, robot: Robot) -> Robot:
+        """Return a robot with what the tables declare, in the frames of its base and tool."""
+        given, R = self.model_fields_set, robot.base.T[:3, :3]
+        made: dict[str, Any] = {name: getattr(self, name) for name in ("masses", "drive") if name in given}
+        if "gravity" in given:
+            own, frame = robot.gravity, self.gravity.frame
+            if "vector_m_per_s2" in self.gravity.model_fields_set:
+                own = R.T @ np.array(self.gravity.vector_m_per_s2)
+            made |= {"gravity": R @ own if frame == "measuring" else own, "gravity_frame": frame}
+        if self.payload is not None:
+            made["payload"] = self.payload.body().moved(robot.tool.T)
+        if "width" in given:
+            made |= {"widths": self.width.widths(), "body_width": self.width.bodies()}
+        return replace(robot, **made)
+
+
+class RobotFile(RobotTables):
     """The schema of a robot file."""
 
     casadical: Annotated[Literal[1, 2], WHOLE_NUMBER]
@@ -262,17 +315,12 @@ class RobotFile(TomlTable):
     name: str = Field(min_length=1)
     convention: Literal["modified", "standard"] = "modified"
     notes: list[str] = Field(default=[])
-    masses: Literal["declared", "estimated"] = "declared"
     base: _Frame = _Frame()
     tool: _Frame = _Frame()
     tool_name: Spelt = ""
     further_tool: list[ToolTable] = Field(default=[], max_length=MAX_ITEMS)
-    gravity: _Gravity = _Gravity()
-    payload: _Body | None = None
     joint: list[_Joint] = Field(min_length=1, max_length=MAX_JOINTS)
     four_bar: list[_FourBar] = Field(default=[], max_length=MAX_JOINTS)
-    drive: Drive | None = None
-    width: _Widths = _Widths()
     definition: list[Definition] = Field(default=[], max_length=MAX_ITEMS)
     effect: list[effect_tables.EffectTable] = Field(default=[], max_length=MAX_ITEMS)
     learnt: effect_tables.LearntTable = effect_tables.LearntTable()
@@ -340,7 +388,7 @@ class RobotFile(TomlTable):
             gravity_frame=self.gravity.frame,
             payload=payload,
             widths=self.width.widths(),
-            body_width=parts.BodyWidth(self.width.body.mass_share, self.width.body.com),
+            body_width=self.width.bodies(),
             tool_name=self.tool_name,
             targets=tuple(parts.Target(f.name, point) for f, point in zip(self.further_tool, points, strict=True)),
             masses=self.masses,

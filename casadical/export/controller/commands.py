@@ -149,6 +149,8 @@ def _command_in_words(sources: Sources, limits: Limits, robot: Robot) -> list[st
     mass = "as declared" if sources.payload_kg is None else f"{sources.payload_kg:g} kg"
     lines = [f"LEFT OUT {line}" for line in followed(sources)[1]]
     lines.append("readings within the joint limits of the robot file are corrected, others are CLAMPED")
+    if robot.counts_otherwise:
+        lines.append(f"joints in and out are the controller's readings J; of the robot file {robot.readings_in_words}")
     lines += measured_range(robot)
     if robot.gravity_frame == "logged":
         lines.append("LEFT OUT the tilt of the base: gravity is as the robot file declares it, the base level")
@@ -189,9 +191,13 @@ def command_of(sources: Sources, steps: int = 2, *, orientation: bool = False) -
     freedom = freedom_of(nominal)
     orientation = orientation and freedom[1] > 0
     network = _network(sources, real.n)
-    lower, upper = real.limits
+    box = real
     if network is not None:
-        lower, upper = np.maximum(lower, network.lower), np.minimum(upper, network.upper)
+        ends = zip(np.maximum(real.limits[0], network.lower), np.minimum(real.limits[1], network.upper), strict=True)
+        box = replace(
+            real, joints=tuple(replace(j, lower=a, upper=b) for j, (a, b) in zip(real.joints, ends, strict=True))
+        )
+    lower, upper = box.reading_limits
     command = Command(
         nominal=functions.tool_function(nominal, "nominal", orientation),
         calibrated=functions.tool_function(real, "calibrated", orientation, turn, network),
@@ -227,6 +233,9 @@ def own_robots(sources: Sources) -> tuple[Robot, Robot, Array]:
     real, _ = followed(sources)
     nominal = robot_of(sources.nominal).with_only(()).rigid
     _refuse_other_robot(real, nominal, sources)
+    if not nominal.counts_otherwise:  # how the controller counts is no error of the robot
+        counted = zip(nominal.joints, real.joints, strict=True)
+        nominal = replace(nominal, joints=tuple(replace(j, readings=own.readings) for j, own in counted))
     if sources.tool == "shared":
         nominal = replace(nominal, tool=real.tool)
     real, turn = in_own_frame(real, nominal)
@@ -267,8 +276,11 @@ def curves_of(sources: Sources) -> CurveFunction:
             "them into a robot file"
         )
     q = ca.SX.sym("q", robot.n)
-    lower, upper = robot.limits
-    return CurveFunction(ca.Function("curves", [q], [curves(q)], ["q"], ["dq"]), lower, upper, robot.units)
+    lower, upper = robot.reading_limits
+    dq = curves(functions.variables_of(robot, q))
+    if robot.counts_otherwise:
+        dq = ca.sparsify(ca.DM(np.linalg.inv(robot.reading_map[0]))) @ dq
+    return CurveFunction(ca.Function("curves", [q], [dq], ["q"], ["dq"]), lower, upper, robot.units)
 
 
 def in_own_frame(robot: Robot, nominal: Robot) -> tuple[Robot, Array]:
@@ -298,6 +310,9 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
     It is empty if they are unknown.
     """
     ranges = robot.knowledge.readings if robot.knowledge else np.zeros((0, 2))
+    if len(ranges):
+        learnt = (replace(j, lower=a, upper=b) for j, (a, b) in zip(robot.joints, ranges, strict=True))
+        ranges = np.column_stack(replace(robot, joints=tuple(learnt), loops=()).reading_limits)
     factors = [(1e3, "mm") if unit == "m" else (180 / np.pi, "deg") for unit in robot.units]
     spans = [
         f"{i}: {low * factor:.3g} to {high * factor:.3g} {unit}"

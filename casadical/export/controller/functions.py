@@ -66,6 +66,12 @@ def without_curves(robot: Robot) -> Robot:
     return robot.with_only(e for e in robot.effects if not isinstance(e, JointErrorCurve))
 
 
+def variables_of(robot: Robot, q: ca.SX) -> ca.SX:
+    """Return the variables of the rows, shape (n,), at the controller's readings q[n] [rad or m]."""
+    A, b = robot.reading_map
+    return ca.SX(ca.sparsify(ca.DM(A)) @ q + ca.sparsify(ca.DM(b))) if robot.counts_otherwise else q
+
+
 def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
     """Return symbolic position p[3] [m] and orientation R[3x3] of the tool at readings q[n].
 
@@ -73,7 +79,7 @@ def pose_of(robot: Robot, q: ca.SX) -> list[ca.SX]:
     base is the identity. Error curves are a function call, see `joint_curves`.
     """
     curves = joint_curves(robot)
-    values = robot.parameters.values
+    values, q = robot.parameters.values, variables_of(robot, q)
     if curves is None:
         return list(robot.pose.call([q, ca.DM(values)]))
     given = GivenAngles(None, robot.n)
@@ -99,7 +105,8 @@ def tool_function(
     q = ca.SX.sym("q", robot.n)
     p, R = pose_of(robot, q)
     if network is not None:
-        p = p + 1e-3 * ca.mtimes(ca.DM(np.eye(3) if turn is None else turn), network.function(q))
+        seen = network.function(variables_of(robot, q))
+        p = p + 1e-3 * ca.mtimes(ca.DM(np.eye(3) if turn is None else turn), seen)
     return ca.Function(name, [q], [p, R] if orientation else [p], ["q"], ["p", "R"] if orientation else ["p"])
 
 
@@ -110,4 +117,7 @@ def deflected_function(robot: Robot) -> ca.Function:
     """
     q = ca.SX.sym("q", robot.n)
     soft = ca.DM([j.compliance or 0.0 for j in robot.joints])
-    return ca.Function("bent", [q], [q + soft * robot.torque(q, ca.DM(robot.parameters.values))], ["q"], ["bent"])
+    bent = soft * robot.torque(variables_of(robot, q), ca.DM(robot.parameters.values))
+    if robot.counts_otherwise:
+        bent = ca.sparsify(ca.DM(np.linalg.inv(robot.reading_map[0]))) @ bent
+    return ca.Function("bent", [q], [q + bent], ["q"], ["bent"])

@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.export.c.chord import ORIENTATION_LENGTH_M, residual
-from casadical.export.controller.functions import pose_of
+from casadical.export.controller.functions import pose_of, variables_of
 from casadical.export.controller.programs.target import Posture
 from casadical.robot.inverse_kinematics import solve_joints
 from casadical.robot.kinematics import link_frames
@@ -79,7 +79,7 @@ def inverse_kinematics(robot: Robot, p: Array, R: Array | None, start: Array) ->
         raise InputError(
             f"inverse kinematics: p {p.shape}, R {None if R is None else np.shape(R)}; expected (k, 3) and (k, 3, 3)"
         )
-    return Newton(pose_function(robot), R is not None).solved(p, R, start, robot.limits)
+    return Newton(pose_function(robot), R is not None).solved(p, R, start, robot.reading_limits)
 
 
 def pose_function(robot: Robot) -> ca.Function:
@@ -94,7 +94,7 @@ def freedom_of(robot: Robot) -> tuple[int, int]:
     The rotations are those at a constant position; most robots have (3, 3). A direction counts if,
     somewhere in the joint limits, its singular value exceeds `SINGULAR_BELOW_M_PER_RAD`.
     """
-    poses = np.random.default_rng(0).uniform(*robot.limits, (50, robot.n))
+    poses = np.random.default_rng(0).uniform(*robot.reading_limits, (50, robot.n))
     J = np.nan_to_num(Newton(pose_function(robot)).evaluated(poses, np.zeros((len(poses), 12)))[1])
     greatest = (np.linalg.svd(part, compute_uv=False).max(axis=0) for part in (J[:, :3], J))
     moved, both = (int((values > SINGULAR_BELOW_M_PER_RAD).sum()) for values in greatest)
@@ -230,11 +230,13 @@ class Postures:
         """
         q = ca.SX.sym("q", 6)
         values = {p.name: ca.SX(p.value) for p in self.nominal.parameters}
-        frames = link_frames(self.nominal, list(ca.vertsplit(q)), values)
+        variables = variables_of(self.nominal, q)
+        frames = link_frames(self.nominal, list(ca.vertsplit(variables)), values)
         points, axes = [T[:3, 3] for T in frames], [T[:3, 2] for T in frames]
         wrist = points[4] + _nearest(points[4], axes[4], points[3], axes[3]) * axes[4]
         miss = ca.norm_2(ca.cross(axes[3], wrist - points[3])) + ca.norm_2(ca.cross(axes[5], wrist - points[5]))
-        forward = about_axis(axes[0], q[0], ca.DM(self.root[:3, 0]))
+        turned = variables[0] - float(self.nominal.variables_of(np.zeros((1, 6)))[0, 0])
+        forward = about_axis(axes[0], turned, ca.DM(self.root[:3, 0]))
         upper = _perpendicular_part(points[2] - points[1], axes[1])
         lower = _perpendicular_part(wrist - points[2], axes[2])
         bend = ca.dot(ca.cross(upper, lower), ca.cross(ca.DM(self.root[:3, 2]), forward))
@@ -247,7 +249,7 @@ class Postures:
 
         The turn is centred at zero or at the limit nearest to zero.
         """
-        lower, upper = self.nominal.limits
+        lower, upper = self.nominal.reading_limits
         middle = np.clip(0.0, lower, upper)
         half = np.where(self._turns, np.pi, np.inf)
         return np.maximum(lower, middle - half), np.minimum(upper, middle + half)
@@ -333,7 +335,7 @@ class Postures:
 
         arms : solutions, shape (k, n) [rad or m]; near : shape (n,) [rad or m]
         """
-        lower, upper = self.nominal.limits
+        lower, upper = self.nominal.reading_limits
         max_turns, min_turns = (
             np.floor((upper - arms + 1e-9) / _FULL_TURN_RAD),
             np.ceil((lower - arms - 1e-9) / _FULL_TURN_RAD),
@@ -349,7 +351,7 @@ class Postures:
         q : shape (n,) [rad]; turns, wanted : as of `solutions`
         """
         choices = []
-        for angle, low, high in zip(q, *self.nominal.limits, strict=True):
+        for angle, low, high in zip(q, *self.nominal.reading_limits, strict=True):
             first = angle - _FULL_TURN_RAD * np.floor((angle - low + 1e-9) / _FULL_TURN_RAD)
             choices.append(np.arange(first, high + 1e-9, _FULL_TURN_RAD))
 

@@ -155,8 +155,8 @@ def _test_table(robot: Robot, q: Array, command: Array) -> pd.DataFrame:
     rows += [("drift", 1, c, 0, g) for g in range(49) for c in range(1, 11)]
     table = pd.DataFrame(rows, columns=["test", "pose", "cycle", "path", "group"])
     at = table["pose"].to_numpy() - 1
-    for j, (key, factor) in enumerate(robot.reading_units.items()):
-        table[key] = (q[at, j] / factor).round(5)
+    for (key, factor), own in zip(robot.reading_units.items(), robot.readings_of(q[at]).T, strict=True):
+        table[key] = (own / factor).round(5)
     for i, axis in enumerate("xyz"):
         table[f"c{axis}_mm"] = (1e3 * command[at, i]).round(4)
     for axis in "xyz":
@@ -325,7 +325,7 @@ def _model_error(
     """
     if any(key not in columns.table for key in robot.reading_units):
         return None
-    q = columns.joints([j.kind for j in robot.joints])[own]
+    q = robot.variables_of(columns.joints([j.kind for j in robot.joints])[own])
     p = expected(robot, q, {}, "position").position
     assert p is not None
     pose = columns.column("pose")[own]

@@ -12,6 +12,7 @@ import tomlkit
 
 from casadical.core.basics import Array, InputError
 from casadical.core.files import write_together
+from casadical.core.parts import Coupling
 from casadical.core.reading import load_toml, read_text
 from casadical.measurements.columns import ORIENTATION, Source
 from casadical.measurements.raw_table import read_table
@@ -22,15 +23,17 @@ from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import as_toml
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import robot_from
+from casadical.robot.robot_file import readings_table, robot_from
 from casadical.robot.urdf import read_urdf
 
 
 def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
-    """Return path -> text of problem.toml and, for wrong rows or lengths, of the robot file.
+    """Return path -> text of problem.toml and of the robot file with the slips of a fit undone.
 
-    They have the slips of a fit undone, of the first table alone; unchanged files are not
-    included. Raises InputError where the repair cannot be written.
+    How the controller counts its joints (signs, zeros, couplings), rows and lengths belong to the
+    robot file, of a URDF to [urdf] of problem.toml; columns and units to the first table of
+    problem.toml. Unchanged files are not included. Raises InputError where the repair cannot be
+    written.
     """
     path = folder / "problem.toml"
     problem = tomlkit.parse(read_text(path))
@@ -52,11 +55,44 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
             made[ours] = as_toml(source)
         table["columns"] = made
         texts[path] = tomlkit.dumps(problem)
-    other = other_lengths(fit, robot)
-    if fit.hypothesis.rows or fit.hypothesis.lengths or other:
-        place = folder / str(problem.get("robot", "robot.toml"))
-        texts[place] = _repaired_robot(place, fit, other or 1.0)
+    other, counted = other_lengths(fit, robot), _counted(fit, robot)
+    place = folder / str(problem.get("robot", "robot.toml"))
+    if counted and place.suffix == ".urdf":
+        urdf: Any = problem.setdefault("urdf", tomlkit.table())
+        listed = {str(joint["name"]): dict(joint) for joint in urdf.get("joint", [])}
+        urdf["joint"] = tomlkit.aot()
+        for name, entry in (listed | {str(robot.joints[i].name): entry for i, entry in counted.items()}).items():
+            urdf["joint"].append(tomlkit.item({"name": name, **entry}))
+        texts[path] = tomlkit.dumps(problem)
+    if fit.hypothesis.rows or fit.hypothesis.lengths or other or (counted and place.suffix != ".urdf"):
+        texts[place] = _repaired_robot(place, fit, other or 1.0, counted)
     return texts
+
+
+def _counted(fit: Fit, robot: Robot) -> dict[int, dict[str, Any]]:
+    """Return index of a joint -> keys that say how its row follows from the controller's readings.
+
+    Only joints are listed for which the fit changes that. Raises InputError where the robot file
+    has such keys, and columns are in another unit or swapped.
+    """
+    h, n = fit.hypothesis, robot.n
+    table = h._replace(sign=(1,) * n, zero=(0.0,) * n, add=(0,) * n)
+    if robot.counts_otherwise and table.source + table.factor != tuple(range(n)) + (1.0,) * n:
+        raise InputError(
+            f"{robot.name}: its file says how the controller counts (readings), and columns are swapped or in another "
+            "unit; correct the columns in problem.toml by hand"
+        )
+    # A reading of zero on all joints, and of one on each, tell the linear map of the fit.
+    whole = h._replace(source=tuple(range(n)), factor=(1.0,) * n)
+    b = whole.readings(np.zeros((1, n)))[0]
+    A = whole.readings(np.eye(n)).T - b[:, None]
+    A, b = A @ robot.reading_map[0], A @ robot.reading_map[1] + b
+    made = {}
+    for i in range(n):
+        if not np.array_equal(A[i], robot.reading_map[0][i]) or b[i] != robot.reading_map[1][i]:
+            factors = tuple((int(j) + 1, float(A[i, j])) for j in np.flatnonzero(A[i]))
+            made[i] = readings_table(Coupling(factors, _round(b[i])), robot.joints[i].kind)
+    return made
 
 
 def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
@@ -71,23 +107,12 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
     columns: dict[str, Source] = {}
     for i, name in enumerate(names):
-
-        def own(j: int, i: int = i) -> Source:
-            """Return the source of joint j's own reading, in the unit of joint i."""
-            source, factor = (
-                _without_sum(known[names[h.source[j]]]),
-                h.sign[j] * h.factor[j] * unit[h.source[j]] / unit[i],
-            )
-            return Source(
-                source.name, factor * source.times, factor * source.plus + h.zero[j] / unit[i], {}, source.rows
-            )
-
-        made, add = own(i), {}
-        if h.add[i]:
-            other = own(i - 1)
-            add[other.name] = h.add[i] * other.times
-            made = replace(made, plus=made.plus + h.add[i] * other.plus)
-        columns[name] = Source(made.name, _round(made.times), _round(made.plus), add, made.rows + h.shift)
+        made = source = known[names[h.source[i]]]
+        factor = h.factor[i] * unit[h.source[i]] / unit[i]
+        if factor != 1.0:
+            source = _without_sum(source)
+            made = Source(source.name, _round(factor * source.times), _round(factor * source.plus), {}, source.rows)
+        columns[name] = replace(made, rows=made.rows + h.shift)
     scales = (1.0, 1.0, 1.0) if other_lengths(fit, robot) else fit.scale
     for c, scale in zip("xyz", scales, strict=True):
         if scale == 1.0 and not (c == "y" and fit.mirrored):
@@ -122,10 +147,11 @@ def _without_sum(source: Source) -> Source:
     return source
 
 
-def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
-    """Return the text of a robot file with convention, link lengths or unit of a fit repaired.
+def _repaired_robot(path: Path, fit: Fit, times: float, counted: Mapping[int, Mapping[str, Any]]) -> str:
+    """Return the text of a robot file with readings, convention, lengths or unit of a fit repaired.
 
     times : factor on all lengths, 1 where their unit is right
+    counted : index of a joint -> its keys of readings
     Raises InputError for a file that is no TOML.
     """
     if path.suffix != ".toml":
@@ -136,6 +162,11 @@ def _repaired_robot(path: Path, fit: Fit, times: float) -> str:
         convention = {"modified": "standard", "standard": "modified"}[convention]
         document["convention"] = convention
     rows: Any = document["joint"]
+    for i, entry in counted.items():
+        for key in [k for k in rows[i] if re.fullmatch(r"readings|offset_\w+", k)]:
+            del rows[i][key]
+        if entry != {"readings": [[i + 1, 1.0]]}:
+            rows[i].update(entry)
     for name, i, departure in fit.hypothesis.lengths:
         # Standard rows have the a of the next modified row.
         row = rows[i - 1 if convention == "standard" and name == "a" else i]

@@ -535,8 +535,9 @@ class LiveSession:
         }
 
     def _joints(self, q: Array) -> list[float]:
-        """Return joints q [rad or m] as rounded numbers in the units of their columns' names."""
-        return [round(float(v), 4) for v in q / list(self.robot.reading_units.values())]
+        """Return the controller's readings at q [rad or m], rounded, in the units of their columns."""
+        readings = self.robot.readings_of(np.asarray(q)[None])[0]
+        return [round(float(v), 4) for v in readings / list(self.robot.reading_units.values())]
 
     def _next_json(self) -> dict[str, Any]:
         """Return the planned poses for the page: poses, program, to_go and words.

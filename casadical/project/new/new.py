@@ -70,7 +70,8 @@ def reading_cells(robot: Robot, q: Array, position: Array) -> list[str]:
     q : joint readings, shape (joints,) [rad or m], written in the units of their names
     position : shape (3,) [m], written in mm
     """
-    return [*(f"{v:.6f}" for v in q / list(robot.reading_units.values())), *(f"{v:.4f}" for v in 1e3 * position)]
+    readings = robot.readings_of(q[None])[0] / list(robot.reading_units.values())
+    return [*(f"{v:.6f}" for v in readings), *(f"{v:.4f}" for v in 1e3 * position)]
 
 
 def as_built(robot: Robot, rng: np.random.Generator) -> Robot:

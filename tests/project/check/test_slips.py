@@ -91,9 +91,12 @@ def test_slips_are_found_together_and_repaired(slip, tmp_path):
     shown = repaired(found)
     added = re.findall(r"^\+(?!\+\+)(.*)$", shown, re.MULTILINE)
     assert added
-    assert {*added} <= {*(folder / "problem.toml").read_text().splitlines()}
+    assert {*added} <= {
+        line for name in ("problem.toml", "robot.toml") for line in (folder / name).read_text().splitlines()
+    }
     assert "mm before" in shown
     assert (folder / "poses.csv").read_bytes() == before
+    assert precheck(folder).ok  # a second check agrees
     assert calibrate(folder).accuracies["KM"]["report"]["calibrated"].mean < 1e-4
 
 
@@ -125,7 +128,7 @@ def test_a_robot_with_a_four_bar_is_repaired_of_one_slip(tmp_path: Path, monkeyp
         'casadical = 1\ntitle = "t"\n[[measurements]]\nfile = "poses.csv"\n[sets]\ncolumn = "set"\n'
     )
     assert main(monkeypatch, "check", folder, "--repair") == 0
-    assert 'q5_deg = {from = "q5_deg", times = -1.0}' in capfd.readouterr().out
+    assert "+readings = [[5, -1.0]]" in capfd.readouterr().out
 
 
 def test_why_nothing_is_written_is_said(tmp_path: Path, monkeypatch, capfd) -> None:

@@ -359,9 +359,9 @@ def _rewritten(
     reached = np.ones(len(new), dtype=bool)
     if flanges:  # a controller, which has the nominal robot, solves the pose as it is written
         T = np.array(flanges)
-        inverse = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.limits)
+        inverse = made.newton.solved(T[:, :3, 3], T[:, :3, :3], new[posed], cell.postures.nominal.reading_limits)
         q[posed], reached[posed] = inverse.q, inverse.reached
-    lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.limits
+    lower, upper = (-np.inf, np.inf) if cell.sources is None else cell.postures.nominal.reading_limits
     beyond = np.any((q < lower) | (q > upper), axis=1)
     off = _deviations(made, old, q)
     for k, t in enumerate(targets):
