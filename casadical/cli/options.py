@@ -59,9 +59,9 @@ effects = _completion_of("project.diagnosis", "all_effects", listed=True)  # --e
 Nominal = Annotated[
     Path | None,
     Option(
-        metavar="NOMINAL.toml",
-        help="The controller's model of the robot, taken as rigid: the robot file from before the "
-        "calibration. What the calibrated robot differs from it is corrected.",
+        metavar="NOMINAL",
+        help="The controller's model of the robot, taken as rigid: the robot file or URDF from before the "
+        "calibration, or the problem folder. What the calibrated robot differs from it is corrected.",
     ),
 ]
 Compensator = Annotated[

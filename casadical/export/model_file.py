@@ -10,7 +10,7 @@ from casadical.core.reading import missing
 from casadical.core.telling.blocks import Words
 from casadical.core.telling.result import Result
 from casadical.effects.base import Omission
-from casadical.export.controller.commands import Sources
+from casadical.export.controller.commands import Sources, robot_of
 from casadical.export.controller.drivers import DRIVER_FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
@@ -21,8 +21,7 @@ from casadical.project.calibration import Calibration, calibrate
 from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
 from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import read_robot
-from casadical.robot.urdf import new_urdf
+from casadical.robot.urdf import new_urdf, no_urdf_place
 
 # Names of the formats to which a robot can be converted, as of `export model --to`.
 MODEL_FORMS = ("mjcf", "urdf", "actuators", *DRIVERS)
@@ -131,7 +130,8 @@ def robot_model(
             made = _into_users(source, nominal, campaign, into, str(joints), springs, robot)
         else:
             made = moving_mjcf(robot) if has_motion_parameters(robot) else mjcf(robot)
-        omitted = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes)
+        counted = (f"the controller's readings J: {robot.readings_in_words}",) if robot.counts_otherwise else ()
+        omitted = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes, *counted)
         sentences = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in omitted))
         data = {"robot": robot.name, "written": list(made.written), "left_out": list(omitted)}
         return RobotModel(made.text, sentences, data, f"{robot.name}, {robot.n} joints")
@@ -197,7 +197,7 @@ def _into_users(
     if source.is_file() and nominal is None and campaign is None:
         raise InputError("--into needs the robot before its calibration too: give --nominal, or the problem folder")
     if nominal is not None:
-        before = read_robot(nominal)
+        before = robot_of(nominal)
     else:
         before = read_campaign_robot(source) if campaign else read_problem_robot(source)
     names = [name.strip() for name in joints.split(",")]
@@ -224,7 +224,8 @@ def _urdf(source: Path, nominal: Path | None, leave_out: bool, show: Show) -> Ro
     figures = geometry_alone(calibration) if calibration else None
     omissions = [Omission(e.label, "a URDF holds geometry and masses only") for e in robot.effects]
     soft = (*left_out(robot, omissions, "a URDF", leave_out), *rigid_omissions(robot))
-    omitted = (*soft, *omitted_drive_parameters(robot))
+    own = () if calibration and into else no_urdf_place(robot)
+    omitted = (*soft, *omitted_drive_parameters(robot), *own)
     text = calibration.problem.calibrated_urdf(robot) if calibration and into else new_urdf(robot)
     nothing = "nothing is left out: the robot is rigid and has no effects"
     lines = [f"LEFT OUT {line}" for line in omitted] or [nothing]

@@ -292,7 +292,8 @@ def read_problem_robot(folder: str | Path) -> Robot:
 def read_campaign_robot(folder: str | Path) -> Robot:
     """Return the robot of a diagnosis: the folder's `campaign_robot`, else its robot; or a file's.
 
-    folder : problem folder, or a robot file (TOML or URDF)
+    folder : problem folder, or a robot file (TOML or URDF); a URDF that the problem.toml beside it
+        names is read as that says
     Raises InputError: no such file, or what is wrong in it.
 
     Examples
@@ -301,7 +302,13 @@ def read_campaign_robot(folder: str | Path) -> Robot:
     'Planar arm of two links'
     """
     folder = Path(folder)
-    return robot_of_file(folder, UrdfTable()) if folder.is_file() else _robot_of(folder, campaign=True)
+    if not folder.is_file():
+        return _robot_of(folder, campaign=True)
+    if folder.suffix == ".urdf" and (folder.parent / "problem.toml").is_file():
+        file = problem_file(folder.parent)
+        if folder.name in (file.robot, file.of_campaigns):
+            return robot_of_file(folder, file.urdf or UrdfTable())
+    return robot_of_file(folder, UrdfTable())
 
 
 def _robot_of(folder: Path, campaign: bool) -> Robot:

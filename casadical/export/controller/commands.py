@@ -29,9 +29,10 @@ from casadical.export.c.write import Export, write_c
 from casadical.export.controller import functions
 from casadical.export.controller.inverse import SINGULAR_BELOW_M_PER_RAD, freedom_of
 from casadical.export.omission import left_out
+from casadical.project.problem import read_campaign_robot
+from casadical.project.problem_file import problem_file, result_in
 from casadical.robot.axes import row_matrix
 from casadical.robot.robot import Robot
-from casadical.robot.robot_file import read_robot
 
 # Whether both robots have one tool or each its own, see `Sources.tool`.
 Tool = Literal["shared", "own"]
@@ -41,9 +42,9 @@ Tool = Literal["shared", "own"]
 class Sources:
     """Robot files, or robots, of which a product for a controller is made.
 
-    robot : the calibrated robot; a file or a `Robot`, such as `diagnosis.apply()` with its causes
-        in the model
-    nominal : the robot with which the controller computes; a file or a `Robot`
+    robot : the calibrated robot; a file, a folder of results or a `Robot`, such as
+        `diagnosis.apply()` with its causes in the model
+    nominal : the robot with which the controller computes; a file, a problem folder or a `Robot`
     compensator : the network trained on the calibrated robot's residuals; a file or a `Compensator`
     payload_kg : mass on the flange [kg]; None: as declared
     tool : "shared": both robots have the calibrated robot's tool. "own": each has its own, so that
@@ -113,7 +114,9 @@ def export_c(
     robot = robot_of(sources.robot)
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     hashes = {
-        label: hashlib.sha256(read_bytes(path)).hexdigest() for label, path in files.items() if isinstance(path, Path)
+        label: hashlib.sha256(read_bytes(_file_of(path) if label != "compensator" else path)).hexdigest()
+        for label, path in files.items()
+        if isinstance(path, Path)
     }
     try:
         written = write_c(
@@ -323,8 +326,15 @@ def measured_range(robot: Robot) -> tuple[str, ...]:
 
 
 def robot_of(source: Path | Robot) -> Robot:
-    """Return a robot unchanged, or the robot that a file describes. Raises InputError."""
-    return source if isinstance(source, Robot) else read_robot(source)
+    """Return a robot unchanged, or that of a file or folder (see `_file_of`). Raises InputError."""
+    return source if isinstance(source, Robot) else read_campaign_robot(_file_of(source))
+
+
+def _file_of(source: Path) -> Path:
+    """Return the robot file of a problem folder or of a folder of results; a file unchanged."""
+    if (source / "problem.toml").is_file():
+        return source / problem_file(source).robot
+    return result_in(source)
 
 
 def _source_name(source: Path | Robot | Compensator | None) -> str:

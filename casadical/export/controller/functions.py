@@ -67,7 +67,15 @@ def without_curves(robot: Robot) -> Robot:
 
 
 def variables_of(robot: Robot, q: ca.SX) -> ca.SX:
-    """Return the variables of the rows, shape (n,), at the controller's readings q[n] [rad or m]."""
+    """Return the variables of the rows, shape (n,), at the controller's readings q[n] [rad or m].
+
+    Those of coupled and locked joints follow from the others, so that no correction moves them.
+    """
+    led = {i: joint.coupling for i, joint in enumerate(robot.joints) if joint.coupling}
+    if led:
+        q = ca.vertcat(
+            *(led[i].at + sum(k * q[j - 1] for j, k in led[i].follows) if i in led else q[i] for i in range(robot.n))
+        )
     A, b = robot.reading_map
     return ca.SX(ca.sparsify(ca.DM(A)) @ q + ca.sparsify(ca.DM(b))) if robot.counts_otherwise else q
 

@@ -58,12 +58,14 @@ class MjcfExport:
         return (*map(str, self.omitted), *self.notes)
 
 
-def mjcf(robot: Robot) -> MjcfExport:
+def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
     """Return a robot with its compliances and effects as a MuJoCo model, and what it omits.
 
     Its world is the measuring frame. Bodies are base, link1 .. linkN, payload; joints joint1 .. (of
     a four-bar joint3 is the crank, joint3_driven the link); actuators drive1 .. take the joint
-    reading [rad or m] as `ctrl`; the site and sensor `measured` are the measured point.
+    variable [rad or m] as `ctrl`; the site and sensor `measured` are the measured point.
+
+    named : whether joints and actuators get the names of the robot's joints, where it has some
     """
     parts = counterparts(robot)
     root = ET.Element("mujoco", model=robot.name)
@@ -98,7 +100,29 @@ def mjcf(robot: Robot) -> MjcfExport:
             elements.add_tendons(balancer, tendons, actuators)
     sensor = ET.SubElement(root, "sensor")
     ET.SubElement(sensor, "framepos", name=MEASURED_SITE, objtype="site", objname=MEASURED_SITE)
+    if named:
+        name_joints(root, robot)
     return MjcfExport(xml_text(root), parts.written, parts.left_out)
+
+
+def name_joints(root: ET.Element, robot: Robot) -> None:
+    """Give joints and their actuators the names that the robot's joints have, where all are unlike."""
+    names = [row.name for row in robot.joints]
+    taken = {str(node.get("name")) for node in root.iter("joint")}
+    if not all(names) or len(set(names)) < robot.n or taken & set(names):
+        return
+    known = {f"joint{i}": name for i, name in enumerate(names, 1)}
+    drives = {f"drive{i}": name for i, name in enumerate(names, 1)}
+    for node in root.iter():
+        for attribute, mapping in (
+            ("joint", known),
+            ("name", known if node.tag == "joint" else {}),
+            ("actuator", drives),
+        ):
+            if (name := mapping.get(str(node.get(attribute)))) is not None:
+                node.set(attribute, name)
+    for node in root.iterfind("actuator/*"):
+        node.set("name", drives.get(str(node.get("name")), str(node.get("name"))))
 
 
 def xml_text(root: ET.Element) -> str:

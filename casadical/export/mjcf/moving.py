@@ -23,6 +23,7 @@ from casadical.export.mjcf.mjcf import (
     MjcfExport,
     describe,
     mjcf,
+    name_joints,
     xml_text,
 )
 from casadical.robot.robot import Robot
@@ -57,7 +58,7 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     robot : robot for which `has_motion_parameters` is true
     """
     assert robot.drive is not None
-    still = mjcf(robot)
+    still = mjcf(robot, named=False)
     root = ET.fromstring(still.text)
     about = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
     if _each(robot.drive, "delay", robot).max() > TIME_STEP_S / 2:
@@ -91,30 +92,10 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     for i in robot.numbers:
         place = next(k for k, node in enumerate(actuators) if node.get("name") == f"drive{i}")
         actuators[place] = _actuator(robot, robot.drive, i)
-    _name_joints(root, robot)
+    name_joints(root, robot)
     return MjcfExport(
         xml_text(root), still.written, still.omitted, (*still.notes, *_unrepresented_drive_properties(robot))
     )
-
-
-def _name_joints(root: ET.Element, robot: Robot) -> None:
-    """Give joints and their actuators the names that the robot's joints have, where all are unlike."""
-    names = [row.name for row in robot.joints]
-    taken = {str(node.get("name")) for node in root.iter("joint")}
-    if not all(names) or len(set(names)) < robot.n or taken & set(names):
-        return
-    known = {f"joint{i}": name for i, name in enumerate(names, 1)}
-    drives = {f"drive{i}": name for i, name in enumerate(names, 1)}
-    for node in root.iter():
-        for attribute, mapping in (
-            ("joint", known),
-            ("name", known if node.tag == "joint" else {}),
-            ("actuator", drives),
-        ):
-            if (name := mapping.get(str(node.get(attribute)))) is not None:
-                node.set(attribute, name)
-    for node in root.iterfind("actuator/*"):
-        node.set("name", drives.get(str(node.get("name")), str(node.get("name"))))
 
 
 def _set_floor(root: ET.Element, height: float | None) -> None:

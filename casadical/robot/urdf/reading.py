@@ -130,6 +130,10 @@ def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfC
                 f"{j.name} mimics {leader[0]}, which is not between base and tip: its reading is "
                 f"{leader[2]:g} x that of {leader[0]}" + f" {leader[3]:+g}" * bool(leader[3])
             )
+    if marked := [j.name for j in moving if j.calibration and (j.calibration.rising or j.calibration.falling)]:
+        notes.append(
+            f"<calibration> of {', '.join(marked)}, where a switch acts, moves no zero: it is kept and not used"
+        )
     massive = [link for link in urdf.links if movers.get(link.name) and link.inertial and link.inertial.mass]
     if odd := [k.name for k in massive if np.any(k.inertial.inertia) and _inertia(k) is None]:
         notes.append(f"no body has the inertia of {', '.join(odd)}: it is taken as unknown")

@@ -219,8 +219,9 @@ def _comment(document: minidom.Document, robot: Robot, chain: UrdfChain, base: s
 def new_urdf(robot: Robot) -> str:
     """Return the text of a URDF of any robot without loops.
 
-    base_link is the robot's base frame, the joints are joint1 .. jointN. The base's pose in the
-    measuring frame, compliances and effects have no place in a URDF: a comment says so.
+    base_link is the robot's base frame, the joints have their names, else joint1 .. jointN, and
+    <mimic> where they follow one other joint. The base's pose in the measuring frame, compliances,
+    other couplings and effects have no place in a URDF: a comment says so.
 
     robot : calibrated or nominal
     Raises InputError: a robot with a closed loop.
@@ -232,7 +233,7 @@ def new_urdf(robot: Robot) -> str:
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(_about(robot)))
     ET.SubElement(root, "link", name="base_link")
-    parent = "base_link"
+    parent, names = "base_link", urdf_names(robot)
     for i, row in enumerate(robot.joints, 1):
         link = ET.SubElement(root, "link", name=f"link{i}")
         if row.body and row.body.mass > 0:
@@ -243,7 +244,7 @@ def new_urdf(robot: Robot) -> str:
             named = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), moments, strict=True)
             ET.SubElement(inertial, "inertia", {name: repr(float(value)) for name, value in named})
         kind = "revolute" if row.kind == "revolute" else "prismatic"
-        joint = _joint(root, f"joint{i}", kind, parent, f"link{i}", row_matrix(row))
+        joint = _joint(root, names[i - 1], kind, parent, f"link{i}", row_matrix(row))
         ET.SubElement(joint, "axis", xyz="0 0 1")
         ends = {"lower": repr(float(row.lower)), "upper": repr(float(row.upper))}
         # Placeholder for the effort limit [N m or N] that a URDF requires.
@@ -251,11 +252,33 @@ def new_urdf(robot: Robot) -> str:
         ET.SubElement(joint, "limit", {**ends, "effort": "1e4", "velocity": "10"})
         if dynamics := _dynamics(robot, i):
             ET.SubElement(joint, "dynamics", dynamics)
+        if row.coupling and len(row.coupling.follows) == 1:
+            ((other, times),) = row.coupling.follows
+            how = {"multiplier": repr(times), "offset": repr(float(row.coupling.at))}
+            ET.SubElement(joint, "mimic", {"joint": names[other - 1], **how})
         parent = f"link{i}"
     ET.SubElement(root, "link", name=MEASURED_LINK)
     _joint(root, f"{MEASURED_LINK}_joint", "fixed", parent, MEASURED_LINK, robot.tool.T)
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
+
+
+def urdf_names(robot: Robot) -> list[str]:
+    """Return the names of the joints in a new URDF: their own if each has one, else joint1 ..."""
+    names = [joint.name for joint in robot.joints]
+    own = all(names) and len(set(names)) == robot.n and f"{MEASURED_LINK}_joint" not in names
+    return names if own else [f"joint{i}" for i in robot.numbers]
+
+
+def no_urdf_place(robot: Robot) -> list[str]:
+    """Return sentences on how joints move or count that has no place in a URDF."""
+    odd = [i for i, j in enumerate(robot.joints, 1) if j.coupling and len(j.coupling.follows) != 1]
+    led = [i for i, j in enumerate(robot.joints, 1) if j.leader]
+    lines = [f"joint {i} follows others, or is locked: it moves by itself here" for i in odd]
+    lines += [f"joint {i} mimics a joint that is not in this file: it moves by itself here" for i in led]
+    if robot.counts_otherwise:
+        lines.append(f"its angles q are not the controller's readings J: {robot.readings_in_words}")
+    return lines
 
 
 def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
@@ -281,6 +304,7 @@ def _about(robot: Robot) -> str:
     if springs:
         lines.append(f"The springs of joints {', '.join(springs)} have no place in a URDF: the arm is rigid here.")
     lines += [f"The effect {e.label} has no place in a URDF." for e in robot.effects]
+    lines += [f"{line[0].upper()}{line[1:]}." for line in no_urdf_place(robot)]
     return "\n  " + "\n  ".join(map(_comment_text, lines)) + "\n"
 
 
