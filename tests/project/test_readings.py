@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from xml.etree import ElementTree as ET
 
 import numpy as np
 import pandas as pd
@@ -9,8 +10,11 @@ import pytest
 import tomlkit
 from command_line import main, own_planar
 
-from casadical import calibrate, read_problem, read_robot
+from casadical import calibrate, read_problem, read_robot, read_urdf, write_robot
+from casadical.export.mjcf.mjcf import mjcf
+from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
+from casadical.robot.urdf import new_urdf
 
 
 def counted(q: np.ndarray) -> np.ndarray:
@@ -73,3 +77,49 @@ def test_a_plan_is_in_readings_and_the_file_keeps_them(tmp_path, monkeypatch):
     )
     nominal = planned[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()[0]
     assert 1e3 * np.array(model).ravel() == pytest.approx(nominal, abs=1e-3)
+
+
+PALLETISER = """<robot name="p"><link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/>
+<link name="hand"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="l1"/><origin xyz="0 0 .4"/><axis xyz="0 0 1"/>
+<limit lower="-2" upper="2" effort="1" velocity="1"/><calibration rising="0.5"/></joint>
+<joint name="lift" type="revolute"><parent link="l1"/><child link="l2"/><origin xyz=".2 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="wrist" type="revolute"><parent link="l2"/><child link="l3"/><origin xyz=".9 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/><mimic joint="lift" multiplier="-1"/></joint>
+<joint name="end" type="fixed"><parent link="l3"/><child link="hand"/><origin xyz=".3 0 .1"/></joint></robot>"""
+URDF = """gravity = { frame = "logged" }
+drive = { friction_Nm = 1.5 }
+payload = { mass_kg = 2, com_mm = [0, 0, 50] }
+width = { body = { mass_share = 0.1 } }
+masses = "estimated"
+joint = [{ name = "lift", readings = [[2, -1]], offset_deg = 90 }]
+"""
+
+
+def test_a_urdf_says_in_problem_toml_what_it_has_no_place_for(tmp_path: Path, monkeypatch) -> None:
+    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
+    (tmp_path / "arm.urdf").write_text(PALLETISER)
+    (tmp_path / "problem.toml").write_text(
+        f'casadical = 1\ntitle = "t"\nrobot = "arm.urdf"\n[urdf]\ntip_link = "hand"\n{URDF}'
+    )
+    robot = read_campaign_robot(tmp_path)
+    assert (robot.gravity_frame, robot.drive.friction, robot.body_width.share, robot.masses) == (
+        *("logged", 1.5, 0.1, "estimated"),
+    )
+    flange = robot.tool.T  # the payload's centre is given in the tip link
+    assert robot.payload.com == pytest.approx(flange[:3, :3] @ [0, 0, 0.05] + flange[:3, 3])
+    assert robot.readings_in_words == "q2 = -J2 +90 deg"
+    assert any("<calibration> of turn" in note for note in robot.notes)
+    # The URDF itself is read as the folder beside it says; a new one keeps names, limits and <mimic>.
+    assert read_campaign_robot(tmp_path / "arm.urdf").readings_in_words == robot.readings_in_words
+    (tmp_path / "new.urdf").write_text(new_urdf(robot))
+    again = read_urdf(tmp_path / "new.urdf", tip_link="measured")
+    assert [j.name for j in again.joints] == ["turn", "lift", "wrist"]
+    assert again.joints[2].coupling.follows == ((2, -1.0),)
+    assert np.array(again.limits) == pytest.approx(np.array(robot.limits))
+    write_robot(robot, tmp_path / "robot.toml")
+    for nominal in (tmp_path, tmp_path / "arm.urdf"):
+        c = (tmp_path / "c", "--nominal", nominal, "--overwrite", "-q")
+        assert main(monkeypatch, "export", "c", tmp_path / "robot.toml", "--out", *c) == 0
+    assert [node.get("name") for node in ET.fromstring(mjcf(robot).text).iter("joint")][1:] == ["turn", "lift", "wrist"]
