@@ -229,7 +229,7 @@ class UrdfTable(RobotTables):
     joint: list[ReadingsTable] = Field(default=[])
 
     def added_to(self, robot: Robot) -> Robot:
-        """Return the URDF's robot with tools and all that these tables declare."""
+        """Return the URDF's robot with all that these tables declare. Raises InputError."""
         robot, names = super().added_to(robot), [j.name for j in robot.joints]
         if unknown := [j.name for j in self.joint if j.name not in names]:
             raise InputError(f"problem.toml: urdf.joint: name {unknown[0]!r}; allowed: {', '.join(names)}")
