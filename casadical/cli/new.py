@@ -38,11 +38,17 @@ def new(
         metavar="WORD",
         help="Convention of the DH table: modified (Craig, the default) or standard.",
     ),
-    data: Path | None = Option(
+    data: list[Path] | None = Option(
         None,
         metavar="FILE",
-        help="Measured poses: CSV or text in any usual form, or .xlsx, headings in five "
-        "languages; default: synthetic ones, marked as such.",
+        help="Measured poses: CSV or text in any usual form, .xlsx, .mat, .npy or .npz, headings in five "
+        "languages; several files are joined by a column that they share, by time, or by the order of "
+        "their rows; default: synthetic ones, marked as such.",
+    ),
+    headings: str | None = Option(
+        None,
+        metavar="NAMES",
+        help="Headings of the columns, separated by commas, where the table has none: q1_deg,...,x_mm,...",
     ),
     eye_in_hand: bool = Option(
         False, "--eye-in-hand", help="The camera that measured is on the robot; default: as the poses look."
@@ -71,8 +77,8 @@ def new(
     # Parameters that only one kind of robot has.
     robot_options = {
         EXAMPLE: ("example",),
-        "--urdf": ("urdf", "base_link", "tip_link", "data", "eye_in_hand", "eye_to_base"),
-        "--dh": ("dh", "convention", "data", "eye_in_hand", "eye_to_base"),
+        "--urdf": ("urdf", "base_link", "tip_link", "data", "headings", "eye_in_hand", "eye_to_base"),
+        "--dh": ("dh", "convention", "data", "headings", "eye_in_hand", "eye_to_base"),
     }
     refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", robot_options)
     if eye_in_hand and eye_to_base:
@@ -91,6 +97,7 @@ def new(
         dh=dh,
         convention=convention or "modified",
         data=data,
+        headings=headings or "",
         camera="in hand" if eye_in_hand else "to base" if eye_to_base else "",
         ask=None if yes else _ask,
         show=lambda block: tell(console, block),

@@ -107,7 +107,7 @@ class Understanding:
 
 
 @dataclass(frozen=True)
-class _Heading:
+class Heading:
     """A heading, taken apart.
 
     name : the heading itself
@@ -118,6 +118,7 @@ class _Heading:
     rest : words without a known meaning, which tell groups of columns apart
     values : cells as numbers, shape (n,)
     led : kind of a joint, and of its leader kind, factor of the reading and offset, as of `Joint`
+    numbers : numbers in the heading of a position
     """
 
     name: str
@@ -128,12 +129,13 @@ class _Heading:
     rest: frozenset[str]
     values: Array = field(compare=False)
     led: tuple[str, str, float, float] | None = None
+    numbers: frozenset[str] = frozenset()
 
 
 # Headings, casadical's names for them, and their quantity: "angle", "length", or empty for one
 # without a unit.
-_Parts = Sequence[tuple[Sequence[_Heading], Sequence[str], str]]
-_Group = TypeVar("_Group", list[_Heading], dict[int, _Heading])
+_Parts = Sequence[tuple[Sequence[Heading], Sequence[str], str]]
+_Group = TypeVar("_Group", list[Heading], dict[int, Heading])
 # Possible meanings: each in words, with the columns that it implies.
 _Options = Sequence[tuple[str, _Parts]]
 
@@ -211,7 +213,7 @@ def understand(
     return Understanding(tuple(columns), tuple(questions))
 
 
-def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
+def _conditions(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Understood]:
     """Yield temperature and payload, each if exactly one heading names it.
 
     ours : casadical's names that the table has already
@@ -223,7 +225,7 @@ def _conditions(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator
             yield Understood(name, Source(named[0].name, factor), named[0].unit or unit, "heading")
 
 
-def _times(headings: Iterable[_Heading], ours: Collection[str]) -> Iterator[Understood]:
+def _times(headings: Iterable[Heading], ours: Collection[str]) -> Iterator[Understood]:
     """Yield the column time_s, if one heading names the time, or two its seconds and nanoseconds.
 
     The unit of time stamps without one follows from their size.
@@ -279,7 +281,7 @@ def words_of(heading: str) -> tuple[list[str], str]:
     return words, unit
 
 
-def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[_Heading]:
+def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[Heading]:
     """Return the headings that have a known meaning, taken apart."""
     below = [*raw.form.units, *([""] * len(raw.header))]
     named = [(words_of(joint.name)[0], str(i)) for i, joint in enumerate(chain, 1) if joint.name]
@@ -300,7 +302,7 @@ def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[_Heading]:
         if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _CONDITIONS):
             qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
             unit = unit or (below[k] if below[k] in UNITS else "")
-            headings.append(_Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values, led))
+            headings.append(Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values, led))
     return headings
 
 
@@ -309,7 +311,7 @@ def _meaning(
 ) -> tuple[str, str, Collection[str]]:
     """Return quantity, slot and unexplained words of a heading; all empty if it has no meaning.
 
-    Slot and quantity are as of `_Heading`.
+    Slot and quantity are as of `Heading`.
 
     words : all words of the heading
     said : those that are neither "measured" nor "nominal"
@@ -348,7 +350,7 @@ def _meaning(
     return "", "", ()
 
 
-def _groups(headings: Sequence[_Heading], quantity: str, slots: Sequence[str]) -> list[list[_Heading]]:
+def _groups(headings: Sequence[Heading], quantity: str, slots: Sequence[str]) -> list[list[Heading]]:
     """Return the groups of columns that fill all slots of a quantity, only those of the best rank.
 
     A group has equal qualifier and unexplained words, and its columns are in the order of slots.
@@ -356,7 +358,7 @@ def _groups(headings: Sequence[_Heading], quantity: str, slots: Sequence[str]) -
     columns are excluded.
     """
     for alone in (True, False):  # words that say nothing tell groups apart, too, if they are complete
-        groups: dict[tuple[str, frozenset[str], frozenset[str]], dict[str, _Heading]] = {}
+        groups: dict[tuple[str, frozenset[str], frozenset[str]], dict[str, Heading]] = {}
         for h in headings:
             if h.quantity == quantity and h.qualifier != "nominal":
                 key = (h.qualifier, h.rest, frozenset(words_of(h.name)[0]) & WORDS["filler"] if alone else frozenset())
@@ -371,6 +373,62 @@ def _groups(headings: Sequence[_Heading], quantity: str, slots: Sequence[str]) -
     return []
 
 
+def position_groups(raw: RawTable) -> list[list[Heading]]:
+    """Return all groups of columns that are the x, y and z of a point, nominal ones excluded.
+
+    Columns whose headings differ in the letter x, y or z alone are groups, too, and so are two
+    indices in headings, of points and of coordinates.
+    """
+    groups: dict[tuple[object, ...], dict[str, Heading]] = {}
+    headings = {h.name: h for h in _headings(raw, ()) if h.quantity == "position"}
+    for name in raw.header:
+        h = headings.get(name)
+        numbers = frozenset(re.findall(r"\d+", name))
+        if h is not None:
+            key: tuple[object, ...] = (h.qualifier, h.rest, frozenset({*words_of(name)[0]} & WORDS["filler"]))
+        else:
+            words, unit = words_of(name)
+            stem = re.sub(unit, "", name, flags=re.IGNORECASE) if unit else name
+            match = re.fullmatch(r"(\W*[^xyz]{0,12})([xyz])(\W*)", stem, re.IGNORECASE)
+            values = numbers_of(raw.frame[name]) if match else np.zeros(0)
+            if not match or {*words} & WORDS["about"] or not np.isfinite(values).mean() > 0.5:
+                continue
+            if match[1].casefold() in ("r", "q", "o", "w", "n"):
+                continue
+            rest = frozenset({match[1].casefold().strip("_ .")})
+            h = Heading(name, "position", match[2].casefold(), "", unit, rest, values)
+            key = ("", rest)
+        groups.setdefault(key, {}).setdefault(h.slot, replace(h, numbers=numbers))
+    whole = [[g[c] for c in _XYZ] for g in groups.values() if all(c in g for c in _XYZ)]
+    measured = [g for g in whole if g[0].qualifier != "nominal"]
+    # Only beside other points is a "target" a commanded one; else it is a reflector.
+    targets = [g for g in whole if not {*words_of(g[0].name)[0]} & (WORDS["nominal"] - WORDS["target"])]
+    return measured or targets or ([] if _frames(raw) else _grid_points(raw))
+
+
+def _grid_points(raw: RawTable) -> list[list[Heading]]:
+    """Return groups of three columns whose headings have two indices, of a point and a coordinate."""
+    grids: dict[str, dict[str, list[str]]] = {}
+    for name in raw.header:
+        if match := re.fullmatch(r"(\D*)(\d)\D{0,3}([0-3])\D*", name):
+            grids.setdefault(match[1], {}).setdefault(match[2], []).append(name)
+    return [
+        [
+            Heading(n, "position", c, "", words_of(n)[1], frozenset(), numbers_of(raw.frame[n]), None, frozenset({k}))
+            for c, n in zip(_XYZ, names, strict=True)
+        ]
+        for points in grids.values()
+        if len(points) > 1 and all(len(names) == 3 for names in points.values()) and not _turns(raw, points)
+        for k, names in points.items()
+    ]
+
+
+def _turns(raw: RawTable, points: Mapping[str, Sequence[str]]) -> bool:
+    """Return whether three groups of three columns are the rows or columns of rotation matrices."""
+    R = np.stack([[numbers_of(raw.frame[n]) for n in names] for names in points.values()]).transpose(2, 0, 1)
+    return len(points) == 3 and bool(np.nanmax(np.abs(R @ R.transpose(0, 2, 1) - np.eye(3))) < ROTATION_TOLERANCE)
+
+
 def _best(ranked: Iterable[tuple[int, _Group]]) -> list[_Group]:
     """Return the groups with the lowest rank; ranked : (rank, columns of the group)."""
     groups = list(ranked)
@@ -378,8 +436,8 @@ def _best(ranked: Iterable[tuple[int, _Group]]) -> list[_Group]:
 
 
 def _joints(
-    headings: Iterable[_Heading], n: int, free: Sequence[int], order: Mapping[str, int]
-) -> list[dict[int, _Heading]]:
+    headings: Iterable[Heading], n: int, free: Sequence[int], order: Mapping[str, int]
+) -> list[dict[int, Heading]]:
     """Return the groups of columns that may be the joint readings, each by the number of its joint.
 
     Where no group has the readings of all free joints, the groups with the most are returned, if
@@ -388,7 +446,7 @@ def _joints(
     n : number of joints; free : numbers of those that need a reading, as they follow no other
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
-    groups: dict[tuple[str, frozenset[str]], dict[int, _Heading]] = {}
+    groups: dict[tuple[str, frozenset[str]], dict[int, Heading]] = {}
     for h in sorted(headings, key=lambda h: h.led is not None):  # a joint's own column ranks first
         if h.quantity == "joint":
             number = order.get(h.slot, -1) if order and "by name" not in h.rest else int(h.slot)
@@ -425,27 +483,27 @@ def _names_in_cells(raw: RawTable, names: Sequence[str]) -> dict[str, int]:
     return joint_of
 
 
-def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[_Heading]]:
+def _numbered(raw: RawTable, n: int, taken: Collection[str] = ()) -> list[list[Heading]]:
     """Return groups of n numeric columns whose headings differ only in a number, from 0 or 1 on.
 
     taken : headings that are not considered
     """
-    groups: dict[str, dict[int, _Heading]] = {}
+    groups: dict[str, dict[int, Heading]] = {}
     for name in raw.header:
         numbers = re.findall(r"\d+", name)
         if len(numbers) == 1 and name not in taken and np.isfinite(values := numbers_of(raw.frame[name])).mean() > 0.5:
             words, unit = words_of(name)
-            heading = _Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
+            heading = Heading(name, "numbered", numbers[0], "", unit, frozenset(words) - {*numbers}, values)
             groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = heading
     return [[m[i] for i in sorted(m)] for m in groups.values() if sorted(m) in ([*range(1, n + 1)], [*range(n)])]
 
 
-def _parts_of(group: Mapping[int, _Heading], chain: Sequence[Joint]) -> _Parts:
+def _parts_of(group: Mapping[int, Heading], chain: Sequence[Joint]) -> _Parts:
     """Return the readings of revolute and of prismatic joints, and of leaders, as separate parts.
 
     group : number of a joint -> its column
     """
-    parts: dict[str, tuple[list[_Heading], list[str]]] = {}
+    parts: dict[str, tuple[list[Heading], list[str]]] = {}
     for i, heading in group.items():
         members, names = parts.setdefault(heading.led[1] if heading.led else chain[i - 1].kind, ([], []))
         members.append(heading)
@@ -478,12 +536,12 @@ def _frames(raw: RawTable) -> _Options:
     columns += [[h.name for h in group] for n in (12, 16) for group in _numbered(raw, n)]
     options: list[tuple[str, _Parts]] = []
     for names in columns:
-        headings = [_Heading(n, "", "", "", words_of(n)[1], frozenset(), numbers_of(raw.frame[n])) for n in names]
+        headings = [Heading(n, "", "", "", words_of(n)[1], frozenset(), numbers_of(raw.frame[n])) for n in names]
         options += _matrices(headings)
     return options
 
 
-def _matrices(columns: Sequence[_Heading]) -> list[tuple[str, _Parts]]:
+def _matrices(columns: Sequence[Heading]) -> list[tuple[str, _Parts]]:
     """Return the possible meanings of 16 or 12 columns as homogeneous matrices, in words.
 
     Only those whose rotation is one in every row are returned; the last row of 4x4 is 0, 0, 0, 1.
@@ -513,7 +571,7 @@ def _matrices(columns: Sequence[_Heading]) -> list[tuple[str, _Parts]]:
 
 
 def _observations(
-    positions: Sequence[Sequence[_Heading]], lengths: Sequence[Sequence[_Heading]], frames: _Options
+    positions: Sequence[Sequence[Heading]], lengths: Sequence[Sequence[Heading]], frames: _Options
 ) -> tuple[_Options, str]:
     """Return the possible observations, and the topic (`about`) of a question on them.
 
@@ -533,7 +591,7 @@ def _observations(
     return options, "observation" if len(options) > 1 else ""
 
 
-def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
+def _orientation(headings: Sequence[Heading], raw: RawTable, taken: Collection[str]) -> tuple[_Options, str, str]:
     """Return the possible meanings of the orientation, the question, and its topic (`about`).
 
     headings : columns that are free; taken : names of columns in use
@@ -568,24 +626,24 @@ def _orientation(headings: Sequence[_Heading], raw: RawTable, taken: Collection[
     return options, f"How is the orientation {_listed(groups[0])} meant?" if groups else "", "orientation"
 
 
-def _finite(group: Sequence[_Heading]) -> Array:
+def _finite(group: Sequence[Heading]) -> Array:
     """Return the rows of a group's columns that are finite, shape (rows, columns)."""
     values = np.column_stack([h.values for h in group])
     return np.asarray(values[np.isfinite(values).all(axis=1)])
 
 
-def _is_unit(group: Sequence[_Heading]) -> bool:
+def _is_unit(group: Sequence[Heading]) -> bool:
     """Return whether the rows of four columns are unit quaternions, as far as they are finite."""
     return bool((np.abs(np.linalg.norm(_finite(group), axis=1) - 1) < ROTATION_TOLERANCE).all())
 
 
-def _is_rotation(group: Sequence[_Heading]) -> bool:
+def _is_rotation(group: Sequence[Heading]) -> bool:
     """Return whether the rows of nine columns are rotation matrices, as far as they are finite."""
     R = _finite(group).reshape(-1, 3, 3)
     return bool((np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)) < ROTATION_TOLERANCE).all())
 
 
-def _listed(group: Iterable[_Heading]) -> str:
+def _listed(group: Iterable[Heading]) -> str:
     """Return the names of headings, separated by commas."""
     return ", ".join(h.name for h in group)
 
@@ -608,7 +666,7 @@ def _choices(options: _Options, stated: Mapping[str, str], asked: str) -> dict[s
 
 
 def _by_unit(
-    members: Sequence[_Heading], names: Sequence[str], quantity: str, stated: Mapping[str, str]
+    members: Sequence[Heading], names: Sequence[str], quantity: str, stated: Mapping[str, str]
 ) -> list[tuple[str, list[Understood]]]:
     """Return (unit, columns under casadical's names) of possible units, the most probable first.
 
@@ -645,7 +703,7 @@ def _by_unit(
     return [(u, columns([u] * len(units))) for u in (units[0], *(u for u in ours if u != units[0]))]
 
 
-def _of_leader(heading: _Heading, name: str, unit: str) -> tuple[str, Source]:
+def _of_leader(heading: Heading, name: str, unit: str) -> tuple[str, Source]:
     """Return casadical's column of a joint, in rad or m, and how it is computed from its leader's.
 
     name : of the column, without unit; unit : word of the unit of the leader's column
@@ -700,7 +758,7 @@ def layout(raw: RawTable, chain: Sequence[Joint]) -> Question | None:
     others; where some columns are matrices, only choices with a matrix are returned.
     """
     values = [numbers_of(raw.frame[name]) for name in raw.header]
-    columns = [_Heading(n, "", "", "", "", frozenset(), v) for n, v in zip(raw.header, values, strict=True)]
+    columns = [Heading(n, "", "", "", "", frozenset(), v) for n, v in zip(raw.header, values, strict=True)]
     numeric = np.array([bool(np.isfinite(v).mean() > 0.5) for v in values])
     free = [i for i, joint in enumerate(chain, 1) if joint.coupling is None]
     seen: list[tuple[int, int, tuple[str, _Parts]]] = []
@@ -739,7 +797,7 @@ def orientations_in_order(raw: RawTable, taken: Collection[str]) -> Iterator[Que
     """
     values = {name: numbers_of(raw.frame[name]) for name in raw.header if name not in taken}
     columns = [
-        _Heading(name, "", "", "", "", frozenset(), v)
+        Heading(name, "", "", "", "", frozenset(), v)
         for name, v in values.items()
         if np.isfinite(v).mean() > 0.5 and np.nanstd(v) > 0
     ]
@@ -758,7 +816,7 @@ def orientations_in_order(raw: RawTable, taken: Collection[str]) -> Iterator[Que
         yield Question("Which columns are the orientation?", choices, "orientation")
 
 
-def _by_order(raw: RawTable, n: int) -> list[_Heading]:
+def _by_order(raw: RawTable, n: int) -> list[Heading]:
     """Return headings for a table without any: n readings, x, y, z, possibly a rotation matrix.
 
     A first column that counts the rows is skipped; the list is empty if the number of columns
@@ -771,7 +829,7 @@ def _by_order(raw: RawTable, n: int) -> list[_Heading]:
         start = len(raw.header) - len(what)
         if start == 0 or (start == 1 and (np.diff(values[0]) == 1).all()):
             return [
-                _Heading(raw.header[k], quantity, slot, "", "", frozenset(), values[k])
+                Heading(raw.header[k], quantity, slot, "", "", frozenset(), values[k])
                 for k, (quantity, slot) in enumerate(what, start)
             ]
     return []

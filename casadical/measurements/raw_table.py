@@ -45,6 +45,7 @@ class RawTable:
     line : line of the file at which each row begins
     form : how the file writes its table
     comments : lines that are comments, unchanged
+    said : sentences on how the table was rearranged; empty if it is as in the file
     """
 
     path: Path
@@ -54,6 +55,7 @@ class RawTable:
     line: Sequence[int] | Array
     form: table_form.Form = field(default_factory=table_form.Form)
     comments: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         _refuse_header(self.header, self.path)
@@ -233,6 +235,7 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
     width = max(len(cells) for _, cells in body) if body else 0
     given = [f"column {k}" for k in range(1, width + 1)] if header is None else header[1]
     names = tuple(name.replace("\ufeff", "").strip() for name in given)  # pandas drops a mark of the byte order, too
+    names = _told_apart(names)
     _refuse_header(names, path)
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
@@ -336,6 +339,18 @@ def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
     twice = {groups[k] for k in again}
     whole = zip(groups, names, strict=True)
     return [f"{g} {name.strip()}".strip() if name.strip() and g in twice else name for g, name in whole]
+
+
+def _told_apart(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return headings of which three or more occur equally often, the second ones with a "2 " before.
+
+    Several targets side by side may all be headed X, Y, Z; other repeated headings stay.
+    """
+    counts = {name: n for name, n in Counter(names).items() if name and n > 1}
+    if len(counts) < 3 or len({*counts.values()}) > 1:
+        return names
+    place = {(name, k): i + 1 for name in counts for i, k in enumerate(k for k, n in enumerate(names) if n == name)}
+    return tuple(f"{place[n, k]} {n}" if place.get((n, k), 1) > 1 else n for k, n in enumerate(names))
 
 
 def refuse_repeated_names(names: Iterable[str], source: str) -> None:

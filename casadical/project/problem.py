@@ -17,7 +17,8 @@ from casadical.core.telling.result import Shown
 from casadical.identification.plausibility import refuse_undefined
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
-from casadical.measurements.columns import Columns
+from casadical.measurements.arrangement import long
+from casadical.measurements.columns import Columns, named
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import SETS, Measurements
@@ -402,6 +403,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     Headings are interpreted as `data` declares, else by themselves and by the nominal robot.
     Raises InputError where a question remains open.
     """
+    raw = long(raw, [name for name, _ in named(data.sources)])
     meaning = understood(raw, robot, data.sources, data.kind)
     refuse_open(raw, meaning)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)

@@ -203,7 +203,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
             answers[question.text] = (
                 best[k],
                 _why(
-                    "" if question.about == "layout" else f"{best[k]}: ",
+                    "comparison: " if question.about == "layout" else f"{best[k]}: ",
                     errors[best],
                     errors[others[0]] if others else None,
                 ),
@@ -239,7 +239,8 @@ def _why(choice: str, error: tuple[float, float], other: tuple[float, float] | N
     turned = error[1] and other is not None and other[1]
     unit, k, factor = ("deg", 1, 180 / np.pi) if turned else ("mm", 0, 1e3)
     rest = f", else {factor * other[k]:.2g}" if other else ""
-    return f"{choice}{factor * error[k]:.2g} {unit} from the robot{rest}"
+    off = factor * error[k]
+    return f"{choice}{off if off > 1e-6 else 0:.2g} {unit} from the robot{rest}"
 
 
 def _measurements_of(raw: RawTable, robot: Robot, sources: Mapping[str, Source]) -> Measurements:

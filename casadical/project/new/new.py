@@ -6,7 +6,7 @@ Poses for a first run are simulated with the robot's own model, and marked as sy
 import re
 import tempfile
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from casadical.core.parts import lacks_masses, with_estimated_masses
 from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.telling.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
+from casadical.measurements.arrangement import joined, long, with_headings
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
@@ -103,7 +104,8 @@ def new_problem(
     tip_link: str | None = None,
     dh: Path | None = None,
     convention: str = "modified",
-    data: Path | None = None,
+    data: Path | Sequence[Path] | None = None,
+    headings: str = "",
     camera: Camera = "",
     seed: int = 0,
     ask: Callable[[Question], str] | None = None,
@@ -116,8 +118,9 @@ def new_problem(
     urdf, base_link, tip_link : URDF of the robot, and the ends of its chain
     dh, convention : table of DH rows and their convention (modified, standard); without URDF and
         table the robot is an example arm
-    data : table of measured poses; None: poses are simulated from the seed and marked synthetic
-        everywhere
+    data : table of measured poses, or several that are joined; None: poses are simulated from the
+        seed and marked synthetic everywhere
+    headings : headings of the table, separated by commas, in place of its own or where it has none
     camera : where the camera is that measured them, "in hand" or "to base"; empty: as they look
     seed : seed of simulated poses and of the split
     ask : takes a question on the table and returns one of its choices; None: the first choice,
@@ -129,17 +132,17 @@ def new_problem(
     Nothing is overwritten. Raises InputError: a file that is there already, or input that does not
     read.
     """
-    folder = Path(folder)
+    folder, tables = Path(folder), [data] if isinstance(data, Path | str) else list(data or ())
     if urdf and dh:
         raise InputError("--urdf and --dh: both say which robot it is; give one of them")
-    if data and not (urdf or dh):
+    if tables and not (urdf or dh):
         raise InputError("--data needs the robot that was measured; give --urdf or --dh as well")
     name = folder.resolve().name
     if fault := text_fault(name):
         raise InputError(f"{shown(name)}: its name {fault}")
     steps: list[Callable[[], Any]] = [
         lambda: _robot_files(name, urdf, base_link, tip_link, dh, convention),
-        lambda: read_table(data) if data else None,
+        lambda: _table(tables, headings) if tables else None,
     ]
     (texts, robot), given = each_of(steps)
     before = partial(_before_gripper, urdf, base_link, tip_link)
@@ -149,19 +152,26 @@ def new_problem(
         show(Words(f"Column 'tool' names {len(understood.tools)} measured points, {listed}: {place} has each."))
     if "robot.toml" in texts:
         texts["robot.toml"] = with_measured(str(texts["robot.toml"]), understood)
-    file = f"poses{data.suffix.lower() if data and data.suffix else '.csv'}"
+    made = given is not None and bool(given.said)  # then the folder has the table as it was rearranged
+    file = f"poses{tables[0].suffix.lower() if tables and tables[0].suffix and not made else '.csv'}"
     texts |= {
-        file: read_bytes(data) if data else synthetic_poses(robot, seed),
+        file: _text(given) if made and given else read_bytes(tables[0]) if tables else synthetic_poses(robot, seed),
         "problem.toml": problem_text(
             robot,
-            understood if data else None,
+            understood if tables else None,
             links=(base_link, tip_link) if urdf else None,
             named_sets=given is not None and "set" in given.header,
             seed=seed,
             poses=SYNTHETIC_POSE_COUNT,
             file=file,
         ),
-        "README.md": readme_text(name, robot.name, file, *(p.name if p else None for p in (data, urdf, dh))),
+        "README.md": readme_text(
+            name,
+            robot.name,
+            file,
+            " and ".join(p.name for p in tables) or None,
+            *(p.name if p else None for p in (urdf, dh)),
+        ),
     }
     if folder.exists() and not folder.is_dir():
         raise InputError(f"{folder}: is a file; name a folder")
@@ -170,15 +180,36 @@ def new_problem(
     with tempfile.TemporaryDirectory() as scratch:
         trial = Path(scratch) / name
         write_together({trial / name: text for name, text in texts.items()})
-        problem = _read_trial(trial, data, file)
+        problem = _read_trial(trial, tables[0] if tables and not made else None, file)
     files = {folder / name: text for name, text in texts.items()}
     further = also(problem, sorted(files))
     with claimed([folder]):
         write_together({**files, **further})
-    made = read_problem(folder)
-    if show and (words := made.unnamed_targets):
+    written = read_problem(folder)
+    if show and (words := written.unnamed_targets):
         show(Words(words, "warning"))
-    return made
+    return written
+
+
+def _table(paths: Sequence[Path], headings: str) -> RawTable:
+    """Return the table in one or several files, with one position in each row.
+
+    headings : names of the columns, separated by commas, of the only table or of the one without
+        headings; empty: its own
+    Raises InputError: another number of headings than of columns.
+    """
+    tables = each_of(partial(read_table, path) for path in paths)
+    for k, raw in enumerate(tables):
+        if headings and (len(tables) == 1 or not raw.form.header_line):
+            tables[k] = with_headings(raw, [name.strip() for name in headings.split(",")])
+    return long(joined(tables))
+
+
+def _text(raw: RawTable) -> str:
+    """Return a rearranged table as CSV, one line of headings with their units first."""
+    units = [*raw.form.units, *([""] * len(raw.header))]
+    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(raw.header, units, strict=False)]
+    return raw.frame.set_axis(names, axis=1).to_csv(index=False, lineterminator="\n")
 
 
 def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | None, joint: int) -> str:
@@ -230,6 +261,8 @@ def _understood(
     """
     meaning = understood(raw, robot, {})
     if show:
+        for sentence in raw.said:
+            show(Words(sentence))
         for block in shown_columns(raw, meaning):
             show(block)
     for question in meaning.questions:

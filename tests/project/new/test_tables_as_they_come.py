@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from casadical import InputError
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_problem
 
@@ -105,3 +106,132 @@ def test_a_form_is_read_as_it_was_measured(form: str, tmp_path: Path) -> None:
     if "positions," in form.replace("positions, a", "") or "position" not in form:
         assert m.orientation is not None
         np.testing.assert_allclose(m.orientation, R, atol=1e-5)
+
+
+# Two further targets on the flange [mm].
+OTHERS = [first_hour.measured(ROWS, tool=first_hour.TOOL + t, noise=0.0)[1] for t in ([80, 0, 0], [0, -50, 40])]
+THREE = [P, *OTHERS]
+
+
+def wide(names: list[str], count: int = 3, line: str = "", factor: float = 1.0) -> str:
+    """A table with several targets in each row, of which the last has lost one measurement."""
+    values = factor * np.hstack(THREE[:count])
+    values[4, -3:] = np.nan
+    return f"{line}\n" * bool(line) + pd.DataFrame(np.hstack([Q, values]), columns=[*J, *names]).to_csv(index=False)
+
+
+def each(form: str, names: str) -> list[str]:
+    return [form.format(name, c) for name in names for c in "xyz"]
+
+
+WIDE: dict[str, str] = {
+    "x1": wide(each("{1}{0}", "123")),
+    "x first without number": wide(["x", "y", "z", *each("{1}{0}", "23")]),
+    "P1_x [mm]": wide(each("P{0}_{1} [mm]", "123")),
+    "smr2 X (m)": wide(each("smr{0} {1} (m)", "123"), factor=1e-3),
+    "A_x": wide(each("{0}_{1}", "ABC")),
+    "Ax": wide(each("{0}{1}", "ABC")),
+    "xA": wide(each("{1}{0}", "ABC")),
+    "left.x": wide([f"{side}.{c}" for side in ("left", "right") for c in "xyz"], 2),
+    "x, y, z again": wide(["X", "Y", "Z"] * 3),
+    "groups above": wide(["X", "Y", "Z"] * 3, line=",,,,,,Target A,,,Target B,,,Target C,,"),
+    "p12": wide(indices("p{}{}", 3, 3, 1)),
+    "target_1_x_mm": wide(each("target_{0}_{1}_mm", "123")),
+}
+
+
+@pytest.mark.parametrize("form", WIDE)
+def test_targets_side_by_side_are_as_many_rows(form: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    (tmp_path / "table.csv").write_text(WIDE[form])
+    said: list[object] = []
+    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", show=said.append)
+    count = 2 if form == "left.x" else 3
+    assert len({problem.robot.tool_name, *(t.name for t in problem.robot.targets)}) == count
+    assert f"{count} targets" in str(said[0])
+    m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", problem.robot)
+    assert m.position is not None
+    seen = np.stack(THREE[:count], axis=1).reshape(-1, 3)
+    np.testing.assert_allclose(1e3 * m.position, np.delete(seen, 5 * count - 1, axis=0), atol=1e-3)
+    direct = read_campaign(tmp_path / "arm", tmp_path / "table.csv", problem.robot)
+    np.testing.assert_allclose(direct.position, m.position)
+
+
+def test_coordinates_of_two_frames_and_commanded_ones_are_no_targets(tmp_path: Path) -> None:
+    base = P @ Rotation.from_euler("z", 40, degrees=True).as_matrix().T + [900, 20, -300]
+    base += np.random.default_rng(1).normal(0, 1.5, base.shape)
+    columns = {**dict(zip(J, Q.T, strict=True)), **{f"Tracker {c}": v for c, v in zip("XYZ", P.T, strict=True)}}
+    columns |= {f"Robot {c}": v for c, v in zip("XYZ", base.T, strict=True)}
+    pd.DataFrame(columns).to_csv(tmp_path / "table.csv", index=False)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv")
+    assert len(problem.whole[0]) == ROWS
+    np.testing.assert_allclose(1e3 * problem.whole[0].position, P, atol=1e-3)
+
+
+ORDER = np.random.default_rng(7).permutation(ROWS)
+READINGS = pd.DataFrame(Q, columns=J)
+SEEN = pd.DataFrame(P, columns=["x", "y", "z"])
+TIMES = 1.7e9 + 5.0 * np.arange(ROWS)
+FILES: dict[str, tuple[list[pd.DataFrame], str]] = {
+    "by number": ([READINGS.assign(ID=ORDER), SEEN.assign(Point=range(ROWS)).iloc[ORDER][::-1]], "columns 'ID' and"),
+    "by name": (
+        [READINGS.assign(name=[f"P{k:03d}" for k in range(ROWS)]), SEEN.assign(pt=[f"p{k}" for k in range(ROWS)])],
+        "columns 'name' and 'pt'",
+    ),
+    "by order": ([READINGS, SEEN], "by the order of their rows"),
+    "by time": (
+        [
+            pd.DataFrame(np.repeat(Q, 10, axis=0), columns=J).assign(
+                time=np.repeat(TIMES, 10) + np.tile(0.1 * np.arange(10), ROWS)
+            ),
+            SEEN.assign(stamp_ms=1e3 * (TIMES + 0.42))[3:20],
+        ],
+        "by time",
+    ),
+    "three files": (
+        [
+            READINGS.assign(ID=range(ROWS)),
+            SEEN.assign(ID=range(ROWS)),
+            pd.DataFrame({"ID": range(ROWS), "T [°C]": 20.0}),
+        ],
+        "columns 'ID'",
+    ),
+    "two days": ([READINGS.join(SEEN)[:12], READINGS.join(SEEN)[12:]], "the rows of both"),
+}
+
+
+@pytest.mark.parametrize("form", FILES)
+def test_several_files_are_one_table(form: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    tables, words = FILES[form]
+    paths = [tmp_path / f"table{k}.csv" for k in range(len(tables))]
+    for path, frame in zip(paths, tables, strict=True):
+        frame.to_csv(path, index=False)
+    said: list[object] = []
+    problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=paths, show=said.append)
+    assert words in str(said[0])
+    m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", problem.robot)
+    which = [int(np.argmin(np.abs(Q - q).sum(axis=1))) for q in np.rad2deg(m.q)]
+    assert len(m) == (17 if form == "by time" else ROWS)
+    seen = P[ORDER[which]] if form == "by number" else P[which]
+    assert m.position is not None
+    np.testing.assert_allclose(1e3 * m.position, seen, atol=1e-3)
+
+
+def test_files_without_a_column_in_common_and_of_other_lengths_are_refused(tmp_path: Path) -> None:
+    READINGS.to_csv(tmp_path / "q.csv", index=False)
+    SEEN[3:].to_csv(tmp_path / "p.csv", index=False)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    with pytest.raises(InputError, match=r"q\.csv and p\.csv: 30 and 27 rows, and no column in common"):
+        new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=[tmp_path / "q.csv", tmp_path / "p.csv"])
+
+
+def test_headings_may_be_given(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    (tmp_path / "table.csv").write_text(bare(P, Q))
+    names = "x_mm,y_mm,z_mm,q6_deg,q2_deg,q3_deg,q4_deg,q5_deg,q1_deg"
+    new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings=names)
+    assert (tmp_path / "arm" / "poses.csv").read_text().startswith(f"{names}\n")
+    with pytest.raises(InputError, match="2 headings for 9 columns; the first row has"):
+        new_problem(tmp_path / "b", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings="x,y")

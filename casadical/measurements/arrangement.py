@@ -1,0 +1,246 @@
+"""Tables rearranged into one row for each measured point: several files, targets side by side."""
+
+import re
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from functools import reduce
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+
+from casadical.core.basics import Array, InputError
+from casadical.measurements.columns import in_seconds, numbers_of
+from casadical.measurements.headings import position_groups, words_of
+from casadical.measurements.raw_table import RawTable
+from casadical.measurements.table_form import Form
+from casadical.measurements.vocabulary import WORDS
+
+
+def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
+    """Return a table with one position in each row, where it has those of several targets in a row.
+
+    Targets on one flange keep their distances while the directions between them turn; coordinates
+    in several frames, or nominal ones, do not. The column `tool` names the targets; copies of one
+    target, which lie together, have none. A table without them is returned unchanged.
+
+    given : columns of the file that are assigned already
+    """
+    groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*given}]
+    points = [np.column_stack([h.values for h in g]) for g in groups]
+    best: tuple[int, ...] = ()
+    pairs = {pair for pair in combinations(range(len(groups)), 2) if _rigid(points[pair[0]], points[pair[1]])}
+    for k in range(len(groups)):
+        together = (k, *(i for i in range(k + 1, len(groups)) if (k, i) in pairs))
+        best = max(best, together, key=len)
+    if len(best) < 2:
+        return raw
+    names = _target_names([{*groups[k][0].rest, *groups[k][0].numbers} for k in best])
+    taken = [h.name for k in best for h in groups[k]]
+    others = raw.frame.drop(columns=taken)
+    units = dict(zip(raw.header, raw.form.units, strict=False))
+    parts = []
+    for name, k in zip(names, best, strict=True):
+        unit = groups[k][0].unit or units.get(groups[k][0].name, "")
+        columns = {
+            f"point {c} [{unit}]" if unit else f"point {c}": h.values for c, h in zip("xyz", groups[k], strict=True)
+        }
+        seen = np.isfinite(points[k]).any(axis=1)
+        parts.append(others.assign(**columns, tool=name, **{"row of the file": raw.line})[seen])
+    table = pd.concat(parts).sort_values("row of the file", kind="stable")
+    apart = float(np.nanmedian(np.linalg.norm(points[best[0]] - points[best[1]], axis=1)))
+    copies = apart < 1e-3 * float(np.nanmax(np.nanstd(points[best[0]], axis=0)))
+    table = table.drop(columns=["tool"] * copies)
+    what = "repeated measurements" if copies else f"targets, {', '.join(names)},"
+    said = f"{len(best)} {what} stand side by side: each row gives {len(best)} rows, {len(table)} in all."
+    return _made(raw, table, f"{raw.path.name}: {said}")
+
+
+def _rigid(a: Array, b: Array) -> bool:
+    """Return whether two points, shape (n, 3), keep their distance while its direction turns.
+
+    Points that are equal within noise count, too.
+    """
+    whole = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    way = (a - b)[whole]
+    if len(way) < 4:
+        return False
+    length, size = np.linalg.norm(way, axis=1), float(np.std(a[whole], axis=0).max())
+    scatter = float(np.median(np.abs(length - np.median(length))))
+    # Tolerances as shares of the positions' spread: a flange of 1 m of travel is rigid to 2 mm.
+    if np.median(length) < 1e-3 * size:
+        return float(np.std(b[whole], axis=0).max()) > 0
+    values = np.linalg.eigvalsh(way.T @ way)
+    return scatter < 2e-3 * size and scatter < 0.05 * np.median(length) and values[-1] < 0.95 * values.sum()
+
+
+def _target_names(words: Sequence[set[str]]) -> list[str]:
+    """Return a name for each target, by the words of its headings that the others do not have."""
+    common = set.intersection(*words)
+    own = ["_".join(sorted(w - common)) for w in words]
+    if len({*own}) < len(own) or all(re.fullmatch(r"\d*", name) for name in own):
+        own = [f"target{name or k}" for k, name in enumerate(own, 1)]
+    return [name or f"target{k}" for k, name in enumerate(own, 1)] if len({*own}) == len(own) else _numbered(len(own))
+
+
+def _numbered(count: int) -> list[str]:
+    return [f"target{k}" for k in range(1, count + 1)]
+
+
+def with_headings(raw: RawTable, names: Sequence[str]) -> RawTable:
+    """Return the table with other headings. Raises InputError: not one for each column."""
+    if len(names) != len(raw.header):
+        raise InputError(
+            f"{raw.path}: {len(names)} headings for {len(raw.header)} columns; the first row has "
+            f"{', '.join(map(str, raw.frame.iloc[0]))}"
+        )
+    return _made(raw, raw.frame.set_axis([*names], axis=1), f"{raw.path.name}: its headings are those that were given.")
+
+
+def joined(tables: Sequence[RawTable]) -> RawTable:
+    """Return one table of several files: below each other, or joined by a key, a time or the order.
+
+    Files with the same headings are put below each other. Else rows are joined by a column whose
+    cells the files share (a number or name of a point), by the nearest time stamp, or, if they have
+    equally many rows, by their order. Raises InputError where none of these is possible.
+    """
+    return reduce(_pair, tables)
+
+
+def _pair(a: RawTable, b: RawTable) -> RawTable:
+    """Return one table of two (see `joined`)."""
+    names = f"{a.path.name} and {b.path.name}"
+    if {*a.header} == {*b.header} and a.form.header_line:
+        return _made(a, pd.concat([a.frame, b.frame]), f"{names} have the same headings: the rows of both are taken.")
+    if not (a.form.header_line and b.form.header_line):
+        for raw in (a, b):  # columns without headings stay apart
+            own = {n: f"{raw.path.stem} {n}" for n in raw.header} if not raw.form.header_line else {}
+            a, b = (_renamed(a, own), b) if raw is a else (a, _renamed(b, own))
+    keys = _keys(a, b)
+    if keys:
+        left, right = keys[0]
+        return _made(a, _merged(a, b, left, right), f"{names} are joined by their columns {left!r} and {right!r}.")
+    times = _time(a), _time(b)
+    if times[0] and times[1] and _overlap(a, b, times[0], times[1]):
+        return _by_time(a, b, times[0], times[1])
+    if len(a.frame) == len(b.frame):
+        right_frame = b.frame.rename(columns=_apart(a, b)).reset_index(drop=True)
+        table = pd.concat([a.frame.rename(columns=_apart(b, a)).reset_index(drop=True), right_frame], axis=1)
+        return _made(a, table, f"{names} have no column in common: they are joined by the order of their rows.")
+    raise InputError(
+        f"{names}: {len(a.frame)} and {len(b.frame)} rows, and no column in common by which they could be "
+        "joined; give both a column with the number or the name of each pose, or a time stamp"
+    )
+
+
+def _apart(a: RawTable, b: RawTable) -> dict[str, str]:
+    """Return new names of the columns of b that a has, too: preceded by the name of the file."""
+    return {name: f"{b.path.stem} {name}" for name in b.header if name in a.header}
+
+
+def _renamed(raw: RawTable, names: dict[str, str]) -> RawTable:
+    header = tuple(names.get(n, n) for n in raw.header)
+    return replace(raw, header=header, frame=raw.frame.set_axis(header, axis=1))
+
+
+def _keys(a: RawTable, b: RawTable) -> list[tuple[str, str]]:
+    """Return pairs of columns whose cells name the same poses, the most probable first.
+
+    One of them names each row once, and most of its cells are in the other one.
+    """
+    found = []
+    for left in a.header:
+        for right in b.header:
+            cells = [_labels(a.frame[left]), _labels(b.frame[right])]
+            if any(c is None for c in cells):
+                continue
+            x, y = (set(c) for c in cells if c is not None)
+            shared = len(x & y) / min(len(x), len(y))
+            unique = len(x) == len(a.frame) or len(y) == len(b.frame)
+            alike = words_of(left)[0] == words_of(right)[0]
+            if unique and shared >= (0.5 if alike else 0.8) and min(len(x), len(y)) > 2:
+                found.append((-shared - alike, left, right))
+    return [(left, right) for _, left, right in sorted(found)]
+
+
+def _labels(cells: pd.Series) -> list[str] | None:
+    """Return cells as labels of poses, if they are words or whole numbers; None otherwise."""
+    numbers = numbers_of(cells)
+    if np.isfinite(numbers).all():
+        return [f"{n:.0f}" for n in numbers] if (numbers == numbers.round()).all() and np.ptp(numbers) else None
+    if np.isfinite(numbers).any() and cells.isna().any():
+        return None
+    texts = [str(cell).strip().casefold() for cell in cells]
+    return [re.sub(r"^(\D+?)[\s_-]*0*(\d+)$", r"\1\2", text) for text in texts] if len({*texts}) > 1 else None
+
+
+def _merged(a: RawTable, b: RawTable, left: str, right: str) -> pd.DataFrame:
+    """Return the rows of two tables whose keys are equal, in the order of the first table."""
+    x = a.frame.rename(columns=_apart(b, a) | {left: left}).assign(_key=_labels(a.frame[left]))
+    y = b.frame.rename(columns=_apart(a, b)).drop(columns=_apart(a, b).get(right, right))
+    return x.merge(y.assign(_key=_labels(b.frame[right])), on="_key", sort=False).drop(columns="_key")
+
+
+def _time(raw: RawTable) -> str:
+    """Return the only column of increasing times; empty if there is none."""
+    named = [n for n in raw.header if {*words_of(n)[0]} & WORDS["time"] and not {*words_of(n)[0]} & WORDS["about"]]
+    some = [n for n in named if (np.diff(in_seconds(raw.frame[n])) >= 0).all()]
+    return some[0] if some else ""
+
+
+def _seconds(raw: RawTable, name: str) -> Array:
+    """Return the times of a column [s]; whole numbers of ms, us or ns by their size."""
+    seconds = in_seconds(raw.frame[name])
+    unit = words_of(name)[1]
+    factor = {"ms": 1e-3, "us": 1e-6, "ns": 1e-9}.get(unit)
+    if factor is None:
+        size = float(np.median(np.abs(seconds)))
+        factor = next((f for most, f in ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6)) if size < most), 1e-9)
+    return np.asarray(seconds * factor)
+
+
+def _overlap(a: RawTable, b: RawTable, left: str, right: str) -> bool:
+    """Return whether most times of one table are within those of the other."""
+    x, y = _seconds(a, left), _seconds(b, right)
+    inside = [np.mean((u >= v.min() - 1) & (u <= v.max() + 1)) for u, v in ((x, y), (y, x))]
+    return bool(max(inside) > 0.8)
+
+
+def _by_time(a: RawTable, b: RawTable, left: str, right: str) -> RawTable:
+    """Return the rows of the table with fewer rows, with the nearest ones of the other table."""
+    swap = len(a.frame) > len(b.frame)
+    few, many = (b, a) if swap else (a, b)
+    x, y = _seconds(few, right if swap else left), _seconds(many, left if swap else right)
+    frame = many.frame.rename(columns=_apart(few, many)).assign(_t=y)
+    step = float(np.median(np.diff(y))) if len(y) > 1 else np.inf
+    near = pd.merge_asof(
+        few.frame.rename(columns=_apart(many, few)).assign(_t=x),
+        frame,
+        on="_t",
+        direction="nearest",
+        tolerance=max(step, 1e-9),  # type: ignore[arg-type]
+    )
+    lost = int(near[[n for n in frame if n != "_t"]].isna().all(axis=1).sum())
+    names = f"{few.path.name} and {many.path.name}"
+    rest = f"; {lost} without one are left out" if lost else ""
+    said = (
+        f"{names} are joined by time: each row of the first has the nearest of the second, within {step:.3g} s{rest}."
+    )
+    near = near[~near[[n for n in frame if n != "_t"]].isna().all(axis=1)]
+    if not len(near):
+        raise InputError(f"{names}: no time stamps within {step:.3g} s of each other; are the clocks the same?")
+    return _made(few, near.drop(columns="_t"), said)
+
+
+def _made(raw: RawTable, table: pd.DataFrame, said: str) -> RawTable:
+    """Return a rearranged table; its rows count as in a file with one line of headings.
+
+    said : how it was rearranged, as a sentence
+    """
+    table = table.reset_index(drop=True)
+    line = table.pop("row of the file").to_numpy() if "row of the file" in table else np.arange(len(table)) + 2
+    header, units = tuple(map(str, table)), dict(zip(raw.header, raw.form.units, strict=False))
+    form = Form(units=tuple(units.get(n, "") for n in header) if units else ())
+    return replace(
+        raw, header=header, cells=(), frame=table, line=line, form=form, said=(*raw.said, said), comments=raw.comments
+    )
