@@ -15,7 +15,7 @@ from casadical.effects.base import Balancer, Context, Counterparts, Effect, sett
 
 @dataclass(frozen=True)
 class GravityCompensator(Effect):
-    """A balancing spring on joint 2 that the base model omits.
+    """A balancing spring on the joint that gravity loads most, which the base model omits.
 
     anchor : distance of the spring's fixed end from the joint, divided by the distance of its end
         on the arm from the joint
@@ -24,21 +24,27 @@ class GravityCompensator(Effect):
 
     # The closer to 1, the more sharply the torque changes where the spring is shortest.
     anchor: float = setting(2.0, (1.6, 3.0, 1.15, 1.02))
-    # The candidates' readings of joint 2 at which the spring lies in line, in steps of 30 degrees.
+    # The candidates' readings of the joint at which the spring lies in line, in steps of 30 degrees.
     phase: float = setting(0.0, tuple(np.deg2rad(np.arange(0, 360, 30)).tolist()), steps=True, signed=True)
 
     name = "gravity_compensator"
     on_list = "standard"
-    signature = "a smooth torque on joint 2 (spring, gas balancer)"
-    physics = "A spring between base and arm pulls joint 2 by k a b sin(g) (1 - l0/l(g)) (Klimchik et al. 2013)."
-    confused_with = "gear_eccentricity of joint 2, completely, unless payload or spring pressure change"
+    signature = "a smooth torque on the joint that gravity loads most, the shoulder (spring, gas balancer)"
+    physics = "A spring across the shoulder pulls it by k a b sin(g) (1 - l0/l(g)) (Klimchik et al. 2013)."
+    confused_with = "gear_eccentricity of the same joint, completely, unless payload or spring pressure change"
     # Coefficients of the spring's torque, divided by the joint's peak gravity torque.
     size = {"sin": (0.3, ""), "cos": (0.3, ""), "preload": (0.3, "")}
 
     @classmethod
     def candidates(cls, arm: Arm) -> Iterable[Effect]:
-        """Return `GravityCompensator` at joint 2, once for each combination of grid settings."""
-        return (effect for effect in super().candidates(arm) if effect.joint == 2)
+        """Return the effect at the shoulder, once for each combination of grid settings.
+
+        The shoulder is the revolute joint with the largest peak gravity torque: joint 2 of an arm
+        on the floor, joint 1 of one on a wall. An arm without masses has none.
+        """
+        torque = dict(zip(arm.numbers, getattr(arm, "torque_scale", ()), strict=False))
+        shoulder = max((j for j in arm.revolute if torque.get(j, 0.0) > 1e-6), key=torque.__getitem__, default=None)
+        return (effect for effect in super().candidates(arm) if effect.joint == shoulder)
 
     def angle(self, context: Context, q: Symbolic) -> Symbolic:
         """Return the deflection of the joint by the torque of the spring [rad].

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from bench import campaign, robot, with_columns
 
-from casadical import InputError, Joint, Placement, Robot
+from casadical import Body, InputError, Joint, Placement, Robot
 from casadical.diagnosis.candidates import extended_candidates
 from casadical.diagnosis.settings_search import neighbours
 from casadical.effects import (
     Effect,
     FrictionWindup,
     GearMesh,
+    GravityCompensator,
     LinkFlexure,
     MissingCompliance,
     NonlinearStiffness,
@@ -54,6 +55,16 @@ def test_settings_that_a_file_does_not_give(name: str) -> None:
 
 def test_a_frame_settles_within_a_fiftieth_to_a_third_of_the_campaign() -> None:
     assert [e.settles for e in FrameSettling.candidates(robot("ur10e"))] == [0.02, 0.05, 0.12, 0.3]
+
+
+@pytest.mark.parametrize(
+    ("turntables", "mass", "shoulder"), [(1, 9.0, {2}), (2, 9.0, {3}), (0, 9.0, {1}), (1, 0.0, set())]
+)
+def test_a_balancer_is_at_the_joint_that_gravity_loads(turntables: int, mass: float, shoulder: set[int]) -> None:
+    """Upper arm and forearm behind joints of vertical axes: the first horizontal axis bears both."""
+    bar = Body(mass, np.array([0.3, 0.0, 0.0]))
+    links = [Joint(d=0.1, body=bar)] * turntables + [Joint(alpha=np.pi / 2, body=bar), Joint(a=0.6, body=bar)]
+    assert {e.joint for e in GravityCompensator.candidates(Robot("arm", tuple(links)))} == shoulder
 
 
 def test_links_of_any_length_but_castings_bend() -> None:
