@@ -1,6 +1,7 @@
 """Conclusion of a search for causes: held-out errors, causes, outliers and verdict."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -36,6 +37,11 @@ def conclude(
     state, end, p_nothing : as returned by `search`; seed : seed of the held-out partitions
     """
     state, end = named(state, end, seed)
+    # A further event of a kind is no candidate that reports compare: it looks like the first one.
+    alone = [c for c in state.case.candidates if getattr(c.variants[0][0], "event", 1) == 1]
+    own = {s.labels[0] for s in state.steps}
+    shown = tuple(c for c in state.case.candidates if c in alone or c.label in own)
+    state = replace(state, case=replace(state.case, candidates=shown)._with_evidence(state.case.evidence))
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
     repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)

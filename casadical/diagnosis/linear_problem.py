@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 
@@ -307,6 +308,34 @@ class Case:
         """
         assert isinstance(self.whole.E, EffectColumns)
         return self.whole.E.sizes[columns]
+
+    def with_events(self, count: int, known: Collection[str]) -> Case:
+        """Return the case in which each kind of event has some candidates that are not known yet.
+
+        What slipped once may slip again: a later event has the columns of the first.
+        count : least number of these candidates; known : labels of the causes in the model
+        """
+        case, first = self, [c for c in self.candidates if getattr(c.variants[0][0], "event", 0) == 1]
+        for c in first:
+            own = [k for k in self.candidates if (k.name, k.joint) == (c.name, c.joint)]
+            for number in range(len(own) + 1, count + 1 + sum(k.label in known for k in own)):
+                later = {e: cast(Any, replace)(e, event=number) for v in c.variants for e in v}
+                columns = {**case.columns, **{new: self.columns[old] for old, new in later.items()}}
+                more = Candidate(next(iter(later.values())).label, c.name, c.joint, tuple((e,) for e in later.values()))
+                case = replace(case, candidates=(*case.candidates, more), columns=columns)
+        return case._with_evidence(self.evidence) if case is not self else self
+
+    def with_events_at(self, time: float | None) -> Case:
+        """Return the case in which every kind of event is a candidate at a time, unless it is None.
+
+        The kinds would else be compared at different times, those of their grids.
+        """
+        case = self
+        for c in self.candidates if time is not None else ():
+            event: Any = c.variants[0][0]
+            moved = replace(event, at=time) if hasattr(event, "at") else event
+            case = case if moved in case.columns else case.with_variants(c.label, [(moved,)])
+        return case
 
     def with_variants(self, label: str, variants: Sequence[tuple[Effect, ...]]) -> Case:
         """Return the case with additional variants (settings) of the candidate of a label.

@@ -116,8 +116,9 @@ class Cause:
 
     @property
     def label(self) -> str:
-        """Return the effect's name, with @joint if it belongs to one."""
-        return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
+        """Return the effect's name, with @joint if it belongs to one, and #2 for a second event."""
+        event = self.effects[0].event_suffix if self.effects else ""
+        return (self.effect if self.joint is None else f"{self.effect}@{self.joint}") + event
 
     @property
     def of_instrument(self) -> bool:

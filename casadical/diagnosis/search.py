@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -14,14 +15,14 @@ from casadical.core.statistics import ranked
 from casadical.diagnosis.bootstrap import p_value
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cause_sets import most_probable_set
-from casadical.diagnosis.cross_validation import errors_and_distances
+from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import better_ar_form, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
-from casadical.diagnosis.structure import lines_of
+from casadical.diagnosis.structure import event_times, lines_of
 from casadical.effects import Effect, TransmissionRipple
 
 # Why the search ended: no additional cause is detected, candidates cannot be distinguished, an
@@ -91,6 +92,12 @@ class State:
         covered = frozenset(
             c.label for c in self.case.candidates if c.variants[0][0].name in covers or (c.together and c.name in alone)
         )
+        # Of the events of one kind only the first that is not in the model yet is a candidate.
+        open_events = Counter[tuple[str, int | None]]()
+        for c in self.case.candidates:
+            if hasattr(c.variants[0][0], "event") and c.label not in skip | covered:
+                open_events[c.name, c.joint] += 1
+                covered |= {c.label} if open_events[c.name, c.joint] > 1 else frozenset[str]()
         columns = [self.columns(given), *(self.case.group(e) for e in also.values())]
         chosen = np.unique(np.concatenate(columns))
         joints = (
@@ -186,6 +193,10 @@ class State:
             gains = self._gains(variant, self.columns(given))
             variant = tuple(e for e, gain in zip(variant, gains, strict=True) if gain > SETTINGS.min_joint_log_evidence)
         case, effects = refined(self.case, label, variant, self.columns(given), ranking.noise[label])
+        if effects:
+            case = case.with_events_at(getattr(effects[0], "at", None)).with_events(
+                1, {label, *(s.labels[0] for s in given)}
+            )
         return case, Step(ranking, tuple(labels), effects)
 
     def with_cause(self, labels: Sequence[str]) -> State:
@@ -210,13 +221,23 @@ class State:
             case.judged.forget()
         return replace(state, case=screened)
 
+    def with_events(self) -> State:
+        """Return the state with events of the instrument as candidates at the times they show at."""
+        case, columns = self.case, self.columns()
+        noise = likely_noise(case.judged.log_base(columns), case.judged.sigmas)
+        for time in event_times(case, columns, noise, case.form):
+            case = case.with_events_at(time)
+        return replace(self, case=case)
+
     def revisited(self) -> State:
         """Return the state with each cause replaced by the most probable one given the others.
 
         That is done where the most probable one is listed.
         """
         state = self
-        for k in range(len(self.steps) if len(self.steps) > 1 else 0):
+        # A single cause is compared again if its rivals are now known at the time of its event.
+        timed = any(hasattr(e, "at") for s in self.steps for e in s.effects)
+        for k in range(len(self.steps) if len(self.steps) > 1 or timed else 0):
             others = (*state.steps[:k], *state.steps[k + 1 :])
             ranking = state.rank(others)
             listed = state.listed(ranking)
@@ -297,7 +318,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
     end: End = "none"
     while len(state.steps) < SETTINGS.max_causes:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
-        state = state.ranked()
+        state = state.with_events().ranked()
         ranking, known = state.rankings[-1], len(state.steps)
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
@@ -305,6 +326,8 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
         # Several simultaneous causes can hide each other.
         if sets and (end in ("unknown", "ambiguous") or len(labels) > 1):
             show("sets of causes")
+            # A set may have two events of one kind.
+            state = replace(state, case=state.case.with_events(2, {s.labels[0] for s in state.steps}))
             several, doubted = state.most_probable_set()
             state = replace(state, doubted=state.doubted | doubted)
             for label in several[:-1]:

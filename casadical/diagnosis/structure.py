@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
 from math import lgamma, log
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.special import gammaincc, log_ndtr
@@ -30,6 +30,7 @@ from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form
 from casadical.diagnosis.settings import SETTINGS
+from casadical.effects import Effect
 from casadical.identification.accuracy import predicted
 from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
@@ -87,6 +88,15 @@ def lines_of(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[tupl
     The arguments and the number of tests are those of `remainder_of`.
     """
     return _WhitenedResidual(case, columns, noise, form).lines()
+
+
+def event_times(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[float, ...]:
+    """Return the times, 0 to 1, at which the residual of a fit shows that the instrument jumped.
+
+    There are two at most; every pose is tried. The arguments are those of `remainder_of`.
+    """
+    kinds = {c.label: c.variants[0][0] for c in case.candidates if getattr(c.variants[0][0], "event", 0) == 1}
+    return _WhitenedResidual(case, columns, noise, form).events(kinds) if kinds else ()
 
 
 def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
@@ -194,6 +204,34 @@ class _WhitenedResidual:
         sure = _significant([s for group in lines if group[2] for s in self._tests(*group)], tried)
         return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
 
+    def events(self, kinds: Mapping[str, Any]) -> tuple[float, ...]:
+        """Return the times of the two most significant steps that are a twentieth apart, in order.
+
+        kinds : events by label of their candidate. The sums over the poses behind each pose come
+        from one pass: a step's columns are those of an event before all poses, cut off there.
+        """
+        if not self._has_residual:
+            return ()
+        time, n, chance = self.case.progress[self.at], len(self.squares), np.zeros(len(self.squares))
+        for label, event in kinds.items():
+            always: Effect = replace(event, at=-1.0)
+            case = self.case.with_variants(label, [(always,)])
+            G = self.rows(case.evidence.take(case.columns[always])[self._order[self.pick]])
+            G = G[:, np.any(G, axis=0)].reshape(n, -1, np.count_nonzero(np.any(G, axis=0)))
+            sums = (G.transpose(0, 2, 1) @ G, G.transpose(0, 2, 1) @ self.y.reshape(n, -1, 1))
+            absorbed = self._Q.reshape(n, -1, self._Q.shape[1]).transpose(0, 2, 1) @ G
+            normal, right, absorbed = (np.cumsum(s[::-1], axis=0)[::-1] for s in (*sums, absorbed))
+            shares = self._explained(normal - absorbed.transpose(0, 2, 1) @ absorbed, right[:, :, 0])
+            own = [log_chance_of(share, k, self.freedom) for share, k in shares]
+            chance = np.minimum(chance, own)
+        chance[0] = 0.0
+        times, least = list[float](), log(SETTINGS.max_structure_chance / (n * len(kinds)))
+        for _ in range(2):
+            if chance[best := int(np.argmin(chance))] < least:
+                times.append(float(time[best - 1 : best + 1].mean()))
+                chance[np.abs(time - time[best]) < 0.05] = 0.0
+        return tuple(times)
+
     @property
     def _has_residual(self) -> bool:
         """Return whether there is a residual to test."""
@@ -246,7 +284,14 @@ class _WhitenedResidual:
 
         F : whitened columns minus the part that the fit absorbs, shape (groups, rows, width)
         """
-        normal, right = F.transpose(0, 2, 1) @ F, np.einsum("gri,r->gi", F, self.y)
+        return self._explained(F.transpose(0, 2, 1) @ F, np.einsum("gri,r->gi", F, self.y))
+
+    def _explained(self, normal: Array, right: Array) -> Iterator[tuple[float, int]]:
+        """Return the result of `_shares` from inner products of the columns.
+
+        normal, right : with each other and with the residual, shapes (groups, width, width) and
+            (groups, width)
+        """
         scale = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
         value, vector = np.linalg.eigh(normal / scale[:, :, None] / scale[:, None])
         turned = np.einsum("gij,gi->gj", vector, right / scale)

@@ -442,8 +442,14 @@ class Effect:
 
     @property
     def label(self) -> str:
-        """Return the identifier of the effect: name, or name@joint."""
-        return self.name if self.joint is None else f"{self.name}@{self.joint}"
+        """Return the identifier of the effect: name, or name@joint; #2 follows for a second event."""
+        return (self.name if self.joint is None else f"{self.name}@{self.joint}") + self.event_suffix
+
+    @property
+    def event_suffix(self) -> str:
+        """Return "#2", "#3", ... for a later event of a kind that has a number (`event`), else ""."""
+        event = getattr(self, "event", 1)
+        return f"#{event}" if event > 1 else ""
 
     @property
     def conditions(self) -> tuple[str, ...]:

@@ -309,6 +309,23 @@ def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     assert len(np.unique(case.evidence.alike)) == 4
 
 
+def test_a_wire_that_slips_twice_has_two_steps_at_their_rows() -> None:
+    """Each step lies between the two readings that it parts, though the grid's times are 3 % of the campaign apart."""
+    m = practice("kr210-P08")[:100]
+    wire = distances(m)[0]
+    assert wire.distance is not None
+    row = np.arange(len(m))
+    slipped = replace(wire, distance=wire.distance + 2e-3 * (row >= 23) - 1.5e-3 * (row >= 71))
+    found = diagnose(robot("kr210"), slipped, ["wire_step", "station_step", "wire_drift", "backlash"])
+    assert {c.label: c.effect for c in found.causes} == {"wire_step": "wire_step", "wire_step#2": "wire_step"}
+    time = found.case.progress
+    jumps = sorted((c.effects[0].at, *c.estimates["step1"][:2]) for c in found.causes if c.estimates)  # type: ignore[attr-defined]
+    for (at, size, error), first, true in zip(jumps, (23, 71), (2e-3, -1.5e-3), strict=True):
+        assert time[first - 1] < at < time[first]
+        assert abs(size - true) < 4 * error
+    assert not [c.label for c in found.case.candidates if c.label.endswith("#3")]
+
+
 @pytest.mark.slow
 def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     m = practice("kr210-P08")[:60]
