@@ -193,7 +193,7 @@ def _suggest_next(
         tell(console, answers[0].next_command(sys.argv[1:], problem, campaigns))
     if not details:
         console.print(
-            "where it lies, how sure, what is left: --details, --out DIR or --report FILE.html",
+            "where it lies, how certain, what remains: --details, --out DIR or --report FILE.html",
             style="dim",
         )
 

@@ -125,7 +125,7 @@ def measure(
         keep(with_json({}, json_file, session.state()), console)
     if finish:
         console.print(finished(session))
-        suggest(console, "to learn what is left", "diagnose", folder)
+        suggest(console, "to learn the cause of the remaining error", "diagnose", folder)
     else:
         tell(console, *summary(session.state()))
         suggest(console, "to look for slips before a calibration", "check", folder)

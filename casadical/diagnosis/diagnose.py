@@ -169,7 +169,7 @@ class _Question:
         joint = noisy_joint(case, found.rankings[-1]) if found.verdict == "unknown" else None
         if joint is None:
             return found
-        self.show(f"causes beside the scatter of joint {joint}")
+        self.show(f"causes given poor repeatability of joint {joint}")
         with_it, _, _ = search(case.with_scatter(joint, SETTINGS.noisy_joint_factor), self.seed, 0, self.show)
         if len(with_it.steps) <= len(found.effects()) or with_it.rankings[0].none > SETTINGS.max_p_nothing_under_form:
             return found
@@ -195,7 +195,7 @@ class _Question:
             ratios = updated_ratios(found.case, found.columns, found.noise)
             if ratios is None:
                 break
-            self.show("the sets' noise differs from what the base model left: searched again")
+            self.show("the sets' noise differs from that of the base model: searched again")
             found = self.searched(case := self.with_unchanged_prior(self.case(ratios), unchanged))
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
@@ -266,7 +266,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     They concern campaigns with other measurements than one set of positions.
     """
     said = [
-        f"{m.source}: its orientations do not fit the robot and are left aside; check their convention and frame"
+        f"{m.source}: its orientations do not fit the robot and are not used; check their convention and frame"
         for m, used in zip(given, found.measurements, strict=False)
         if m.orientation is not None and used.orientation is None
     ]
@@ -305,6 +305,6 @@ def _refuse_coarser(found: Diagnosis) -> Diagnosis:
         return found
     sd_mm = 1e3 * robust_std(found.case.whole.r)
     raise InputError(
-        f"{found.case.m.source}: {sd_mm:.2g} mm a coordinate are left, and noise beyond {1e3 * most:.2g} mm is not "
+        f"{found.case.m.source}: {sd_mm:.2g} mm per coordinate remain, and noise beyond {1e3 * most:.2g} mm is not "
         "diagnosed; correct the robot file or the units"
     )

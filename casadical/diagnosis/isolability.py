@@ -40,7 +40,7 @@ from casadical.robot.robot import Robot
 
 # Explanation of the columns of an isolability table, which is printed below it.
 NOTES = (
-    "size: rms at a realistic size; absorbed: the share that the base model takes up; visible: what is left of it, and "
+    "size: rms at a realistic size; absorbed: the share that the base model absorbs; visible: the remainder, and "
     "a coordinate of that in units of the noise; found from: the multiple of the realistic size that is found 9 times "
     "in 10; looks like: causes that reproduce this share of what is visible."
 )

@@ -98,8 +98,8 @@ class NoiseAccount:
 
     def in_words(self) -> str:
         """Return a text of all figures of the noise, and which source determines its size."""
-        joints = f" and joints that repeat to {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
-        said = [f"taken as noise: {mm(self.taken)} mm a coordinate (instrument {mm(self.sigma)}{joints})"]
+        joints = f", joint repeatability {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
+        said = [f"noise: {mm(self.taken)} mm per coordinate (instrument {mm(self.sigma)}{joints})"]
         said += [self.form] * bool(self.form)
         stated = f"declared: {mm(self.declared)}" if self.declared else "nothing declared"
         said.append(f"data sheet: errors up to {mm(self.sheet)}" if self.sheet else stated)
@@ -108,23 +108,23 @@ class NoiseAccount:
         else:
             said.append("no repeated poses")
         ruling = {
-            Rule.REPEATS: "repeated poses rule",
-            Rule.DECLARED: "declared noise rules",
-            Rule.SHEET: "data sheet rules",
+            Rule.REPEATS: "repeated poses",
+            Rule.DECLARED: "declaration",
+            Rule.SHEET: "data sheet",
         }
         if self.anchored:
-            said.append(f"the {ruling[self.rules]}")
+            said.append(f"determined by the {ruling[self.rules]}")
         elif self.sheet:
-            said.append("the fit rules: more than the data sheet allows, and in every way like noise")
+            said.append("estimated from the fit: more than the data sheet allows, but like noise in every way")
         elif self.declared:
             times = self.sigma / self.declared
             how = f"{times:.1f} times too small" if times > 1 else f"{1 / times:.1f} times too large"
-            said.append(f"the fit rules, by which the declared noise is {how}")
+            said.append(f"estimated from the fit, by which the declared noise is {how}")
         else:
             tell = "datasheet_mm in problem.toml, or poses measured twice, would tell"
-            said.append(f"the fit rules: noise, or a form that was not tried ({tell})")
+            said.append(f"estimated from the fit: noise, or an effect of a form that was not tried ({tell})")
         if self.rules == Rule.FIT and not self.like_noise:
-            said.append("it has heavier tails than noise has, or is larger in some directions than in others")
+            said.append("its tails are heavier than those of noise, or its size depends on the direction")
         return "; ".join(said)
 
     def structure_in_words(self) -> str:
@@ -133,9 +133,9 @@ class NoiseAccount:
         if self.excess:
             anchors = {Rule.REPEATS: "repeated poses say", Rule.SHEET: "the data sheet allows"}
             anchor = anchors.get(self.rules, "was declared")
-            said.append(f"{mm(self.excess)} mm a coordinate more than {anchor}: structure without a form")
+            said.append(f"{mm(self.excess)} mm per coordinate more than {anchor}: structure of unknown form")
         said += [
-            f"what is left follows {s.over} along {s.along} ({100 * s.share:.0f} % of its square; in noise with a "
+            f"the residuals depend on {s.over} along {s.along} ({100 * s.share:.0f} % of their square; in noise with a "
             f"chance of 1e{floor(s.log_chance / log(10))})"
             for s in self.structures
         ]

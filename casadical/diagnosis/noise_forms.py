@@ -25,7 +25,7 @@ from casadical.diagnosis.settings import SETTINGS
 from casadical.measurements.measurements import Noise
 
 # Label of autocorrelated (AR(1)) noise of the instrument in rankings and reports.
-AR_NOISE = "noise that follows itself"
+AR_NOISE = "autocorrelated noise"
 # Label of heavy-tailed noise of the instrument in rankings and reports.
 HEAVY_TAILS = "noise with heavy tails"
 
@@ -84,7 +84,7 @@ def noisy_joint(case: Case, ranking: Ranking) -> int | None:
 
 def noisy_joint_label(joint: int) -> str:
     """Return the label of a joint's (1-based) poor repeatability in rankings and reports."""
-    return f"scatter of joint {joint}"
+    return f"poor repeatability of joint {joint}"
 
 
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:

@@ -25,7 +25,7 @@ from casadical.identification.gravity import in_words as gravity_in_words
 # most important topics come first.
 SUBJECTS = {
     "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
-    "UNKNOWN": "Left: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
+    "UNKNOWN": "Remaining: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
     "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
 }  # fmt: skip
 
@@ -163,8 +163,8 @@ def detections_near(d: Diagnosis) -> Iterator[tuple[str, str, str, float, float]
     probability of absence and the threshold of that.
     """
     detected = (
-        (d.p_nothing is None, "anything", "nothing", d.rankings[0].none, SETTINGS.max_p_nothing),
-        (bool(d.effects()), "something further", "no further one", d.rankings[-1].none, SETTINGS.max_p_nothing_further),
+        (d.p_nothing is None, "an effect", "nothing", d.rankings[0].none, SETTINGS.max_p_nothing),
+        (bool(d.effects()), "a further effect", "no further one", d.rankings[-1].none, SETTINGS.max_p_nothing_further),
     )
     for asked, what, name, none, least in detected:
         if asked and (side := _side_of_threshold(1 - none, 1 - least)):

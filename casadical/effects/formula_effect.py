@@ -101,7 +101,7 @@ INSTRUMENT_FLAG_COLUMNS = tuple(f"wire{k}" for k in range(1, MAX_DISTANCE_INSTRU
 CAMERA_SIDES = ("fixed", "carried")
 # Description of the names that formulas may use, for error messages.
 ALLOWED_NAMES = (
-    "q1 (reading [rad or m]), tau1 (load, share of the joint's great torque), m1x (moment at a link, share), gx "
+    "q1 (reading [rad or m]), tau1 (load, share of the joint's peak torque), m1x (moment at a link, share), gx "
     "(gravity in the flange frame, 1 at most), px (flange [m]), t (time, 0 to 1), warmth, warmth_600s [K], payload "
     "[kg], approach1 (-1 or 1), move1 (from the pose before [rad or m]), memory1_300mrad (of motions "
     "so far back, -1 to 1), play1_300mrad (reading of what follows joint 1 with so much play to each side), heat1_600s "

@@ -268,7 +268,7 @@ def fit_quality(result: Identification) -> Words:
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
     condition = result.identifiability.condition
     if result.noise_is_assumed:
-        noise += " (an upper end: so few poses do not tell it beside the prior; say sigma_mm in problem.toml)"
+        noise += " (an upper bound: so few poses do not determine it beyond the prior; state sigma_mm in problem.toml)"
     return Words(
         f"Residual scatter {noise}; condition number {condition:.0f}; optimum {optimal} by recomputation; "
         f"{result.degrees_of_freedom} degrees of freedom."

@@ -184,7 +184,7 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
     if np.log(plain / rest).sum() > 0.8:
         k = int(np.argmax(plain / rest))
         yield (
-            f"{words}: so the model explains {100 * (1 - rest[k]):.0f} % of the torque of {names[k]} beside friction, "
+            f"{words}: so the model explains {100 * (1 - rest[k]):.0f} % of the torque of {names[k]} without friction, "
             f"as it stands {100 * (1 - plain[k]):.0f} %. Turn the sign or the order of columns (or of the model's axes)"
         )
     # Friction that drives a joint is reported from 20 % of the variance of its torque.

@@ -357,7 +357,7 @@ def reduce_and_solve(
         known = " and ".join(name for name, frame in frames if frame.unknown == "none")
         frames_known = f'; known here: {known}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
         raise InputError(
-            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm a coordinate are left after the "
+            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm per coordinate remain after the "
             "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
             f"{known and frames_known}"
         )

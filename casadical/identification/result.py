@@ -144,7 +144,7 @@ class Identification(Result):
     line: ClassVar[str] = (
         " {{ it.method }} of {{ it.given.name | repr }}: {{ it.names | length }} parameters from "
         "{{ it.used | map('length') | sum }} poses, {{ it.identifiability.held | length }} not identifiable, "
-        "{{ (1e3 * it.sigmas | map('first') | max) | f('.3g') }} mm a coordinate left"
+        "{{ (1e3 * it.sigmas | map('first') | max) | f('.3g') }} mm per coordinate remaining"
     )
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -508,7 +508,7 @@ class Identification(Result):
             text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.sources)}"
         left = max(sigma for sigma, _ in self.sigmas)
         if left > MAX_RESIDUAL_OF_REACH * self.robot.reach:
-            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm are left - check joint signs, zeros and units"
+            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm remain - check joint signs, zeros and units"
         return f"{text}. {self.solution.message}"
 
 

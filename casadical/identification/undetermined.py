@@ -51,7 +51,7 @@ def undetermined(sets: Sequence[Measurements], where: Mapping[str, Array]) -> It
     if spread[1] < 0.05 * spread[0]:
         yield (
             f"see a turn of the whole robot about the line in which the {len(places)} places lie that distances are "
-            "measured to; distances to one place beside that line show it"
+            "measured to; distances to one place off that line show it"
         )
 
 

@@ -152,7 +152,7 @@ class Calibration(Result):
             return more_poses(source, self.problem.sets["identify"][0])
         if not kept:
             return next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
-        return next_step("to learn what is left", "diagnose", source, *tables)
+        return next_step("to learn the cause of the remaining error", "diagnose", source, *tables)
 
     def brief(self) -> Sequence[Block]:
         """Return the main results in at most 20 lines of 80 columns, the verdict first."""

@@ -243,7 +243,7 @@ def calibration_page(
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."
     diagnosis_note = (
-        "A calibration does not ask which unmodelled effects are behind what is left. A diagnosis "
+        "A calibration does not ask which unmodelled effects cause the remaining error. A diagnosis "
         "does, given the poses in the order of measuring, with payload and temperature where they "
         "were logged:"
     )

@@ -512,7 +512,7 @@ def table(rows: np.ndarray, command: np.ndarray, ends: np.ndarray) -> dict:
 
 
 def written(day: dict, clean: dict, path: Path) -> None:
-    """The log as a controller writes it: noise that follows itself, quanta, jitter, lost rows; faults of the clock."""
+    """The log as a controller writes it: autocorrelated noise, quanta, jitter, lost rows; faults of the clock."""
     of, rng = ARMS[day["arm"]], np.random.default_rng([day["seed"], 3])
     n, x = len(clean["time"]), clean["x"]
     keep, noise = rng.uniform(0.5, 0.9), rng.normal(size=(n, 6))

@@ -1,7 +1,7 @@
 """python docs/studies/laws.py [--keep FILE.jsonl] [--repeats 1] [--part K/N] [--only KIND] [--follows] [--table]
 
 Whether laws that are claimed are right: synthetic campaigns of two robots with an effect that is on no list, without
-any effect, with noise that follows itself, and with one listed effect. All campaigns are drawn from seeds that were
+any effect, with autocorrelated noise, and with one listed effect. All campaigns are drawn from seeds that were
 used for nothing before. The effects (foreign_effects.py, 16 kinds) are by an author who has read neither the diagnosis
 nor its effects; the grammar does not hold the form of 13 of them. What counts as right (TRUTH) was written down before
 any campaign was judged. The print, by the commits that it names, has 27 kinds more, by the author of the grammar, and
@@ -9,7 +9,7 @@ its campaigns are those of a simulator in numpy that has left the repository.
 
 --keep : results are added to this file, and campaigns that are in it are not judged again
 --part : the K-th of N parts of the campaigns; --table : print the table of what is kept, and judge nothing
---follows : the noise of all campaigns follows itself, of which so much stays from pose to pose; other seeds
+--follows : the noise of all campaigns is autocorrelated with this coefficient; other seeds
 """
 
 import argparse
@@ -37,7 +37,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import from_table
 
 ROBOTS, POSES, NOISE_MM, SIGNALS, SEED = ("kr210", "ur10e"), 100, 0.02, (0.8, 2.5), 101_000
-# Of noise that follows itself: how much of it stays from pose to pose; seeds of campaigns that all have it.
+# Coefficient of autocorrelated noise; seeds of campaigns that all have it.
 STAYS, SEED_FOLLOWS = 0.8, 102_000
 # Kind -> (places, families of drivers, whether the form is in the grammar); a joint's number is that of the effect, {1}
 # the one before it.
@@ -64,7 +64,7 @@ TRUTH: dict[str, tuple[tuple[str, ...], tuple[str, ...], bool]] = {
 
 @dataclass(frozen=True)
 class Trial:
-    """A campaign to be judged. kind : rare, foreign, clean, follows (noise that follows itself) or listed"""
+    """A campaign to be judged. kind : rare, foreign, clean, follows (autocorrelated noise) or listed"""
 
     kind: str
     effect: str
@@ -135,7 +135,7 @@ def judged(trial: Trial) -> dict[str, Any]:
 
 
 def following(rng: np.random.Generator) -> np.ndarray:
-    """Noise of size one that follows itself, shape (POSES, 3)."""
+    """Autocorrelated noise of size one, shape (POSES, 3)."""
     noise = rng.normal(size=(POSES, 3))
     for k in range(1, POSES):
         noise[k] = STAYS * noise[k - 1] + np.sqrt(1 - STAYS**2) * noise[k]
@@ -211,7 +211,7 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
                 yield f"  share of the possible shrink, {model}: median {np.median(shares):.2f} of {len(shares)}"
         lost = sum(1 for r in claimed if "smooth" in r["gap"] and r["gap"]["smooth"] < r["gap"]["law"])
         yield f"  claimed laws that the smooth forms predict better than: {lost}"
-    others = {"clean": "nothing", "follows": "noise that follows itself", "listed": "one listed effect"}
+    others = {"clean": "nothing", "follows": "autocorrelated noise", "listed": "one listed effect"}
     for kind, words in others.items():
         some = [r for r in rows if r["kind"] == kind]
         yield f"{words}: {sum(bool(r['claimed']) for r in some)} of {len(some)} with a law claimed"

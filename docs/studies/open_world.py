@@ -53,7 +53,7 @@ PARTS = {
     "clean": 12,
     "masses 3-10 %": 12,
     "masses 10-30 %": 15,
-    "noise that follows itself": 9,
+    "autocorrelated noise": 9,
     "one scattering joint": 12,
     "heavy tails": 9,
     "copied rows": 6,
@@ -73,14 +73,14 @@ PARTS = {
 # Those that hide nothing, and those that hide what is on no list.
 CLEAN = (*tuple(PARTS)[:8], "noise of another size")
 OFF, BESIDE = ("unlisted", "foreign"), "one beside a foreign one"
-IMPERFECT = ("noise that follows itself", "one scattering joint", "heavy tails", "copied rows", "missing column")
+IMPERFECT = ("autocorrelated noise", "one scattering joint", "heavy tails", "copied rows", "missing column")
 COLUMNS = {"approach": "approach", "temperature": "temperature", "payload": "payload", "time": "time_s"}
 
 
 def noise(kind: str, poses: int, rng: np.random.Generator) -> Array:
     """Of the instrument, shape (poses, 3) [mm]."""
     white = rng.standard_normal((poses, 3))
-    if kind == "noise that follows itself":
+    if kind == "autocorrelated noise":
         phi = rng.uniform(0.5, 0.9)
         white = signal.lfilter([np.sqrt(1 - phi**2)], [1, -phi], rng.standard_normal((poses + 50, 3)), axis=0)[50:]
     if kind == "heavy tails":

@@ -42,7 +42,7 @@ def pads(b: Bench) -> Pair:
 
 
 def beam(b: Bench) -> Pair:
-    """Turn of the whole link, which weighs nothing, about each of its axes under the great torque at its ends."""
+    """Turn of the whole link, which weighs nothing, about each of its axes under the peak torque at its ends."""
     b, s, torsion = without_mass(b, 2), 60e-6, 0.8
     bent = s / stretched_moments(b.plant, 2)[0] * float(b.great[1:3].max())
     v = dict(zip(("rx2", "ry2", "rz2"), bent * (1 - b.along(2) + b.along(2) / torsion), strict=True))

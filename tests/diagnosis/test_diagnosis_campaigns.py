@@ -96,7 +96,7 @@ def test_hose_is_unknown_to_the_standard_list_and_found_by_the_extended_one() ->
     assert d.causes[0].shrink > 0.25
     # The true hose pulls more sharply than the effect's: a remainder of the wrist is left, and said to be.
     assert d.verdict == "unknown"
-    assert "most like scatter of joint 4" in " ".join(page_of(d).split())
+    assert "most like poor repeatability of joint 4" in " ".join(page_of(d).split())
 
 
 def test_outliers_are_a_cause_of_their_own() -> None:
@@ -121,7 +121,7 @@ def test_outliers_along_one_joint_are_no_single_points() -> None:
     d = diagnose(arm, replace(m, position=m.position + wrong))
     assert (d.verdict, d.causes, d.joint_of_outliers) == ("unknown", (), 2)
     assert sorted(o.row for o in d.outliers) == list(m.row[at])
-    assert "they err along the motion of joint 2" in " ".join(page_of(d).split())
+    assert "they deviate along the motion of joint 2" in " ".join(page_of(d).split())
     assert as_json(d, "x")["outliers_along_joint"] == 2
 
 

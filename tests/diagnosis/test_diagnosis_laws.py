@@ -415,7 +415,7 @@ def quiet_campaign() -> tuple[Measurements, Case]:
 
 
 def hidden_in(stays: float, sigma: float, seed: int, laws: Mapping[Law, float]) -> Measurements:
-    """The same poses with laws, each of an rms [m], in noise that follows itself."""
+    """The same poses with laws, each of an rms [m], in autocorrelated noise."""
     m, c = quiet_campaign()
     shifts = sum(shift_of(c, law, rms) for law, rms in laws.items())
     return replace(m, position=m.position + following_noise(m.position.shape, stays, sigma, seed) + shifts)
@@ -440,7 +440,7 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
     said, later = laws_of_diagnosis(found), laws_of_diagnosis(cause)  # which has no law yet
     assert later.rounds[0].form.stays == said.rounds[0].form.stays == found.case.form.stays
     assert later.lines == said.lines
-    note = f"Nats and factors are under noise of which {found.case.form.stays:.2g} stays from one"
+    note = f"Nats and factors assume autocorrelated noise with the coefficient {found.case.form.stays:.2g}"
     assert note in plain_text(said.blocks(), 200)
     assert said.to_json()["rounds"][0]["noise_stays"] == pytest.approx(found.case.form.stays, abs=1e-4)
 
@@ -464,8 +464,8 @@ def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
 def test_noise_is_a_rival_of_every_law() -> None:
     (first, *_) = discovered(5, "stop").rounds
     assert first.claimed
-    assert first.noise[0] in ("noise that follows itself", "noise with heavy tails", "scatter of joint 3")
-    assert not replace(first, noise=("noise that follows itself", first.best.score)).claimed
+    assert first.noise[0] in ("autocorrelated noise", "noise with heavy tails", "poor repeatability of joint 3")
+    assert not replace(first, noise=("autocorrelated noise", first.best.score)).claimed
 
 
 @pytest.mark.slow

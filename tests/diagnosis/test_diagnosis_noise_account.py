@@ -52,9 +52,9 @@ def test_structure_without_a_form_is_no_noise_where_the_noise_is_declared() -> N
     m = with_noise(clipped(clean(), 5e-4))
     alone, declared = found(m), found(m, NOISE)
     assert alone.verdict == "none"
-    assert "or a form that was not tried (datasheet_mm in problem.toml, or poses measured twice, would" in words(alone)
+    assert "or an effect of a form that was not tried (datasheet_mm in problem.toml, or poses measured twice, would" in words(alone)
     assert (declared.verdict, declared.account.rules) == ("unknown", Rule.DECLARED)
-    assert "mm a coordinate of structure without a form" in words(declared)
+    assert "mm per coordinate of structure of unknown form" in words(declared)
     answer = as_json(declared, "clipped")["noise"]
     assert (answer["declared_mm"], answer["rules"]) == (1e3 * NOISE, "declared")
     assert answer["excess_mm"] > 1e3 * NOISE
@@ -66,13 +66,13 @@ def test_a_declaration_that_is_wrong_by_three_is_overruled_and_said(wrong: float
     assert d.verdict == "none"
     assert d.noise.sigma == pytest.approx(NOISE, rel=0.3)
     assert d.account.rules == (Rule.DECLARED if wrong == 1 else Rule.FIT)
-    assert {1 / 3: "times too small", 1: "the declared noise rules", 3: "times too large"}[wrong] in words(d)
+    assert {1 / 3: "times too small", 1: "determined by the declaration", 3: "times too large"}[wrong] in words(d)
 
 
 def test_a_data_sheet_tells_structure_from_noise() -> None:
     d = diagnose(robot("kr210"), replace(with_noise(clipped(clean(), 5e-4)), datasheet=2.5 * NOISE))
     assert (d.verdict, d.account.rules) == ("unknown", Rule.SHEET)
-    assert "more than the data sheet allows: structure without a form" in words(d)
+    assert "more than the data sheet allows: structure of unknown form" in words(d)
     answer = as_json(d, "clipped")["noise"]
     assert (answer["datasheet_mm"], answer["rules"]) == (2.5e3 * NOISE, "data sheet")
     assert "declared_mm" not in answer
@@ -101,7 +101,7 @@ def test_what_follows_the_sum_of_two_angles_is_structure() -> None:
     d = diagnose(robot("hh800"), m, ["backlash"])
     assert d.verdict == "unknown"
     assert (d.account.structures[0].over, d.account.structures[0].along) == ("q4 + q5", "joint 5")
-    assert "follows q4 + q5 along joint 5" in words(d)
+    assert "depend on q4 + q5 along joint 5" in words(d)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Noise that follows itself, has heavy tails, or comes from one joint: evidence by brute force, and campaigns."""
+"""Autocorrelated noise, has heavy tails, or comes from one joint: evidence by brute force, and campaigns."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -140,8 +140,8 @@ def test_beside_a_cause_a_joint_that_scatters_is_on_no_list(size: float) -> None
     hidden = planted("gear_eccentricity", 4, size=size)
     d = diagnose(robot("ur10e"), simulated("ur10e", 4, hidden, scatter(2, 60e-6), n=60))
     assert (d.verdict, [c.label for c in d.causes]) == ("unknown", ["gear_eccentricity@4"])
-    assert d.rankings[-1].order[0] == "scatter of joint 2"
-    assert "most like scatter of joint 2" in " ".join(page_of(d).split())
+    assert d.rankings[-1].order[0] == "poor repeatability of joint 2"
+    assert "most like poor repeatability of joint 2" in " ".join(page_of(d).split())
     np.testing.assert_array_equal(d.case.whole.Jq, d.case.observations.Jq)
 
 
@@ -170,10 +170,10 @@ def test_beside_a_cause_noise_that_follows_itself_is_no_further_one() -> None:
     assert m.position is not None
     d = diagnose(robot("ur10e"), replace(m, position=m.position + noise))
     assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["gear_eccentricity@4"])
-    assert d.rankings[-1].noise_form == "noise that follows itself"
+    assert d.rankings[-1].noise_form == "autocorrelated noise"
     assert d.rankings[-1].none > 0.5
-    assert as_json(d, "campaign")["noise"]["form"] == "noise that follows itself"
-    assert "more like noise that follows itself than" in " ".join(page_of(d).split())
+    assert as_json(d, "campaign")["noise"]["form"] == "autocorrelated noise"
+    assert "more like autocorrelated noise than" in " ".join(page_of(d).split())
 
 
 def path(amplitude: float, poses: int = 300) -> Measurements:

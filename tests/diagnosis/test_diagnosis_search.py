@@ -94,7 +94,7 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
     assert as_json(d, "campaign")["set"]["others"][0] == {"causes": list(labels), "probability": round(p, 4)}
     words = " ".join(page_of(d).split())
     assert ("instead: gear_eccentricity@4 + law" in words) == (verdict == "ambiguous")
-    assert ("one more cause is there with probability" in words) == (verdict == "ambiguous")
+    assert ("a further cause is present with probability" in words) == (verdict == "ambiguous")
 
 
 def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:

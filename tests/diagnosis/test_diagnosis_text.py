@@ -222,11 +222,11 @@ def test_one_more_cause_is_said_with_its_names_and_the_gap_it_leaves(fixed: Diag
     one = CauseSet(0.01, 0.99, {}, further=more, further_gap=40e-6)
     d = replace(fixed, cause_set=one)
     words = (
-        "one more cause is there with probability 0.99, and is not claimed: backlash@1 (0.55) or friction_windup@1 "
-        "(0.44); with the first 0.046 -> 0.040 mm on poses held out"
+        "a further cause is present with probability 0.99, but is not claimed: backlash@1 (0.55) or friction_windup@1 "
+        "(0.44); with the first 0.046 -> 0.040 mm on held-out poses"
     )
     assert words in " ".join(page_of(d).split())
-    assert "One more cause" in plain_text(brief("arm", d))
+    assert "A further cause" in plain_text(brief("arm", d))
     answer = as_json(d, "arm")["set"]
     assert (answer["further"], answer["further_gap_mm"]) == (more, 0.04)
 
@@ -240,9 +240,9 @@ def test_a_claim_at_its_threshold_is_said_as_such(fixed: Diagnosis, probability:
     one = CauseSet(0.9, 0.02, {cause.label: probability})
     d = replace(fixed, verdict="explained" if probability > 0.97 else "ambiguous", causes=(cause,), cause_set=one)
     text = " ".join(page_of(d).split())
-    words = f"thermal_zero_drift@3 is {said} what is claimed: probability {probability:.3f}, claimed from 0.97 on"
+    words = f"thermal_zero_drift@3 is {said} the threshold of a claim: probability {probability:.3f}, claimed from 0.97"
     assert (words in text) == bool(said)
-    assert ("what is claimed: probability" in text) == bool(said)
+    assert ("the threshold of a claim: probability" in text) == bool(said)
 
 
 @pytest.mark.parametrize(("nothing", "said"), [(0.12, "just below"), (0.09, "just above"), (0.2, ""), (0.01, "")])
@@ -250,6 +250,6 @@ def test_something_at_its_threshold_is_said_as_such(fixed: Diagnosis, nothing: f
     first = replace(fixed.rankings[0], none=nothing)
     d = replace(fixed, verdict="none", causes=(), cause_set=None, rankings=(first, replace(first, none=0.049)))
     text = " ".join(page_of(d).split())
-    assert ("that anything is there is" in text) == bool(said)
-    assert f"{said} what is said: P(nothing) = {nothing:.3f}, something from 0.1 down" in text or not said
-    assert "something further" not in text  # that was judged again is not beside a cause
+    assert ("an effect is just" in text) == bool(said)
+    assert f"{said} the threshold of detection: P(nothing) = {nothing:.3f}, detected up to 0.1" in text or not said
+    assert "a further effect is" not in text  # that was judged again is not beside a cause

@@ -51,7 +51,7 @@ ROBOT = three_joints()
 
 @cache
 def simulated(seed, fault=None, runs=2):
-    """A log: friction by a bristle model, noise that follows itself; fault : changes torque, command and time."""
+    """A log: friction by a bristle model, autocorrelated noise; fault : changes torque, command and time."""
     rng, parts = np.random.default_rng(seed), []
     dry, viscous = np.array([6.0, 8.0, 3.0]) * rng.uniform(0.9, 1.1, 3), np.array([5.0, 6.0, 2.0])
     for run in range(1, runs + 1):
@@ -324,7 +324,7 @@ def test_a_log_that_is_refused_is_not_read_as_poses_as_well(tmp_path):
 @pytest.mark.slow
 def test_what_touches_the_arm_all_along_is_told_with_what_would_help():
     told = " ".join(plain_text(diagnosed(2, pushed).blocks(), 200).split())
-    assert "log one run in free air; the other joints are told all the same" in told
+    assert "log one run in free air; the other joints are judged all the same" in told
 
 
 def test_motion_without_commands_or_currents_is_a_log_that_says_what_it_lacks(tmp_path):
@@ -401,7 +401,7 @@ TOOTH = """casadical = 2
 name = "worn_tooth"
 acts_at = "joints"
 signature = "a worn tooth holds the joint near 0.7 rad"
-sizes = {push = [0.1, "great torque"]}
+sizes = {push = [0.1, "peak torque"]}
 formulas.torque = "push * exp(-((q - 0.7) / 0.12) ** 2)"
 """
 
@@ -432,7 +432,7 @@ from casadical.effects.definition import Definition, effect_class
 
 Tooth = effect_class(Definition.model_validate({
     "name": "toy_tooth", "on_list": "motion", "acts_at": "joints", "signature": "a tooth of a toy",
-    "physics": "It holds near one angle.", "sizes": {"push": (0.1, "great torque")},
+    "physics": "It holds near one angle.", "sizes": {"push": (0.1, "peak torque")},
     "formulas": {"torque": "push * exp(-((q - 0.7) / 0.12) ** 2)"},
 }), __name__)
 """

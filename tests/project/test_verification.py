@@ -146,7 +146,7 @@ def test_bad_rows_neither_loosen_the_promise_nor_hide(tmp_path, monkeypatch, cap
     printed = " ".join(capfd.readouterr().out.split())
     assert "NO LONGER VALID" in printed
     assert "Far off: row 8 (" in printed
-    assert "Left out, a cell is no number: row 11." in printed
+    assert "Left out, because a cell is not a number: row 11." in printed
     assert "without them it is 0.0614 mm, as promised." in printed
     assert "Next, when the rows that are far off are measured again: casadical verify " in printed
 

@@ -1,4 +1,4 @@
-"""Seams, nested loops, great torques and written limits of small arms that are computed here by hand."""
+"""Seams, nested loops, peak torques and written limits of small arms that are computed here by hand."""
 
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace

@@ -33,7 +33,7 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
 
 # Unit in reports, and factor from SI to it, by SI unit of a law's factor.
-REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the great torque", 1.0)}
+REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the peak torque", 1.0)}
 # Words for a model in reports, by its name in `Discovery.gap`.
 _MODEL_WORDS = {
     "base": "base model",

@@ -182,4 +182,4 @@ def explained(torques: Mapping[str, Array]) -> str:
         f"{name.removeprefix('and ')} {100 * float(((a - b) / (squares[0] + 1e-300)).mean()):.0f} %"
         for name, a, b in zip(list(torques)[1:], squares, squares[1:], strict=False)
     ]
-    return f"Of the torque error beside the file's bodies, where it was not fitted: {', '.join(parts)}."
+    return f"Of the torque error of the file's bodies, on rows that were not fitted: {', '.join(parts)}."

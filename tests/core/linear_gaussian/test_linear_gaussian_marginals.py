@@ -162,7 +162,7 @@ def test_known_sums_are_extended_and_moved(ratios: dict[str, np.ndarray]) -> Non
 
 
 def test_columns_less_a_share_of_the_block_before_are_judged_as_their_arrays() -> None:
-    """Noise that follows itself: each block is taken less a share of the one before, in the order of measuring."""
+    """Autocorrelated noise: each block is taken less a share of the one before, in the order of measuring."""
     whole = small_model(n=30)
     order, n = np.random.default_rng(6).permutation(30), 30
     moved = serial_columns(whole.E, order, serial_noise(0.6, np.arange(n) == 0))
