@@ -28,7 +28,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     said = statements(d, more)
     rows, layered = cause_rows(d), []
     if layers := layer_rows(d, floor_of(d, more)):
-        columns = ("layer, added to those above", "mean", "95 %", "fifths of the time left out", "rms without the noise")
+        columns = ("layer, added to those above", "mean", "95 %", "fifths of time left out", "rms without noise")
         layered = [Table("Layer by layer: errors on held-out poses, mm", columns, layers, frozenset(range(1, 5)))]
     curves: list[Block] = []
     if more.curves:
