@@ -80,7 +80,7 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
     yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.kept.sum())} poses")
     if d.effects():
         yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
-    yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm a coordinate")
+    yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm per coordinate")
     if d.effects():
         first = next(c for c in d.causes if c.effects)
         # A browser may break a long name at a zero-width space.

@@ -198,9 +198,9 @@ class Comparison(Result):
             # reach; a greater one is reported as unusual.
             if sigma > 0.003 * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, {share}; {no_known_cause}")
+                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {no_known_cause}")
             elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(left)):
-                said.append(f"{c.label} leaves {mm(sigma)} mm a coordinate, the others {mm(usual)}; {no_known_cause}")
+                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {no_known_cause}")
             # Smallest number of degrees of freedom with which a campaign determines its own noise.
             elif freedom < 6 and not others:
                 said.append(

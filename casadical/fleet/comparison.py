@@ -476,7 +476,7 @@ def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
         words = "more than noise alone, too little for another tool"
     else:
         words = "the same point, as far as these poses show"
-    yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm a coordinate: {words}"
+    yield "tool", f"{1e3 * size:.3g} mm from where it was, +/- {1e3 * error:.2g} mm per coordinate: {words}"
 
 
 def _refitted(

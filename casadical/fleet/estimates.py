@@ -62,7 +62,7 @@ class Estimate(Shown):
 
     line: ClassVar[str] = (
         " {{ it.label | repr }}: {{ it.names | length }} parameters from {{ it.poses }} poses"
-        "{% if it.sigma is not none %}, {{ (1e3 * it.sigma) | f('.3g') }} mm a coordinate left{% endif %}"
+        "{% if it.sigma is not none %}, {{ (1e3 * it.sigma) | f('.3g') }} mm per coordinate left{% endif %}"
     )
 
     robot: Robot

@@ -309,7 +309,7 @@ def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms
     known, free = both[:, np.isfinite(both).all(axis=0)]
     pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
     before = exceeded_residual(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
-    return f"the last campaign leaves {known[-1]:.3f} mm a coordinate, those before {before:.3f}" if before else ""
+    return f"the last campaign leaves {known[-1]:.3f} mm per coordinate, those before {before:.3f}" if before else ""
 
 
 def fleet_of(

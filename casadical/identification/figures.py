@@ -261,10 +261,10 @@ _PLACED_NOTE = Words(
 def fit_quality(result: Identification) -> Words:
     """Return sentences with residual scatter, condition number and check of the optimum.
 
-    The scatter is a standard deviation for each set [mm a coordinate]; a large condition number is
+    The scatter is a standard deviation for each set [mm per coordinate]; a large condition number is
     followed by a warning.
     """
-    noise = ", ".join(f"{1e3 * sigma:.3f} mm a coordinate" for sigma, _ in result.sigmas)
+    noise = ", ".join(f"{1e3 * sigma:.3f} mm per coordinate" for sigma, _ in result.sigmas)
     optimal = "confirmed" if result.is_optimal() else "NOT confirmed"
     condition = result.identifiability.condition
     if result.noise_is_assumed:

@@ -92,7 +92,7 @@ class Tried:
     outliers: tuple[tuple[int, int], ...] | None = ()
 
     def in_words(self, method: str) -> str:
-        """Return a clause with both residuals [mm a coordinate] and the conclusion.
+        """Return a clause with both residuals [mm per coordinate] and the conclusion.
 
         method : by which the result was identified, "KM" or "SKCM"
         """
@@ -101,7 +101,7 @@ class Tried:
             end = "compliance is in the model"
         if self.kept and method == "KM":
             end = "the standard errors of KM are too small; SKCM has it"
-        return f"rigid joints leave {mm(self.rigid)} mm a coordinate, compliant ones {mm(self.compliant)}: {end}"
+        return f"rigid joints leave {mm(self.rigid)} mm per coordinate, compliant ones {mm(self.compliant)}: {end}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@
 
 The rules by which readings are judged were committed before this study was run. "Real" is the UR10's tracker series C;
 everything else is made up by the package's own model: a robot that departs from its file (lengths .3 mm, angles .5
-mrad, compliance), noise of .02 mm a coordinate.
+mrad, compliance), noise of .02 mm per coordinate.
 """
 
 import os

@@ -18,7 +18,7 @@ from casadical.robot.robot_file import read_robot, write_robot
 
 
 def misdeclared(name: str, seed: int) -> Robot:
-    """The robot with masses off by 10 to 30 % and mass centres by up to 30 mm a coordinate."""
+    """The robot with masses off by 10 to 30 % and mass centres by up to 30 mm per coordinate."""
     rng = np.random.default_rng(seed)
     joints = [
         replace(

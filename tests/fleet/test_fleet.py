@@ -278,7 +278,7 @@ def test_a_course_without_days_is_not_drawn_among_days_and_what_grew_is_named(go
     to_check = next(b for b in found.blocks() if isinstance(b, Table) and "note" in b.columns)
     (step,) = found.next  # for the one with the greatest error
     assert (len(to_check.rows) > 1, to_check.rows[0][0] in step.text) == (True, True)
-    assert {r[0]: r[-1] for r in to_check.rows}["arm0"].startswith("the last campaign leaves 0.050 mm a coordinate")
+    assert {r[0]: r[-1] for r in to_check.rows}["arm0"].startswith("the last campaign leaves 0.050 mm per coordinate")
     for few in (3.0, float("nan")):  # so few degrees of freedom tell nothing, nor does a row without them
         assert fleet_of(good.assign(left_free=[np.full(len(left), few) for left in good["left_mm"]])).grown == {}
     assert fleet_of(good.drop(columns="left_free")).grown == {}

@@ -255,9 +255,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
         text = f"{view.method}: {view.numbers} numbers were measured for {p} unknowns; measure more poses"
         return [Finding("error", "too few poses", text)]
     if not view.names:
-        text = (
-            f"{view.method}: with noise of {1e3 * view.noise:.3g} mm a coordinate these poses determine no parameter; "
-        )
+        text = f"{view.method}: with noise of {1e3 * view.noise:.3g} mm per coordinate no parameter is determined; "
         return [Finding("error", "identifiability", f"{text}measure more accurately, or more poses spread wider")]
     findings = []
     if view.numbers < 3 * p:
@@ -268,7 +266,7 @@ def outlook_findings(view: Outlook, robot: Robot, noise: float | None) -> list[F
         findings.append(Finding("warning", "identifiability", f"{text}; spread the poses wider (casadical plan)"))
     # A scatter of more than this many times the noise shows that the model is incomplete.
     if noise and view.scatter > 4 * noise:
-        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm a coordinate, the noise is "
+        text = f"{view.method}: a linear step leaves {1e3 * view.scatter:.3g} mm per coordinate, the noise is "
         text += f"{1e3 * noise:.3g}: the model lacks something, or base and tool are far off"
         findings.append(Finding("warning", "misfit", text))
     if (
