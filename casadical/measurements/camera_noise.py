@@ -75,20 +75,27 @@ def lines_of_sight(m: Measurements, noise: CameraNoise) -> tuple[Array, Array]:
     return np.stack([first, np.cross(line, first), line], axis=1), away
 
 
-def whitening(m: Measurements, noise: CameraNoise) -> Array:
-    """Return the matrices, shape (n, 6, 6), that make the residuals of kind pose a camera's, of equal sigmas.
+def to_camera_axes(m: Measurements) -> Array:
+    """Return the matrices, shape (n, 6, 6), that turn residuals of kind pose into the camera's axes.
 
-    The residuals are of position, in the measuring frame, and of orientation, in the axes of the measured one; three
-    lengths and three angles follow, in the order of `COMPONENTS`.
+    The residuals are of the tool's position and orientation, in the measuring frame and the axes of the measured
+    orientation; those of the target's place [m] and rotation [rad] in the camera follow, to first order.
     """
-    assert m.orientation is not None
     t, R = target_in_camera(m)
     W = np.zeros((len(m), 6, 6))
-    # By the target's place and rotation in the camera's axes; first order in the residuals.
     if m.camera == "in hand":
         W[:, :3, :3], W[:, :3, 3:], W[:, 3:, 3:] = -R, crossing(t), -np.eye(3)
     else:
         W[:, :3, :3], W[:, 3:, 3:] = np.eye(3), R
+    return W
+
+
+def whitening(m: Measurements, noise: CameraNoise) -> Array:
+    """Return the matrices, shape (n, 6, 6), that make the residuals of kind pose a camera's, of equal sigmas.
+
+    Three lengths and three angles along the line of sight's axes follow, in the order of `COMPONENTS`.
+    """
+    W, (_, R) = to_camera_axes(m), target_in_camera(m)
     W[:, :3] -= crossing(R @ np.array(noise.point)) @ W[:, 3:]
     axes, away = lines_of_sight(m, noise)
     return np.concatenate([axes @ W[:, :3], axes @ W[:, 3:]], axis=1) / noise.relative(away)[:, :, None]

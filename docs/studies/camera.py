@@ -102,8 +102,11 @@ def first_corner(in_hand: bool) -> Array:
     return frame(np.eye(3), (0.025 if in_hand else 0.04) * np.array([-4.5, -3, 0]))
 
 
-def through_pixels(T: Array, pixels: float, in_hand: bool, rng: np.random.Generator) -> Array:
-    """Poses, (n, 4, 4), that a PnP fit finds of the noisy corners of a board whose origin is its first corner."""
+def through_pixels(T: Array, pixels: float, in_hand: bool, rng: np.random.Generator, focal: float = 1.0) -> Array:
+    """Poses, (n, 4, 4), that a PnP fit finds of the noisy corners of a board whose origin is its first corner.
+
+    focal : focal length with which poses are fitted over the true one
+    """
     grid = np.stack(np.meshgrid(np.arange(10), np.arange(7), indexing="ij"), axis=-1).reshape(-1, 2)
     corners = (1 - grid / [4.5, 3]) @ np.eye(2, 3) * first_corner(in_hand)[:3, 3]
 
@@ -111,7 +114,7 @@ def through_pixels(T: Array, pixels: float, in_hand: bool, rng: np.random.Genera
         c = T[:, None, :3, 3] + np.einsum("nij,kj->nki", T[:, :3, :3], corners)
         return FOCAL_PX * c[:, :, :2] / c[:, :, 2:], c
 
-    seen = image(T)[0] + rng.normal(0, pixels, (len(T), len(corners), 2))
+    seen = image(T)[0] / focal + rng.normal(0, pixels, (len(T), len(corners), 2))
     for _ in range(6):
         uv, c = image(T)
         J = np.zeros((*c.shape[:2], 2, 6))

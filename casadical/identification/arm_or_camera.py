@@ -1,0 +1,295 @@
+"""Whether the arm or the camera is wrong, and by how much, of poses that a camera measured.
+
+The model is linear about an identification: the arm's geometry departs from nominal with one unknown size (see
+`departure`), and the camera has a wrong focal length, scale of its board, or distortion, each absent or with a
+normal prior of unknown size; base and tool are free. The posterior is the average over all these sizes by evidence,
+with everything else integrated out; noise is that of the camera's axes, estimated in turns with the rest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key
+from casadical.core.telling.result import Shown
+from casadical.identification.departure import DRAWN_GROUPS, PRIOR_PROBABILITY_OF_NONE
+from casadical.identification.least_squares import FRAME_GROUPS
+from casadical.identification.result import Identification
+from casadical.measurements.camera_noise import (
+    CameraNoise,
+    lines_of_sight,
+    refined,
+    target_in_camera,
+    to_camera_axes,
+    whitening,
+)
+from casadical.measurements.measurements import Measurements
+
+# Error of the camera -> prior probability, prior standard deviations, and what else it takes to tell it.
+_CAUSES: dict[str, tuple[float, tuple[float, ...], str]] = {
+    "focal length": (0.3, (0.001, 0.003, 0.01), "stations at half and at twice the distance"),
+    "scale of the board": (0.15, (0.001, 0.003, 0.01), "a calliper on the board"),
+    "distortion": (0.15, (0.01, 0.05), "stations with the board in the image's corners"),
+}
+# Sizes of the arm's departures [mm and mrad] and factors on the noise over which the posterior is averaged.
+_SIZES, _FACTORS = np.geomspace(0.03, 10.0, 18), np.geomspace(0.75, 1.5, 6)
+# Probability from which a side is said to be wrong or right.
+_SURE = 0.9
+
+
+@dataclass(frozen=True)
+class Share(Shown):
+    """What one side contributes to the errors of the target's place in the camera, with base and tool fitted.
+
+    size, low, high : posterior median of the root mean square over the poses, and its 95 % interval [m]
+    probability : that it exceeds a quarter of the camera's noise
+    """
+
+    line: ClassVar[str] = " {{ it.in_words() }}"
+
+    size: float = field(metadata=IN_MM)
+    low: float = field(metadata=IN_MM)
+    high: float = field(metadata=IN_MM)
+    probability: float = field(metadata=WRITTEN)
+
+    def in_words(self) -> str:
+        """Return size and interval [mm]."""
+        return f"{1e3 * self.size:.2g} mm ({1e3 * self.low:.2g} to {1e3 * self.high:.2g})"
+
+
+@dataclass(frozen=True)
+class CameraError(Shown):
+    """An error of the camera: relative for focal length and scale of the board; the coefficient k1 of distortion.
+
+    name : of the error; value, low, high : posterior median, if it exists, and 95 % interval
+    probability : that it exists; tellable : whether the poses determine it better than half of its prior
+    """
+
+    line: ClassVar[str] = " {{ it.name }}"
+
+    name: str = field(metadata=WRITTEN)
+    value: float = field(metadata=WRITTEN)
+    low: float = field(metadata=WRITTEN)
+    high: float = field(metadata=WRITTEN)
+    probability: float = field(metadata=WRITTEN)
+    tellable: bool = field(metadata=WRITTEN)
+
+    def in_words(self) -> str:
+        """Return the error with its interval; relative ones in percent."""
+        factor, unit = (1, "") if self.name == "distortion" else (100, " %")
+        value, low, high = (f"{factor * v:+.2g}" for v in (self.value, self.low, self.high))
+        return f"{self.name} {value}{unit}, {low} to {high}"
+
+
+@dataclass(frozen=True)
+class ArmOrCamera(Shown):
+    """Which of arm and camera is wrong, by how much.
+
+    total : root mean square of the errors with the nominal arm, base and tool fitted [m]
+    noise : that of the camera's noise [m]; arm, camera : what they contribute
+    errors : of the camera
+    ratios, sigmas : the camera's noise, and its sigmas of lengths [m] and angles [rad]
+    """
+
+    line: ClassVar[str] = " {{ it.in_words() }}"
+    derived: ClassVar[tuple[Key, ...]] = (Key("wrong"), Key("in_words", lambda it: it.in_words()))
+
+    total: float = field(metadata=IN_MM)
+    noise: float = field(metadata=IN_MM)
+    arm: Share = field(metadata=WRITTEN)
+    camera: Share = field(metadata=WRITTEN)
+    errors: tuple[CameraError, ...] = field(metadata=WRITTEN)
+    ratios: CameraNoise = field(metadata=WRITTEN)
+    sigmas: tuple[float, float]
+
+    @property
+    def wrong(self) -> str:
+        """Which side is wrong: "arm", "camera", "both", "neither", or "" where the poses do not tell it."""
+        p = (self.arm.probability, self.camera.probability)
+        sure = tuple(1 if each >= _SURE else 0 if each <= 1 - _SURE else None for each in p)
+        return {(1, 0): "arm", (0, 1): "camera", (1, 1): "both", (0, 0): "neither"}.get(sure, "")  # type: ignore[arg-type]
+
+    def in_words(self) -> str:
+        """Return sentences with both shares, the camera's likely errors, and what the poses do not tell."""
+        named = "; ".join(e.in_words() for e in self.errors if e.probability >= 0.5)
+        camera = f"camera: {self.camera.in_words()}" + (f" ({named})" if named else "")
+        head = {
+            "arm": "The arm is wrong, not the camera",
+            "camera": "The camera is wrong, not the arm",
+            "both": "Arm and camera are wrong",
+            "neither": "Neither arm nor camera is visibly wrong",
+            "": "Whether arm or camera is wrong is not tellable from these poses",
+        }[self.wrong]
+        text = (
+            f"{head}. Of {1e3 * self.total:.2g} mm rms, {camera}; arm: {self.arm.in_words()}; noise: "
+            f"{1e3 * self.noise:.2g} mm."
+        )
+        if not self.wrong:
+            more = [_CAUSES[e.name][2] for e in self.errors if not e.tellable or 0.1 < e.probability < 0.9]
+            text += f" It would take {' and '.join(more or ['more stations'])}."
+        return text
+
+
+def arm_or_camera(found: Identification) -> ArmOrCamera | None:
+    """Return which of arm and camera is wrong by the poses of an identification.
+
+    None where no camera measured poses, other measurements were fitted too, or base or tool were known.
+    """
+    problem = found.problem
+    (m, *others) = problem.sets
+    own = [problem.robot.parameters[n] for n in problem.names]
+    frames = np.array([p.group in FRAME_GROUPS for p in own])
+    if others or m.noise is None or frames.sum() < 10 or len(m) < 8:
+        return None
+    plain = replace(
+        problem, sets=(replace(m, noise=None),), sigmas=((1.0, 1.0),), loss="linear", priors=False, known=()
+    )
+    (r,), J = plain.evaluate(found.solution.v)
+    J = J.reshape(len(m), 6, -1)
+    nominal = r - J @ found.solution.v
+    drawn = np.array([p.group in DRAWN_GROUPS for p in own])
+    widths = np.array([0.0 if p.group in DRAWN_GROUPS else p.prior / p.scale for p in own])[~frames]
+    model = _Model(m, nominal, J[:, :, frames], J[:, :, ~frames], drawn[~frames], widths)
+    noise, sigmas = m.noise, problem.sigmas[0]
+    # Weights, fit and variance components take turns; four rounds settle them.
+    for _ in range(4):
+        noise, sigmas = model.refined(noise, sigmas)
+    return model.answer(noise, sigmas)
+
+
+class _Model(NamedTuple):
+    """Linear model of a camera's residuals about an identification, in residuals of kind pose.
+
+    m : the poses; nominal : residuals with the nominal geometry, shape (n, 6) [m, rad]
+    frames, arm : derivatives by the variables of base and tool, and of the arm, shape (n, 6, k)
+    drawn : mask of the arm's variables that a drawing gives, shape (k,)
+    widths : prior standard deviations of its other variables, shape (k,), in their units
+    """
+
+    m: Measurements
+    nominal: Array
+    frames: Array
+    arm: Array
+    drawn: Array
+    widths: Array
+
+    def whitened(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
+        """Return what the model explains (6 n,), and the columns of frames (6 n, f), and of arm and camera (6 n, k).
+
+        They are in units of the noise. Columns of the camera: depth and tilt by a relative error of the focal length,
+        the board's scale, and its displacement by a radial distortion.
+        """
+        t, R = target_in_camera(self.m)
+        lever = R @ np.array(noise.point)
+        middle, normal = t + lever, R[:, :, 2]
+        line = middle / np.linalg.norm(middle, axis=1)[:, None]
+        zero, axis = np.zeros((len(t), 3)), np.array([0.0, 0, 1])
+        # A wrong focal length is a wrong distance; it also turns an oblique board, as far as its perspective shows.
+        tilt = np.cross(normal, line) / (normal * line).sum(axis=1)[:, None]
+        slope = (middle[:, :2] ** 2).sum(axis=1) / middle[:, 2] ** 2
+        moved = [
+            np.hstack([middle[:, 2:] * axis, zero]),
+            np.hstack([np.cross(lever, tilt), tilt]),
+            np.hstack([t, zero]),
+            np.hstack([middle * (1 - axis) * slope[:, None], zero]),
+        ]
+        camera = np.linalg.solve(to_camera_axes(self.m), np.stack(moved, axis=2))
+        W = whitening(self.m, noise) / np.repeat(sigmas, 3)[:, None]
+        y, frames, rest = (W @ a for a in (self.nominal[:, :, None], self.frames, np.dstack([self.arm, camera])))
+        return -y.ravel(), frames.reshape(y.size, -1), rest.reshape(y.size, -1)
+
+    def refined(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[CameraNoise, tuple[float, float]]:
+        """Return the noise that is left by a fit of frames, arm and camera together.
+
+        The size of the arm's departures is that of the estimate and its variance (expectation maximisation).
+        """
+        y, frames, rest = self.whitened(noise, sigmas)
+        A, size = np.hstack([frames, rest]), 1.0
+        for _ in range(20):
+            sd = np.concatenate([np.where(self.drawn, size, self.widths), [5e-3, 5e-3, 5e-3, 0.03]])
+            P = np.concatenate([np.zeros(frames.shape[1]), 1 / sd**2])
+            C = np.linalg.inv(A.T @ A + np.diag(P))
+            x = C @ (A.T @ y)
+            own = frames.shape[1] + np.flatnonzero(self.drawn)
+            size = max(float(np.sqrt(np.mean(x[own] ** 2 + np.diag(C)[own]))), 0.01) if len(own) else size
+        freedom = 1 - np.einsum("ij,jk,ik->i", A, C, A)
+        shape = (len(self.m), 6)
+        return refined(replace(self.m, noise=noise), (y - A @ x).reshape(shape), freedom.reshape(shape), sigmas)
+
+    def answer(self, noise: CameraNoise, sigmas: tuple[float, float], draws: int = 1000) -> ArmOrCamera:
+        """Return the posterior of both sides' contributions, as samples tell it.
+
+        noise, sigmas : of the camera; draws : number of samples
+        """
+        y, frames, rest = self.whitened(noise, sigmas)
+        Q = np.linalg.qr(frames)[0]
+        y, rest = y - Q @ (Q.T @ y), rest - Q @ (Q.T @ rest)
+        count, k = len(y) - frames.shape[1], self.drawn.size
+        sd, log_prior, present = _settings(self.drawn, self.widths)
+        G, h, square = rest.T @ rest, rest.T @ y, float(y @ y)
+        value, V = np.linalg.eigh(sd[:, :, None] * G * sd[:, None, :])
+        value, score = np.maximum(value, 0.0), np.einsum("sij,si->sj", V, sd * h)
+        log_weight = np.stack(
+            [
+                log_prior - 0.5 * np.log1p(value / f**2).sum(axis=1) - count * np.log(f)
+                - 0.5 * (square - (score**2 / (value + f**2)).sum(axis=1)) / f**2
+                for f in _FACTORS
+            ],
+            axis=1,
+        )  # fmt: skip
+        weight = np.exp(log_weight - log_weight.max())
+        rng = np.random.default_rng(0)
+        s, f = np.unravel_index(rng.choice(weight.size, draws, p=weight.ravel() / weight.sum()), weight.shape)
+        root = _FACTORS[f, None] / np.sqrt(value[s] + _FACTORS[f, None] ** 2)
+        z = score[s] * (root / _FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
+        x = sd[s] * np.einsum("sij,sj->si", V[s], z)
+        axes_away = lines_of_sight(self.m, noise)[1]
+        unit = noise.relative(axes_away)[:, :3] * sigmas[0]
+        lengths = rest.reshape(len(self.m), 6, -1)[:, :3] * unit[:, :, None]
+        own = float(np.sqrt((unit**2).sum(axis=1).mean()))
+        arm, camera = (
+            np.sqrt((np.einsum("nij,sj->sni", lengths[:, :, part], x[:, part]) ** 2).sum(axis=2).mean(axis=1))
+            for part in (slice(0, k), slice(k, None))
+        )
+        total = float(np.sqrt(((y.reshape(-1, 6)[:, :3] * unit) ** 2).sum(axis=1).mean()))
+        errors = []
+        for i, (name, (_, widths, _)) in enumerate(_CAUSES.items()):
+            there = present[s, i]
+            at = x[:, k + (0, 2, 3)[i]]
+            some = at[there] if there.sum() > 20 else np.array([0.0])
+            low, middle, high = np.quantile(some, [0.025, 0.5, 0.975])
+            tellable = float(np.std(some)) < 0.5 * float(np.mean(widths)) and there.sum() > 20
+            errors.append(
+                CameraError(name, float(middle), float(low), float(high), float(there.mean()), bool(tellable))
+            )
+        return ArmOrCamera(total, own, _share(arm, own), _share(camera, own), tuple(errors), noise, sigmas)
+
+
+def _share(size: Array, noise: float) -> Share:
+    """Return the share of one side; size : samples of its contribution [m]; noise : the camera's [m]."""
+    low, middle, high = (float(v) for v in np.quantile(size, [0.025, 0.5, 0.975]))
+    return Share(middle, low, high, float(np.mean(size > noise / 4)))
+
+
+def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
+    """Return all combinations of prior widths: of each variable (s, k + 4), log prior (s,), which errors exist (s, 3).
+
+    drawn, widths : as of `_Model`
+    """
+    arms = [
+        (0.0, PRIOR_PROBABILITY_OF_NONE),
+        *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(_SIZES)) for size in _SIZES),
+    ]
+    causes = [[(0.0, 1 - p), *((sd, p / len(sds)) for sd in sds)] for p, sds, _ in _CAUSES.values()]
+    sd, log_prior, present = [], [], []
+    for (size, p), *errors in product(arms, *causes):
+        focal, board, distortion = (width for width, _ in errors)
+        sd.append([*np.where(drawn, size, widths), focal, focal, board, distortion])
+        log_prior.append(np.log(p) + sum(np.log(q) for _, q in errors))
+        present.append([width > 0 for width, _ in errors])
+    return np.array(sd), np.array(log_prior), np.array(present)
