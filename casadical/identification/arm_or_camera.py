@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key
+from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.telling.result import Shown
 from casadical.identification.departure import DRAWN_GROUPS, PRIOR_PROBABILITY_OF_NONE
 from casadical.identification.least_squares import FRAME_GROUPS
@@ -40,6 +40,11 @@ _CAUSES: dict[str, tuple[float, tuple[float, ...], str]] = {
 _SIZES, _FACTORS = np.geomspace(0.03, 10.0, 18), np.geomspace(0.75, 1.5, 6)
 # Probability from which a side is said to be wrong or right.
 _SURE = 0.9
+# What carries the camera -> what moved, if what the flange carries did, or what stands.
+_MOVED = {
+    "in hand": {"tool": "the camera on the flange", "base": "the board or the robot's foot"},
+    "to base": {"tool": "the board on the flange", "base": "the camera or the robot's foot"},
+}
 
 
 @dataclass(frozen=True)
@@ -87,12 +92,39 @@ class CameraError(Shown):
 
 
 @dataclass(frozen=True)
+class Moved(Shown):
+    """What moved at once between two poses.
+
+    what : camera, board or foot; before, after : rows of the poses; probability : that something moved
+    shift, turn : how far [m], and by what angle [rad]
+    """
+
+    line: ClassVar[str] = " {{ it.in_words() }}"
+
+    what: str = field(metadata=WRITTEN)
+    before: int = field(metadata=WRITTEN)
+    after: int = field(metadata=WRITTEN)
+    probability: float = field(metadata=WRITTEN)
+    shift: float = field(metadata=IN_MM)
+    turn: float = field(metadata=written(unit="mrad"))
+
+    def in_words(self) -> str:
+        """Return a sentence with rows, shift [mm] and angle [mrad]."""
+        return (
+            f"Between rows {self.before} and {self.after} {self.what} moved by {1e3 * self.shift:.2g} mm and "
+            f"{1e3 * self.turn:.2g} mrad."
+        )
+
+
+@dataclass(frozen=True)
 class ArmOrCamera(Shown):
     """Which of arm and camera is wrong, by how much.
 
     total : root mean square of the errors with the nominal arm, base and tool fitted [m]
     noise : that of the camera's noise [m]; arm, camera : what they contribute
-    errors : of the camera
+    errors : of the camera; parameters : of the arm that contribute most
+    moved : most probable step of camera, board or foot; what is said of arm and camera is without it
+        where it is sure
     ratios, sigmas : the camera's noise, and its sigmas of lengths [m] and angles [rad]
     """
 
@@ -104,20 +136,27 @@ class ArmOrCamera(Shown):
     arm: Share = field(metadata=WRITTEN)
     camera: Share = field(metadata=WRITTEN)
     errors: tuple[CameraError, ...] = field(metadata=WRITTEN)
+    parameters: tuple[str, ...] = field(metadata=WRITTEN)
+    moved: Moved | None = field(metadata=WRITTEN)
     ratios: CameraNoise = field(metadata=WRITTEN)
     sigmas: tuple[float, float]
 
     @property
-    def wrong(self) -> str:
-        """Which side is wrong: "arm", "camera", "both", "neither", or "" where the poses do not tell it."""
+    def _sides(self) -> tuple[bool | None, bool | None]:
+        """Whether arm and camera are wrong; None where the poses do not tell it."""
         p = (self.arm.probability, self.camera.probability)
-        sure = tuple(1 if each >= _SURE else 0 if each <= 1 - _SURE else None for each in p)
-        return {(1, 0): "arm", (0, 1): "camera", (1, 1): "both", (0, 0): "neither"}.get(sure, "")  # type: ignore[arg-type]
+        arm, camera = (True if each >= _SURE else False if each <= 1 - _SURE else None for each in p)
+        return arm, camera
+
+    @property
+    def wrong(self) -> str:
+        """Which side is wrong: "arm", "camera", "both", "neither", or "" where the poses do not tell it of both."""
+        names = {(True, False): "arm", (False, True): "camera", (True, True): "both", (False, False): "neither"}
+        arm, camera = self._sides
+        return "" if arm is None or camera is None else names[arm, camera]
 
     def in_words(self) -> str:
         """Return sentences with both shares, the camera's likely errors, and what the poses do not tell."""
-        named = "; ".join(e.in_words() for e in self.errors if e.probability >= 0.5)
-        camera = f"camera: {self.camera.in_words()}" + (f" ({named})" if named else "")
         head = {
             "arm": "The arm is wrong, not the camera",
             "camera": "The camera is wrong, not the arm",
@@ -125,13 +164,23 @@ class ArmOrCamera(Shown):
             "neither": "Neither arm nor camera is visibly wrong",
             "": "Whether arm or camera is wrong is not tellable from these poses",
         }[self.wrong]
+        for side, other, (known, unknown) in (("arm", "camera", self._sides), ("camera", "arm", self._sides[::-1])):
+            if known is not None and unknown is None:
+                verb = "is wrong" if known else "is not visibly wrong"
+                head = f"The {side} {verb}; whether the {other} is, is not tellable from these poses"
+        named = "; ".join(e.in_words() for e in self.errors if e.probability >= 0.5)
+        errors = f" ({named})" if named else ""
+        most = f" ({', '.join(self.parameters)})" if self.parameters else ""
         text = (
-            f"{head}. Of {1e3 * self.total:.2g} mm rms, {camera}; arm: {self.arm.in_words()}; noise: "
-            f"{1e3 * self.noise:.2g} mm."
+            f"{head}. Of {1e3 * self.total:.2g} mm rms, camera: {self.camera.in_words()}{errors}; arm: "
+            f"{self.arm.in_words()}{most}; noise: {1e3 * self.noise:.2g} mm."
         )
+        if self.moved and self.moved.probability >= _SURE:
+            text = f"{self.moved.in_words()} {text}"
         if not self.wrong:
-            more = [_CAUSES[e.name][2] for e in self.errors if not e.tellable or 0.1 < e.probability < 0.9]
-            text += f" It would take {' and '.join(more or ['more stations'])}."
+            unsure = [_CAUSES[e.name][2] for e in self.errors if 0.05 < e.probability < _SURE]
+            more = unsure if self._sides[1] is None and unsure else ["more stations"]
+            text += f" It would take {' or '.join(more)}."
         return text
 
 
@@ -154,12 +203,17 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     nominal = r - J @ found.solution.v
     drawn = np.array([p.group in DRAWN_GROUPS for p in own])
     widths = np.array([0.0 if p.group in DRAWN_GROUPS else p.prior / p.scale for p in own])[~frames]
-    model = _Model(m, nominal, J[:, :, frames], J[:, :, ~frames], drawn[~frames], widths)
-    noise, sigmas = m.noise, problem.sigmas[0]
-    # Weights, fit and variance components take turns; four rounds settle them.
-    for _ in range(4):
-        noise, sigmas = model.refined(noise, sigmas)
-    return model.answer(noise, sigmas)
+    names = [p.name for p in own]
+    groups = np.array([p.group for p in own])[frames]
+    some = J[:, :, frames]
+    model = _Model(m, nominal, some, J[:, :, ~frames], drawn[~frames], widths, np.array(names)[~frames])
+    answer = model.settled(m.noise, problem.sigmas[0])
+    moved = model.step(answer, groups)
+    if moved and moved[0].probability >= _SURE:
+        # What moved has a frame of its own from then on.
+        own_frame = some[:, :, groups == moved[1]] * (m.row >= moved[0].after)[:, None, None]
+        answer = model._replace(frames=np.dstack([some, own_frame])).settled(answer.ratios, answer.sigmas)
+    return replace(answer, moved=moved[0] if moved else None)
 
 
 class _Model(NamedTuple):
@@ -169,6 +223,7 @@ class _Model(NamedTuple):
     frames, arm : derivatives by the variables of base and tool, and of the arm, shape (n, 6, k)
     drawn : mask of the arm's variables that a drawing gives, shape (k,)
     widths : prior standard deviations of its other variables, shape (k,), in their units
+    names : of the arm's variables, shape (k,)
     """
 
     m: Measurements
@@ -177,6 +232,55 @@ class _Model(NamedTuple):
     arm: Array
     drawn: Array
     widths: Array
+    names: Array
+
+    def settled(self, noise: CameraNoise, sigmas: tuple[float, float]) -> ArmOrCamera:
+        """Return the answer after weights, fit and variance components have taken turns.
+
+        noise, sigmas : with which they start
+        """
+        for _ in range(4):  # by then they have settled
+            noise, sigmas = self.refined(noise, sigmas)
+        return self.answer(noise, sigmas)
+
+    def step(self, answer: ArmOrCamera, groups: Array) -> tuple[Moved, str] | None:
+        """Return the most probable step of what the flange carries or what stands, and its group.
+
+        A step has a probability of 0.1, anywhere, of 0.5 mm and 1 mrad or of 3 mm and 8 mrad.
+
+        answer : without one; groups : of the columns of frames, "base" or "tool"
+        """
+        y, frames, rest = self.whitened(answer.ratios, answer.sigmas)
+        Q = np.linalg.qr(frames)[0]
+        sd = np.concatenate([np.where(self.drawn, 1.0, self.widths), [5e-3, 5e-3, 5e-3, 0.03]])
+        A = (rest - Q @ (Q.T @ rest)) * sd
+        inverse = np.linalg.inv(A.T @ A + np.eye(len(sd)))
+        y = y - Q @ (Q.T @ y)
+        y = y - A @ (inverse @ (A.T @ y))
+        places, gains, moves = [], [], []
+        for group in ("tool", "base"):
+            columns = frames[:, groups == group].reshape(len(self.m), 6, -1)
+            for k in range(4, len(self.m) - 3):
+                S = (columns * (np.arange(len(self.m)) >= k)[:, None, None]).reshape(len(y), -1)
+                S = S - Q @ (Q.T @ S)
+                G, h = S.T @ S - (S.T @ A) @ inverse @ (A.T @ S), S.T @ y
+                gain = []
+                for shift, turn in ((0.5, 1.0), (3.0, 8.0)):
+                    width = np.array([shift] * 3 + [turn] * (S.shape[1] - 3))
+                    K = np.eye(len(width)) + width[:, None] * G * width
+                    gain.append(0.5 * (width * h) @ np.linalg.solve(K, width * h) - 0.5 * np.linalg.slogdet(K)[1])
+                move = width * np.linalg.solve(K, width * h)
+                moves.append(1e-3 * np.array([np.linalg.norm(move[:3]), np.linalg.norm(move[3:])]))
+                places.append((group, k))
+                gains.append(np.logaddexp(*gain) - np.log(2))
+        if not gains or (groups == "tool").sum() < 6 or (groups == "base").sum() < 6:
+            return None
+        log_odds = float(np.log(0.1 / 0.9) + np.logaddexp.reduce(gains) - np.log(len(gains)))
+        best = int(np.argmax(gains))
+        (group, k), (shift, turn) = places[best], moves[best]
+        rows = int(self.m.row[k - 1]), int(self.m.row[k])
+        probability = float(1 / (1 + np.exp(-log_odds)))
+        return Moved(_MOVED[self.m.camera][group], *rows, probability, float(shift), float(turn)), group
 
     def whitened(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[Array, Array, Array]:
         """Return what the model explains (6 n,), and the columns of frames (6 n, f), and of arm and camera (6 n, k).
@@ -267,7 +371,12 @@ class _Model(NamedTuple):
             errors.append(
                 CameraError(name, float(middle), float(low), float(high), float(there.mean()), bool(tellable))
             )
-        return ArmOrCamera(total, own, _share(arm, own), _share(camera, own), tuple(errors), noise, sigmas)
+        each = np.sqrt((lengths[:, :, :k] ** 2).sum(axis=1).mean(axis=0)) * np.abs(x[:, :k].mean(axis=0))
+        sure = np.abs(x[:, :k].mean(axis=0)) > 3 * x[:, :k].std(axis=0)
+        largest = [int(i) for i in np.argsort(-each)[:2] if sure[i] and 4 * each[i] > own]
+        shares = _share(arm, own), _share(camera, own)
+        named = tuple(str(self.names[i]) for i in largest)
+        return ArmOrCamera(total, own, *shares, tuple(errors), named, None, noise, sigmas)
 
 
 def _share(size: Array, noise: float) -> Share:

@@ -16,6 +16,7 @@ from casadical.core.telling.plain import Key, plain
 from casadical.core.telling.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
+from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera
 from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
 from casadical.identification.identification import (
     AnyPriors,
@@ -92,6 +93,7 @@ class Calibration(Result):
         Key("methods", lambda c: {method: c._method(method) for method in c.identifications}),
         Key("compliance_tried", "identification.tried", if_known=True),
         Key("hand_eye", if_known=True),
+        Key("arm_or_camera", if_known=True),
         Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, if_known=True),
         Key("trained_on", "networks.trained_on", if_known=True),
         Key("networks", "networks.results", if_known=True),
@@ -130,6 +132,11 @@ class Calibration(Result):
     def hand_eye(self) -> HandEye | None:
         """Return the hand-eye transform that is written; None where no camera measured poses."""
         return hand_eye_of(list(self.written.values())[-1])
+
+    @cached_property
+    def arm_or_camera(self) -> ArmOrCamera | None:
+        """Return which of arm and camera is wrong by the fitted poses; None where no camera measured them."""
+        return arm_or_camera(self.identification)
 
     @property
     def worse(self) -> str:

@@ -105,10 +105,8 @@ def main() -> None:
         wrong += any(((p >= 0.9) and row[side] <= limit) or ((p <= 0.1) and row[side] > limit) for side, p in sides)
         share, true = (row[f"{a}camera"] / max(row[f"{a}camera"] + row[f"{a}arm"], 1e-9) for a in ("found ", ""))
         near += abs(share - true) < 0.1
-        covered += (
-            row["low"] - 0.01 <= row["camera"] <= row["high"] + 0.01
-            and row["arm low"] - 0.01 <= row["arm"] <= row["arm high"] + 0.01
-        )
+        sides = [(row[side], row[f"{low}low"], row[f"{low}high"]) for side, low in (("camera", ""), ("arm", "arm "))]
+        covered += all(low - 0.01 <= true <= high + 0.01 for true, low, high in sides)
         print(
             f"{row['name']:>3s} n {row['n']:2d} truth {truth:8s} arm {row['arm']:.3f} camera {row['camera']:.3f} mm; "
             f"said {row['wrong'] or '-':8s} arm {row['found arm']:.3f} camera {row['found camera']:.3f} mm "
