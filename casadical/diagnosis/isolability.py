@@ -6,7 +6,7 @@ model's, whose parameters are re-estimated with every cause, in the noise's metr
 visible signal r per coordinate, in units of the noise, at n poses has noncentrality 3 n r^2.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any, ClassVar, Literal
@@ -55,20 +55,20 @@ class Isolability(Result):
         model absorbs; visible_mm, the rms of the rest; visible_to_noise, its rms per coordinate in
         units of the noise; findable_from, the multiple of its realistic size from which it is found
         nine times in ten
-    compare : function of no argument that returns `alike`; most reports do not show it
+    compare : labels of candidates, None: all -> `alike` of these; most reports need few or none
     missing : columns that would have to be logged, by label of the effect
     """
 
     line: ClassVar[str] = " of {{ it.effects | length }} candidates"
 
     effects: pd.DataFrame
-    compare: Callable[[], pd.DataFrame]
+    compare: Callable[[Collection[str] | None], pd.DataFrame]
     missing: dict[str, tuple[str, ...]]
 
     @cached_property
     def alike(self) -> pd.DataFrame:
         """Fraction, 0 to 1, of the energy of each candidate's (row) visible signal in another's (column) span."""
-        return self.compare()
+        return self.compare(None)
 
     def rivals(self, label: str, above: float = 0.5) -> dict[str, float]:
         """Return the candidates that reproduce a large part of a candidate's visible signal.
@@ -239,17 +239,25 @@ def _squares(evidence: Evidence, rho: float) -> Array:
     return np.concatenate(squares, axis=1)
 
 
-def _alike(evidence: Evidence, rho: float, columns: list[Array], owner: list[str]) -> pd.DataFrame:
+def _alike(
+    evidence: Evidence, rho: float, columns: list[Array], owner: list[str], labels: Collection[str] | None
+) -> pd.DataFrame:
     """Return the fraction of a candidate's visible energy (row) in another's span (column).
 
     It is the mean over the candidate's settings and the maximum over the other's.
     rho : ratio of joint repeatability to the instrument's sigma [rad/m]
     columns : indices of the columns of each setting; owner : label of each setting
+    labels : of the candidates that are compared; None: all
     """
+    asked = [k for k, label in enumerate(owner) if labels is None or label in labels]
+    if not asked:
+        return pd.DataFrame()
+    used = np.unique(np.concatenate([columns[k] for k in asked]))
+    columns, owner = [np.searchsorted(used, columns[k]) for k in asked], [owner[k] for k in asked]
     # Effects are compared on at most 500 poses, evenly spaced.
     n = len(evidence.r)
     at_poses = evidence if n <= 500 else evidence.at(np.linspace(0, n - 1, 500).astype(int))
-    E = at_poses.projected(rho).columns(at_poses.take(np.arange(at_poses.width)))
+    E = at_poses.projected(rho).columns(at_poses.take(used))
     which, widths = np.concatenate(columns), np.array([len(c) for c in columns])
     by_rival = np.empty((len(columns), len(which)))
     for width in np.unique(widths):
@@ -286,7 +294,9 @@ def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]
     The text has the percentage of similarity; causes without such labels are omitted.
     poses : isolability at these poses; None: without percentages
     """
-    table = poses.alike if poses else pd.DataFrame()
+    causes = [c for c in d.causes if c.indistinguishable]
+    labels = {label for c in causes for label in (c.label, *c.indistinguishable)}
+    table = poses.compare(labels) if poses and labels else pd.DataFrame()
     return {
         c.label: ", ".join(
             f"{k} ({100 * float(table.loc[c.label, k]):.0f} % similar here)"  # type: ignore[arg-type]
@@ -294,8 +304,7 @@ def indistinguishable(d: Diagnosis, poses: Isolability | None) -> dict[str, str]
             else k
             for k in c.indistinguishable
         )
-        for c in d.causes
-        if c.indistinguishable
+        for c in causes
     }
 
 

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_solve
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.normal_equations import inverse_of_triangle
@@ -176,6 +177,19 @@ def drop_poor(
             reason += f"; it moves the measured points nearly as {', '.join(partners)} {verb}"
         poor.append(Unidentifiable(p.name, reason, partners))
         left.remove(tested[worst])
+
+
+def scaled_solution(H: Array, g: Array) -> Array:
+    """Return H^-1 g, shape (k,), of a positive semidefinite matrix H, shape (k, k), via unit diagonal.
+
+    It is as by `scaled_inverse`, with a third of its operations where H is far from singular.
+    """
+    root = np.sqrt(np.maximum(np.diag(H), 1e-200))
+    with suppress(np.linalg.LinAlgError):
+        L = np.linalg.cholesky(H / np.outer(root, root))
+        if np.diag(L).min(initial=1.0) > 1e-4:
+            return np.asarray(cho_solve((L, True), g / root, check_finite=False) / root)
+    return np.asarray(scaled_inverse(H) @ g)
 
 
 def scaled_inverse(H: Array) -> Array:

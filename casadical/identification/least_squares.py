@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, reduce
+from functools import cached_property
 from itertools import chain
 
 import casadi as ca
@@ -19,7 +19,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.parameters import Parameter
 from casadical.identification.accuracy import predicted
-from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.identifiability import scaled_solution
 from casadical.identification.residuals import (
     MAX_CACHED_DATA_POSES,
     POINT_SCALE,
@@ -339,17 +339,13 @@ class LeastSquares:
         P = self.prior_matrix
         return sums.gradient + P @ (v - self.prior_mean), sums.information + P
 
-    def triangle(self, v: Array, of: Sequence[int] | None = None) -> Array:
+    def triangle(self, v: Array) -> Array:
         """Return the triangular factor R of the Jacobian at v, without loss and priors.
 
         Its shape is (size, size), with fewer rows if there are fewer residuals. It carries the same
         information as the Jacobian in a size that does not grow with the residuals; the sums at v
         are computed along with it.
-
-        of : indices of some columns (variables) to which it is limited, without the sums
         """
-        if of is not None:
-            return reduce(_with_rows, (J[:, of] for _, _, J in self.parts(v)), np.zeros((0, len(of))))
         last = self.cache.sums
         known: Sums | None = last.answer if last.holds(v) else None
         if known is None or known.triangle is None:
@@ -619,7 +615,7 @@ class Linearised(LeastSquares):
         # Reweighting ends where a step gains less than this in cost, after ten steps at most.
         for _ in range(10):
             g, H = self.gradient(v)
-            step = scaled_inverse(H) @ g
+            step = scaled_solution(H, g)
             v = v - step
             if 0.5 * g @ step < 1e-3:
                 break

@@ -460,7 +460,6 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     """
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
-    with_loads = problem if loaded == problem.fixed_loads else replace(problem, fixed_loads=loaded)
     own = [robot.parameters[n] for n in names]
     held = {parameter.name: parameter.held for parameter in own if parameter.held}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
@@ -469,8 +468,11 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     wide = bool(problem.priors) and p > MANY_PARAMETERS  # effects with priors need no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]
     columns = [*range(p, problem.size), *asked]
-    zero = np.zeros(problem.size)
-    R = with_loads.triangle(zero, columns) if wide else with_loads.triangle(zero)[:, columns]
+    with_loads = problem
+    if wide or loaded != problem.fixed_loads:
+        with_loads = replace(problem, names=tuple(names[k] for k in asked), fixed_loads=loaded)
+    zero = np.zeros(with_loads.size)
+    R = with_loads.triangle(zero)[:, [*range(len(asked), with_loads.size), *range(len(asked))]]
     if not np.isfinite(R).all() and (found := with_loads.undefined(zero)):
         raise undefined(robot, *found)
     if problem.priors and problem.residual_count <= problem.size:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array, ConvergenceError
-from casadical.identification.identifiability import scaled_inverse
+from casadical.identification.identifiability import scaled_solution
 
 # Function that is called at each iteration with its number, from 0, and the cost there.
 Progress = Callable[[int, float], None]
@@ -302,7 +302,7 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
     for turn in range(60):
         free = own & ~held
         step = np.where(free, 0.0, step)
-        step[free] = -scaled_inverse(H[np.ix_(free, free)]) @ (g + H @ step)[free]
+        step[free] = -scaled_solution(H[np.ix_(free, free)], (g + H @ step)[free])
         inside = np.clip(step, lower, upper)
         if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
             best, least = inside, cost

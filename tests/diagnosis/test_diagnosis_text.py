@@ -104,7 +104,7 @@ def seen() -> Details:
         index=[label, rival, "gravity_compensator", "link_flexure"],
     )
     alike = pd.DataFrame([[1, 0.78], [0.7, 1]], index=[label, rival], columns=[label, rival])
-    return Details(where, Isolability(effects, lambda: alike, {}))
+    return Details(where, Isolability(effects, lambda _: alike, {}))
 
 
 @pytest.fixture(scope="module")
