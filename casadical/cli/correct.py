@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, plain, suggest, suggest_later, tell, with_json
+from casadical.cli.terminal import answer, keep, suggest, suggest_later, with_json, wrapped
 
 Frames = Annotated[
     list[str] | None,
@@ -82,6 +82,7 @@ def correct(
         help="The controller's own absolute accuracy has been switched off.",
     ),
     overwrite: o.Overwrite = False,
+    details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -133,8 +134,8 @@ def correct(
         leave_unreached=leave_unreached,
         accuracy_off=accuracy_off,
     )
-    console = plain(quiet)
-    tell(console, *made.blocks())
+    console = wrapped(quiet)
+    answer(console, made.blocks(), details)
     keep(with_json(made.texts, json_file, made.to_json()), console)
     if model.is_file():
         suggest_later(console, model)

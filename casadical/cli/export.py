@@ -6,14 +6,14 @@ from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import (
+    answer,
     keep,
-    plain,
     print_written,
     suggest,
     suggest_later,
-    tell,
     with_json,
     working,
+    wrapped,
 )
 
 
@@ -69,6 +69,7 @@ def export_c(
         "--overwrite",
         help="Replace files that casadical did not write or that were changed.",
     ),
+    details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -107,8 +108,8 @@ def export_c(
         overwrite=overwrite,
         also=lambda written: with_json({}, json_file, written.to_json()),
     )
-    console = plain(quiet)
-    tell(console, *written.blocks())
+    console = wrapped(quiet)
+    answer(console, written.blocks(), details)
     print_written(json_file, console)
     if what == "command":
         suggest(
@@ -170,6 +171,7 @@ def export_model(
     ),
     leave_out: o.LeaveOut = False,
     overwrite: o.Overwrite = False,
+    details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -201,8 +203,8 @@ def export_model(
             leave_out=leave_out,
             show=show,
         )
-    console = plain(quiet)
-    tell(console, *made.blocks())
+    console = wrapped(quiet)
+    answer(console, made.blocks(), details)
     keep(
         with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
         console,

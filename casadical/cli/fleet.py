@@ -5,8 +5,8 @@ from pathlib import Path
 
 from typer import Argument, Exit, Option, echo
 
-from casadical.cli.options import Json, Quiet, Report
-from casadical.cli.terminal import NOT_VALID, html, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.options import Details, Json, Quiet, Report
+from casadical.cli.terminal import NOT_VALID, answer, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 
 
@@ -34,6 +34,7 @@ def compare(
         "--same-frame",
         help="All positions are in one frame: a base that moved is a change of the foot.",
     ),
+    details: Details = False,
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
@@ -54,7 +55,7 @@ def compare(
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
         comparison = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
-    tell(console, *comparison.blocks())
+    answer(console, comparison.blocks(), details)
     texts: dict[Path, str] = {}
     if report_file:
         texts[report_file] = html([comparison.page(campaigns)])

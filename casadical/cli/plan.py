@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import PLAN, TABLE_WIDTH_WITHOUT_TERMINAL, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import (
+    PLAN,
+    TABLE_WIDTH_WITHOUT_TERMINAL,
+    answer,
+    keep,
+    suggest,
+    tell,
+    with_json,
+    working,
+    wrapped,
+)
 from casadical.core.basics import InputError
 from casadical.core.telling.blocks import Words
 
@@ -27,6 +37,7 @@ MODE_OPTIONS = {
         *("n", "out", "effects", "room", "measured", "payloads", "every_payload", "both_approaches"),
         *("repeats", "noise_mm", "joint_noise_urad", "min_distance", "target_mm", "order", "wires"),
         *("sockets", "places", "prior", "prior_effects", "known_places", "seed", "json_file"),
+        "details",
     ),
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
@@ -129,6 +140,7 @@ def plan(
         "calibrated robot; written to --out (default: touches.csv).",
     ),
     seed: o.Seed = 0,
+    details: o.Details = False,
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
@@ -180,6 +192,7 @@ def plan(
         prior,
         json_file,
         quiet,
+        details,
     )
 
 
@@ -191,20 +204,21 @@ def _poses(
     prior: Path | None,
     json_file: Path | None,
     quiet: bool,
+    details: bool,
 ) -> None:
     """Print which poses to measure, or how many are enough, and write requested files.
 
     chosen : function that makes the plan, called with a function that shows progress
     to : file of the poses; None: only the number of poses is printed
     measured, prior : as given to the command, for its sentence on the model
+    details : whether all figures are printed
     """
     from casadical.project.planning import planned_with
 
     console = wrapped(quiet)
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = chosen(show=show)
-    tell(console, *planned.blocks())
-    console.print(planned_with(problem, measured, prior))
+    answer(console, [*planned.blocks(), Words(planned_with(problem, measured, prior), "note")], details)
     keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
     if to:
         tables = (*([measured] if measured else []), to)

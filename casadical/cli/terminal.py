@@ -25,7 +25,7 @@ from rich.text import Text
 from casadical.core.basics import MAX_FAULTS_SHOWN, FaultsError, Show, shown, visible
 from casadical.core.files import json_text, write_together
 from casadical.core.telling.blocks import Block, Page, Table, next_step
-from casadical.core.telling.result import terminal
+from casadical.core.telling.result import shortened, terminal
 
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
@@ -132,6 +132,14 @@ def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] 
 def tell(console: Console, *blocks: Block) -> None:
     """Print sentences and tables to a console."""
     console.print(terminal(blocks))
+
+
+def answer(console: Console, blocks: Sequence[Block], details: bool) -> None:
+    """Print the blocks of a result: all with --details, else those that fit (see `shortened`)."""
+    shown = [*blocks] if details else shortened(blocks)
+    tell(console, *shown)
+    if len(shown) < len(blocks):
+        console.print("all figures and sentences: --details", style="dim")
 
 
 def suggest(console: Console, purpose: str, command: str, *arguments: object) -> None:

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from typer import Argument, Context, Exit, Option
 
-from casadical.cli.options import Effects, Json, Quiet, Report, refuse_of_others
+from casadical.cli.options import Details, Effects, Json, Quiet, Report, refuse_of_others
 from casadical.cli.terminal import (
     DIAGNOSIS,
     NOT_VALID,
+    answer,
     html,
     keep,
     plain,
@@ -21,6 +22,7 @@ from casadical.cli.terminal import (
     wrapped,
 )
 from casadical.core.basics import InputError
+from casadical.core.telling.result import shortened
 
 if TYPE_CHECKING:
     from casadical.project.acceptance.acceptance import Acceptance
@@ -33,8 +35,8 @@ MODE_OPTIONS = {
         *("touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed"),
         "json_file",
     ),
-    "--iso9283": ("iso9283", "json_file"),
-    "a check of some ten poses": ("promised_mm", "json_file"),
+    "--iso9283": ("iso9283", "details", "json_file"),
+    "a check of some ten poses": ("promised_mm", "details", "json_file"),
 }
 
 
@@ -110,6 +112,7 @@ def verify(
         metavar="DIR",
         help="With --mujoco: write the models here, CAMPAIGN.STAGE.xml (0 is the nominal one).",
     ),
+    details: Details = False,
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
@@ -153,7 +156,7 @@ def verify(
         checked: Acceptance = (
             verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
         )
-    tell(console, *checked.blocks())
+    answer(console, checked.blocks(), details)
     keep(with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
@@ -271,7 +274,10 @@ def certificate(
     console = wrapped(quiet)
     with working(quiet, "uncertainty"):
         made = certified(results, details, problem=problem, iso9283=iso9283)
-    tell(console, *made.blocks())
+    blocks = made.blocks()
+    tell(console, *shortened(blocks))
+    if not out and not json_file:
+        console.print("the whole budget: --out FILE.pdf or --json FILE", style="dim")
     texts: dict[Path, str | bytes] = {out: made.pdf()} if out else {}
     keep(with_json(texts, json_file, made.to_json()), console)
     if out is None:

@@ -53,6 +53,31 @@ def test_the_answer_comes_first_in_thirty_lines() -> None:
     assert "mean position error falls from 1.696 mm to" in lines[1]
 
 
+def test_every_command_answers_in_25_lines_of_80_columns_and_has_details(tmp_path: Path) -> None:
+    arm = own_planar(tmp_path / "arm")
+    table, out = arm / "poses.csv", tmp_path / "out"
+    commands = [
+        ("calibrate", arm, "--out", out),
+        ("check", arm),
+        ("plan", arm, "-n", 12, "--out", tmp_path / "p.csv"),
+        ("verify", out, table),
+        ("compare", out, table),
+        ("certificate", out, "--problem", arm),
+        ("export", "model", out, "--out", tmp_path / "arm.xml"),
+        ("correct", out, table, "--nominal", arm, "--out", tmp_path / "c.csv"),
+    ]
+    for command in commands:
+        done = run(*command)
+        assert (done.returncode, done.stderr) == (0, "")
+        lines = done.stdout.replace(str(tmp_path), "").splitlines()
+        assert len(lines) <= 25, done.stdout
+        assert all(len(line) <= 80 for line in lines)
+    (tmp_path / "p.csv").unlink()
+    whole = run(*commands[2], "--details").stdout
+    assert "Expected standard errors" in whole
+    assert "all figures and sentences: --details" not in whole
+
+
 def test_json_has_every_figure(kept: Path) -> None:
     found = json.loads((kept / "all.json").read_text())
     assert list(found) == ["planar", "panda_3"]

@@ -116,6 +116,29 @@ def plain_text(blocks: Sequence[Block], width: int = 80) -> str:
     return console.export_text()
 
 
+def shortened(blocks: Sequence[Block], lines: int = 16) -> list[Block]:
+    """Return the blocks that fit into so many lines of 80 columns, in their order.
+
+    Verdicts, warnings and words in capitals (LEFT OUT) come first, then sentences and tables, then
+    notes.
+    """
+
+    def weight(block: Block) -> int:
+        """Return 0 for the most important blocks, 2 for the least important ones."""
+        if not isinstance(block, Words):
+            return 1
+        loud = block.kind in ("verdict", "title", "error", "warning") or (block.mark or block.text)[:3].isupper()
+        return 0 if loud else 2 if block.kind == "note" else 1
+
+    order = sorted(range(len(blocks)), key=lambda k: weight(blocks[k]))
+    chosen: list[int] = []
+    for k in order:
+        tried = sorted([*chosen, k])
+        if not chosen or plain_text([blocks[i] for i in tried]).count("\n") <= lines:
+            chosen = tried
+    return [blocks[k] for k in chosen]
+
+
 class Shown:
     """Base of results with a one-line `repr`: the class name and a summary.
 

@@ -276,7 +276,7 @@ def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Tabl
         title = "the real tool off the nominal one, by the model, with the numbers as written"
         off = {"before [mm]": before, "after [um]": 1e3 * after}
         made.append(_table(title, "off by", {**off, "before [mdeg]": turned[0], "after [mdeg]": turned[1]}))
-    return made
+    return made[::-1]  # what is left first
 
 
 def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
