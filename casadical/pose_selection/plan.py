@@ -55,7 +55,10 @@ class MeasurementPlan(Result):
             assert plan.m.position is not None
             height = ((plan.m.position - plan.robot.base.T[:3, 3]) @ plan.robot.base.T[:3, :3])[:, 2]
             more |= {"below": int((height < 0).sum()), "lowest": -height.min()}
-            more |= {"travel": np.rad2deg(travel(plan.robot, plan.q)), "tables": [_map(plan), _errors(plan)]}
+            more |= {
+                "travel": np.rad2deg(travel(plan.robot, plan.q)),
+                "tables": [*_errors(plan, True), _map(plan), *_errors(plan, False)],
+            }
         return self._report_blocks(**more)
 
     def places_of(self, kind: str) -> list[list[float]] | None:
@@ -111,10 +114,14 @@ def _map(plan: Selection) -> Table:
     return Table("Expected error [mm]", ("point", "near", "middle", "far"), rows, frozenset({1, 2, 3}))
 
 
-def _errors(plan: Selection) -> Table:
-    """Return the table of expected standard errors, with a reason where there is none."""
+def _errors(plan: Selection, of_effects: bool) -> list[Table]:
+    """Return a table of expected standard errors, with a reason where there is none; or [].
+
+    of_effects : whether the parameters are those of effects that were asked for, or all others
+    """
     known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
-    rows = [row for row in rows if row[0] in plan.robot.shown]
-    return Table("Expected standard errors", ("parameter", "std error", "unit"), rows, frozenset({1}))
+    rows = [row for row in rows if row[0] in plan.robot.shown and ("." in row[0]) == of_effects]
+    title = f"Expected standard errors{' of effects' if of_effects else ''}"
+    return [Table(title, ("parameter", "std error", "unit"), rows, frozenset({1}))] if rows else []
