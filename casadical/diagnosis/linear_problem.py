@@ -247,7 +247,7 @@ class Case:
         if (kept != self.kept).sum() <= 0.2 * self.kept.sum():
             lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
             more.evidence.with_updated_cache(self.evidence, lost, gained)
-            if self.form.stays:
+            if self.form.ar_coefficient:
                 known, judged = self.judged, more.judged
                 judged.with_updated_cache(
                     known, known.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))

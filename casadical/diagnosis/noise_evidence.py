@@ -22,24 +22,24 @@ from casadical.diagnosis.evidence import REPEATABILITY, RHO_GRID, Evidence
 class Form:
     """A form of noise; by default independent and identically distributed (white).
 
-    stays : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
+    ar_coefficient : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
     joint : index (0-based) of a joint with larger repeatability error, or None
     repeatability_factor : its repeatability error divided by that of the other joints
-    times : factor on the noise of each pose, in the order of measuring, shape (n,); None for ones
+    scale : factor on the noise of each pose, in the order of measuring, shape (n,); None for ones
     log_weight : term that is added to the log likelihood: log prior of the form and log determinant
         of its prewhitening
     """
 
-    stays: float = 0.0
+    ar_coefficient: float = 0.0
     joint: int | None = None
     repeatability_factor: float = 1.0
-    times: Array | None = None
+    scale: Array | None = None
     log_weight: float = 0.0
 
     def serial(self, poses: int) -> SerialNoise:
         """Return the prewhitening of this form of noise for a number of poses in time order."""
-        weight = 1.0 if self.times is None else 1 / self.times
-        return serial_noise(self.stays, np.arange(poses) == 0, weight)
+        weight = 1.0 if self.scale is None else 1 / self.scale
+        return serial_noise(self.ar_coefficient, np.arange(poses) == 0, weight)
 
     def repeatability(self, Jq: Array) -> Array:
         """Return the Jacobian by the joints' repeatability errors in prewhitened rows.
@@ -47,8 +47,8 @@ class Form:
         Jq : that in the measured numbers, in the order of measuring, shape (n, 3, joints), as the
             result
         """
-        if self.stays:
-            both = np.sqrt((1 + self.stays**2) / (1 - self.stays**2))
+        if self.ar_coefficient:
+            both = np.sqrt((1 + self.ar_coefficient**2) / (1 - self.ar_coefficient**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
         return (
             Jq

@@ -37,7 +37,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     joints : joints (1-based) of these causes, whose poor repeatability counts as "no additional
         cause": it is the remaining error of their equations
     """
-    if case.form.stays:
+    if case.form.ar_coefficient:
         return replace(ranking, noise_form=AR_NOISE)
     # Given causes, other forms are evaluated only where "no additional cause" is not probable yet.
     seen = ranking.none <= (0.9 if len(chosen) else SETTINGS.max_p_nothing)
@@ -128,7 +128,9 @@ def ar_form(ar_coefficient: float, poses: int, numbers: float = 3.0) -> Form:
     ar_coefficient : correlation of a pose's noise with that of the previous pose
     numbers : mean count of measured numbers of a pose
     """
-    return Form(stays=ar_coefficient, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - ar_coefficient**2)))
+    return Form(
+        ar_coefficient=ar_coefficient, log_weight=-0.5 * numbers * (poses - 1) * float(np.log(1 - ar_coefficient**2))
+    )
 
 
 def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
@@ -147,7 +149,7 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
         ]
 
     tried = judged(SETTINGS.ar_coefficients)
-    best = best_of(tried, lambda k: k[0], logs=True)[1].stays
+    best = best_of(tried, lambda k: k[0], logs=True)[1].ar_coefficient
     step = SETTINGS.ar_coefficient_step
     log, form, grid = best_of((*tried, *judged([best - step, best + step])), lambda k: k[0], logs=True)
     return form, likely_noise(grid, e.sigmas), log - float(np.logaddexp.reduce(e.log_base(chosen), axis=None))
@@ -160,7 +162,7 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
     over white noise is below `Settings.min_ar_log_gain`.
     """
     form, noise, gain = best_ar_form(case, chosen)
-    moved = abs(form.stays - case.form.stays) > SETTINGS.ar_coefficient_step / 2
+    moved = abs(form.ar_coefficient - case.form.ar_coefficient) > SETTINGS.ar_coefficient_step / 2
     return (form, noise, gain) if moved and gain >= SETTINGS.min_ar_log_gain else None
 
 
@@ -174,7 +176,7 @@ def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
     """
     e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
     # The form is made anew, because outliers may have been removed since it was found.
-    own = ar_form(case.form.stays, len(e.r), e.count / len(e.r))
+    own = ar_form(case.form.ar_coefficient, len(e.r), e.count / len(e.r))
     plain, log = (
         float(np.logaddexp.reduce(e.log_base(chosen), axis=None)),
         float(np.logaddexp.reduce(problem.log_likelihood(own), axis=None)),
@@ -198,7 +200,7 @@ def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | Non
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
     log_odds = np.log(share / (1 - share)) - numbers * np.log(factor)
     times, form = np.ones(n), usual
-    grid = problem.log_likelihood(usual) if usual.stays else problem.e.log_base(problem.chosen)
+    grid = problem.log_likelihood(usual) if usual.ar_coefficient else problem.e.log_base(problem.chosen)
     for _ in range(3):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
@@ -208,6 +210,6 @@ def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | Non
             break
         out = int((times > 1).sum())
         weight = out * np.log(share) + (n - out) * np.log(1 - share) - numbers * out * np.log(factor)
-        form = replace(usual, times=times, log_weight=usual.log_weight + float(weight))
+        form = replace(usual, scale=times, log_weight=usual.log_weight + float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

@@ -274,7 +274,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         if not follows:
             return None
         form, noise, gain = follows
-        show(f"causes under autocorrelated noise, coefficient {form.stays:g}")
+        show(f"causes under autocorrelated noise, coefficient {form.ar_coefficient:g}")
         lines.update(lines_of(given.case, given.columns(), noise, form))
         given.case.judged.forget()
         other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)

@@ -140,10 +140,10 @@ class _WhitenedResidual:
         self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
         # The tested poses are spread over the campaign; under autocorrelated noise they are the
         # first ones, in sequence.
-        n, most = len(order), min(len(order), 4000 if form.stays else 600)
+        n, most = len(order), min(len(order), 4000 if form.ar_coefficient else 600)
         # Autocorrelated noise can be whitened only over consecutive poses.
-        self.pick = np.arange(most) if form.stays else np.linspace(0, n - 1, most).round().astype(int)
-        self._form = form if form.times is None else replace(form, times=form.times[self.pick])
+        self.pick = np.arange(most) if form.ar_coefficient else np.linspace(0, n - 1, most).round().astype(int)
+        self._form = form if form.scale is None else replace(form, scale=form.scale[self.pick])
         self._m, self.at = m[kept[order]], kept[order[self.pick]]
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
@@ -350,7 +350,7 @@ class _WhitenedResidual:
         """
         n = len(self.squares)
         y = self.y.reshape(n, -1)[:, :3]
-        if y.shape[1] < 3 or not self._frames or self._form.stays:
+        if y.shape[1] < 3 or not self._frames or self._form.ar_coefficient:
             return True
         chances = []
         for axes in self._frames.values():

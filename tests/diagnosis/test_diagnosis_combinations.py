@@ -70,7 +70,7 @@ def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Arr
 
 def test_other_forms_of_noise_are_judged_alike(known, curve, backlash, apart):
     chosen = np.union1d(curve, backlash[0])
-    for form in (Form(), Form(joint=1, repeatability_factor=8.0), Form(stays=0.6)):
+    for form in (Form(), Form(joint=1, repeatability_factor=8.0), Form(ar_coefficient=0.6)):
         found, expected = (
             Problem(e, chosen, np.arange(len(e.r))).log_likelihood(form) for e in (known.evidence, apart)
         )

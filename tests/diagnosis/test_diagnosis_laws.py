@@ -396,7 +396,7 @@ def test_a_law_is_found_in_noise_that_follows_itself() -> None:
     hidden = replace(c, whole=replace(c.whole, r=r))
     follows = contest.with_ar_noise(hidden, rank(hidden, NONE))
     assert follows is not None
-    assert follows.form.stays > 0.85
+    assert follows.form.ar_coefficient > 0.85
     plain, first = (contest.round_of(case, NONE, rank(case, NONE)) for case in (hidden, follows))
     assert not plain.claimed
     assert plain.rival == plain.noise  # waves over time are what the noise is
@@ -422,7 +422,7 @@ def hidden_in(stays: float, sigma: float, seed: int, laws: Mapping[Law, float]) 
 
 
 def assert_noise_is_best_beside(case: Case, effects: Sequence[Effect]) -> None:
-    assert case.form.stays > 0
+    assert case.form.ar_coefficient > 0
     assert better_ar_form(case, np.unique(case.group(effects))) is None
 
 
@@ -433,16 +433,18 @@ def test_a_law_takes_the_place_of_a_cause_that_was_found_under_noise_that_follow
     assert [c.label for c in cause.causes] == ["nonlinear_stiffness@2"]
     found = diagnose(robot(NAME), m)
     assert (found.verdict, found.causes) == ("unknown", ())
-    assert found.law.form.stays == found.case.form.stays
+    assert found.law.form.ar_coefficient == found.case.form.ar_coefficient
     assert found.law.best.tried.driver.text == "tau2*tau3"
     law = found.law.best.law
     assert_noise_is_best_beside(with_law(found.case, law), [law])
     said, later = laws_of_diagnosis(found), laws_of_diagnosis(cause)  # which has no law yet
-    assert later.rounds[0].form.stays == said.rounds[0].form.stays == found.case.form.stays
+    assert later.rounds[0].form.ar_coefficient == said.rounds[0].form.ar_coefficient == found.case.form.ar_coefficient
     assert later.lines == said.lines
-    note = f"Nats and factors assume autocorrelated noise with the coefficient {found.case.form.stays:.2g}"
+    note = f"Nats and factors assume autocorrelated noise with the coefficient {found.case.form.ar_coefficient:.2g}"
     assert note in plain_text(said.blocks(), 200)
-    assert said.to_json()["rounds"][0]["noise_stays"] == pytest.approx(found.case.form.stays, abs=1e-4)
+    assert said.to_json()["rounds"][0]["noise_ar_coefficient"] == pytest.approx(
+        found.case.form.ar_coefficient, abs=1e-4
+    )
 
 
 def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
@@ -478,7 +480,9 @@ def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
     assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
     assert len(found.refit().measurements[0]) == 80
     c = where_noise_follows("kr210-P02", 0.8)
-    assert contest.thinned(c, 36).form.stays == pytest.approx(0.8 ** (c.kept.sum() / 36))  # less stays over longer ways
+    assert contest.thinned(c, 36).form.ar_coefficient == pytest.approx(
+        0.8 ** (c.kept.sum() / 36)
+    )  # less stays over longer ways
 
 
 def test_a_diagnosis_that_is_unknown_says_the_law() -> None:

@@ -116,7 +116,7 @@ def test_sums_in_parts_are_those_of_all_poses() -> None:
     form = [
         ar_form(0.6, len(e.r)),
         Form(joint=1, repeatability_factor=SETTINGS.noisy_joint_factor),
-        Form(times=1.0 + (np.arange(len(e.r)) % 9 == 0)),
+        Form(scale=1.0 + (np.arange(len(e.r)) % 9 == 0)),
     ]
     order = np.random.default_rng(0).permutation(len(e.r))
     whole, parts = (
@@ -199,7 +199,7 @@ def test_a_line_is_found_beneath_noise_that_follows_itself() -> None:
     assert not nothing.causes
     assert [c.label for c in d.causes] == ["transmission_ripple@2"]
     assert d.causes[0].effects[0].cycles == pytest.approx(50, abs=0.3)  # type: ignore[attr-defined]
-    assert d.case.form.stays == pytest.approx(0.75, abs=0.2)
+    assert d.case.form.ar_coefficient == pytest.approx(0.75, abs=0.2)
     assert d.rankings[0].none < 0.01
 
 
@@ -208,4 +208,4 @@ def test_a_curve_of_many_harmonics_does_not_take_what_is_a_line_and_such_noise()
     """The curve follows both; the noise has its turn before it."""
     d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"])
     assert [c.label for c in d.causes] == ["transmission_ripple@2"]
-    assert d.case.form.stays == pytest.approx(0.75, abs=0.2)
+    assert d.case.form.ar_coefficient == pytest.approx(0.75, abs=0.2)

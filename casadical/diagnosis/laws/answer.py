@@ -138,7 +138,7 @@ class Discovery(Result):
         several = len(self.rounds) > 1
         title = "Laws that compete"
         each = [_table(r, f"{title}, round {k}" if several else title) for k, r in enumerate(self.rounds, 1)]
-        shares = [f"{r.form.stays:.2g}" for r in self.rounds]
+        shares = [f"{r.form.ar_coefficient:.2g}" for r in self.rounds]
         gaps = [(_MODEL_WORDS[name], mm(value)) for name, value in self.gap.items()]
         return self._report_blocks(
             laws=list(zip(self.laws, self.lines, strict=True)),
@@ -343,7 +343,7 @@ def _round(r: Round) -> dict[str, Any]:
         "within": SETTINGS.indistinguishable_law_margin,
         **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
         "alias_of": list(r.alias),
-        **({"noise_stays": round(r.form.stays, 4)} if r.form.stays else {}),
+        **({"noise_ar_coefficient": round(r.form.ar_coefficient, 4)} if r.form.ar_coefficient else {}),
     }
 
 

@@ -57,7 +57,11 @@ def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_la
     case, listed = thinned(found.case, poses), _set_mass(found)
     if np.isfinite(listed):
         # Both are relative to no cause, each under its own form of noise.
-        over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form.stays != case.form.stays else 0.0
+        over = (
+            _log_none(case.with_form(first.form)) - _log_none(case)
+            if first.form.ar_coefficient != case.form.ar_coefficient
+            else 0.0
+        )
         if first.best.score + over + np.log(PRIOR_FIRST["unknown"]) < listed + SETTINGS.min_law_margin:
             return False
     if not found.columns.size:
@@ -144,7 +148,7 @@ def with_ar_noise(case: Case, ranking: Ranking) -> Case | None:
     The noise is fitted without a cause and given each of the most probable candidates of a ranking;
     the pair with the most evidence counts.
     """
-    if case.form.stays or not case.observations.plain:
+    if case.form.ar_coefficient or not case.observations.plain:
         return None
     variants = {c.label: c.variants for c in case.candidates}
     groups = [(0.0, NO_COLUMNS)]
@@ -165,10 +169,10 @@ def thinned(case: Case, poses: int) -> Case:
     mask = np.zeros_like(case.kept)
     mask[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
     fewer = case.with_inliers(mask)
-    if fewer is case or not case.form.stays:
+    if fewer is case or not case.form.ar_coefficient:
         return fewer
-    e, stays = fewer.evidence, case.form.stays ** (len(at) / poses)
-    return fewer.with_form(ar_form(stays, len(e.r), e.count / len(e.r)))
+    e, coefficient = fewer.evidence, case.form.ar_coefficient ** (len(at) / poses)
+    return fewer.with_form(ar_form(coefficient, len(e.r), e.count / len(e.r)))
 
 
 def _log_none(case: Case) -> float:
@@ -211,7 +215,7 @@ def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranki
     rivals = [_refined_rival(case, by_label[k], ranking, chosen) for k in listed[:2]]
     best = best_of(rivals, score, logs=True) if rivals else ("", -np.inf)
     other = best_of((_refined_rival(case, by_label[k], ranking, chosen) for k in smooth[:2]), score, logs=True)
-    if case.form.stays:
+    if case.form.ar_coefficient:
         noise = best_form_given_ar(case, chosen)
     else:
         noise = best_of(((f.label, f.log_factor) for f in noise_forms(case, chosen)), score, logs=True)

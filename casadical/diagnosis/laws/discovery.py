@@ -71,7 +71,10 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
     columns = found.columns
     if replaces_causes(found, first, poses):
         laws, causes = [first.best], ()
-        case = with_law(case if first.form.stays == case.form.stays else case.with_form(first.form), first.best.law)
+        case = with_law(
+            case if first.form.ar_coefficient == case.form.ar_coefficient else case.with_form(first.form),
+            first.best.law,
+        )
         columns = case.group((first.best.law,))
     elif not causes:
         return _concluded(found, rounds, case, [], (), NO_COLUMNS)

@@ -507,9 +507,9 @@ class Problem:
         """
         if self.noise is None:
             return columns, functions, None
-        own, stays = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))
+        own, coefficient = (a[:, None, None] for a in (self.noise.weight, self.noise.ar_coefficient))
         columns = columns[self.order]
-        return own * columns, functions[:, self.order], (-stays * own)[1:] * columns[:-1]
+        return own * columns, functions[:, self.order], (-coefficient * own)[1:] * columns[:-1]
 
     def gains_of(self, columns: Array) -> Array:
         """Return the screened log evidence over none of K laws with given columns, (K,) [nats].
