@@ -32,7 +32,7 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     noise = Noise(max(robust_std(case.evidence.r), 1e-9), 0.0)
     # The model is in the parameters themselves, not in combinations, because the prior is on them.
     base = case.base
-    e = replace(case.evidence, J=base.J[case.kept], delta0=base.delta0, prior=base.prior)
+    e = replace(case.evidence, J=base.J[case.inliers], delta0=base.delta0, prior=base.prior)
     fit = new_fit(e, np.zeros(0, dtype=np.int64), noise)
     factor: dict[tuple[str, int | None], float] = {}
     done: set[tuple[str, int | None]] = set()

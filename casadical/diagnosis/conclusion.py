@@ -44,7 +44,7 @@ def conclude(
     state = replace(state, case=replace(state.case, candidates=shown)._with_evidence(state.case.evidence))
     case, columns = state.case, state.columns()
     before = partitioned_errors(case.evidence, columns[:0], state.rankings[0].noise[""], seed)
-    repeated = replicates(case.m, case.whole.r, case.kept, case.observations.apart, case.whole.measured)
+    repeated = replicates(case.m, case.whole.r, case.inliers, case.observations.apart, case.whole.measured)
 
     def noise_of(state: State, end: End) -> tuple[Noise, NoiseAccount, float]:
         """Return the noise that the best model leaves, its account and its held-out error [m].
@@ -62,7 +62,7 @@ def conclude(
         state, end = richer, "unknown"
         noise, account, floor = noise_of(state, end)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
-    error, distance = errors_and_distances(case.whole, columns, noise, case.kept)
+    error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
@@ -181,7 +181,7 @@ def _outliers(case: Case, error: Array, distance: Array) -> tuple[Outlier, ...]:
 
     error, distance : as returned by `errors_and_distances`, shape (n,)
     """
-    out = sorted(np.flatnonzero(~case.kept), key=lambda i: -error[i])
+    out = sorted(np.flatnonzero(~case.inliers), key=lambda i: -error[i])
     return tuple(Outlier(int(case.m.row[i]), float(error[i]), float(np.sqrt(distance[i]))) for i in out)
 
 
@@ -194,7 +194,7 @@ def _outliers_as_cause(
     before : held-out errors of the inliers, shape (n_inliers,) [m]
     error, distance : as returned by `errors_and_distances`, shape (n,)
     """
-    out = ~case.kept
+    out = ~case.inliers
     count = int(out.sum())
     if count == 0 or (count == 1 and distance[out][0] < 2 * SETTINGS.outlier_distance):
         return before, ()

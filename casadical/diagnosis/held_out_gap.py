@@ -128,7 +128,7 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     Raises ConvergenceError: Ipopt finds no optimum.
     """
     case, effects = found.case, found.effects()
-    folds = random_folds(int(case.kept.sum()), found.seed, alike=case.evidence.alike)
+    folds = random_folds(int(case.inliers.sum()), found.seed, alike=case.evidence.alike)
     sets = refit_measurements(case, effects, found.noise)
     # For positions the estimated noise is the weight in the fit only.
     if case.observations.plain:
@@ -184,7 +184,7 @@ def network_gap(
     # Imported on demand, because it takes a tenth of the time of all imports.
     from casadical.compensator import Compensator
 
-    e, q = case.evidence, case.m.q[case.kept]
+    e, q = case.evidence, case.m.q[case.inliers]
     folds = random_folds(len(e.r), seed)
     before, used = np.empty(len(e.r)), np.empty(len(e.r))
     ratios, refused = [], 0

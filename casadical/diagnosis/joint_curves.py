@@ -103,7 +103,7 @@ def curves_of(case: Case, effect: JointErrorCurve, columns: Array, noise: Noise)
 
     columns : indices of the columns of all causes, in rising order, shape (k,); noise : of the fit
     """
-    e, q = case.evidence, case.m.q[case.kept]
+    e, q = case.evidence, case.m.q[case.inliers]
     fit = new_fit(e, columns, noise, combined=False)
     place = e.J.shape[2] + np.searchsorted(columns, case.columns[effect])
     own = {j: place[part] for j, part in effect.parts.items()}

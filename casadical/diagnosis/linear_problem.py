@@ -42,7 +42,7 @@ class Case:
     candidates : candidate causes whose columns were logged
     missing : columns that were not logged, by label of the candidate that needs them
     whole : linear model of all poses; base : the base model's parameters in it
-    kept : mask of the inlier poses among all n poses, shape (n,)
+    inliers : mask of the inlier poses among all n poses, shape (n,)
     columns : indices of each effect's columns in the linear model, by effect
     observations : residuals and Jacobians of the measurement sets
     free : labels of effects of the given robot that are free in the base model, with their own
@@ -63,7 +63,7 @@ class Case:
     missing: dict[str, tuple[str, ...]]
     whole: Evidence
     base: BaseParameters
-    kept: Array
+    inliers: Array
     columns: dict[Effect, Array]
     observations: Observations
     free: tuple[str, ...] = ()
@@ -84,7 +84,7 @@ class Case:
 
         Rows are those of the concatenated table of all sets.
         """
-        return self.observations.stops.indices_among(self.kept)
+        return self.observations.stops.indices_among(self.inliers)
 
     @cached_property
     def positions(self) -> Array:
@@ -120,7 +120,7 @@ class Case:
     def evidence(self) -> Evidence:
         """Return the linear model of the inlier poses, for white noise."""
         if not self.selected:
-            self.selected.append(self.whole if self.kept.all() else self.whole.at(np.flatnonzero(self.kept)))
+            self.selected.append(self.whole if self.inliers.all() else self.whole.at(np.flatnonzero(self.inliers)))
         return self.selected[0]
 
     @cached_property
@@ -134,7 +134,7 @@ class Case:
 
         Their shape is (n_inliers,).
         """
-        return np.argsort(self.progress[self.kept], kind="stable")
+        return np.argsort(self.progress[self.inliers], kind="stable")
 
     @cached_property
     def judged(self) -> Evidence:
@@ -223,29 +223,32 @@ class Case:
         """Return the factor on the typical sizes of all effects (see `with_all_sigmas`)."""
         return self.whole.E.growth if isinstance(self.whole.E, EffectColumns) else 1.0
 
-    def screened(self, kept: Array) -> Case:
+    def screened(self, inliers: Array) -> Case:
         """Return the case with other inliers. Raises InputError if most poses are outliers.
 
-        kept : mask of the inliers, shape (n,)
+        inliers : mask of the inliers, shape (n,)
         """
-        if 2 * kept.sum() < len(kept):
+        if 2 * inliers.sum() < len(inliers):
             raise InputError(
-                f"{self.m.source}: the model does not fit: {len(kept) - int(kept.sum())} of {len(kept)} poses are far "
-                "off; check the signs and zeros of the joints, their order, units and the DH convention"
+                f"{self.m.source}: the model does not fit: {len(inliers) - int(inliers.sum())} of "
+                f"{len(inliers)} poses are far off; check the signs and zeros of the joints, their order, units "
+                "and the DH convention"
             )
-        return self.with_inliers(kept)
+        return self.with_inliers(inliers)
 
-    def with_inliers(self, kept: Array) -> Case:
+    def with_inliers(self, inliers: Array) -> Case:
         """Return the case with other inliers; cached sums are updated if few poses change.
 
-        kept : mask of the inliers, shape (n,)
+        inliers : mask of the inliers, shape (n,)
         """
-        if np.array_equal(kept, self.kept):
+        if np.array_equal(inliers, self.inliers):
             return self
-        more = replace(self, kept=kept)
+        more = replace(self, inliers=inliers)
         # Few changed poses are subtracted from the sums, or added; with many the sums are computed again.
-        if (kept != self.kept).sum() <= 0.2 * self.kept.sum():
-            lost, gained = (self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.kept, kept), (kept, self.kept)))
+        if (inliers != self.inliers).sum() <= 0.2 * self.inliers.sum():
+            lost, gained = (
+                self.whole.at(np.flatnonzero(a & ~b)) for a, b in ((self.inliers, inliers), (inliers, self.inliers))
+            )
             more.evidence.with_updated_cache(self.evidence, lost, gained)
             if self.form.ar_coefficient:
                 known, judged = self.judged, more.judged
@@ -260,7 +263,7 @@ class Case:
 
         Rows are in the order of measuring; the first one has no predecessor, -1.
         """
-        poses = np.flatnonzero(self.kept)[self.order]
+        poses = np.flatnonzero(self.inliers)[self.order]
         return np.column_stack([poses, np.append(-1, poses[:-1])])
 
     @cached_property
@@ -359,7 +362,7 @@ class Case:
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
         more._with_evidence(
-            replace(known, E=E.at(np.flatnonzero(self.kept)), cause_prior=cause_prior).with_extended_cache(known)
+            replace(known, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior).with_extended_cache(known)
         )
         if self.form is not WHITE_FORM:
             more.judged.with_extended_cache(self.judged)
@@ -402,10 +405,10 @@ def make_case(
     m, _ = derive(m, [c for e in effects for c in e.conditions], robot.loads)
     values = robot.values_of(identification.robot)
     seen = observe(identification, m, sets, values, ratios or Ratios(identification.problem.sigmas), stops)
-    kept, whole, base = _problem(identification, seen, effects, values, free)
+    inliers, whole, base = _problem(identification, seen, effects, values, free)
     columns = column_indices(effects, 0)
     possible = tuple(possible)
-    return Case(identification.robot, robot, values, m, possible, missing, whole, base, kept, columns, seen, free)
+    return Case(identification.robot, robot, values, m, possible, missing, whole, base, inliers, columns, seen, free)
 
 
 def _problem(
@@ -428,9 +431,9 @@ def _problem(
     # not lose one of them.
     # A pose is a gross outlier beyond five robust standard deviations (scaled median absolute
     # deviations).
-    kept = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= 5.0 * residual_sd)
+    inliers = seen.measured.any(axis=1) & (np.linalg.norm(r, axis=1) / np.sqrt(numbers) <= 5.0 * residual_sd)
     E = EffectColumns(replace(seen.linear, J=seen.linear.J[:, :, :0]), effects).with_directions()
-    again = replicates(seen.m, r, kept, seen.apart, seen.measured)
+    again = replicates(seen.m, r, inliers, seen.apart, seen.measured)
     lengths = [length for length, _ in seen.ratios.sigmas]
     # Declared sigma in units of the residuals [m]; the ratios scale a declaring set's lengths to
     # the noise of the first set.
@@ -455,7 +458,7 @@ def _problem(
     )
     if not seen.plain:
         whole = replace(whole, reference=max(residual_sd, float(SIGMA_GRID_M[0])))
-    return kept, *BaseParameters.restricted(whole)
+    return inliers, *BaseParameters.restricted(whole)
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:
@@ -496,11 +499,11 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
         fit.whitened_residual.reshape(case.evidence.r.shape) ** 2,
         fit.leverage(np.arange(len(case.evidence.r))),
     )
-    freedom = seen.measured[case.kept] - np.diagonal(pull, axis1=1, axis2=2)
-    place, sigmas = np.cumsum(case.kept) - 1, []
+    freedom = seen.measured[case.inliers] - np.diagonal(pull, axis1=1, axis2=2)
+    place, sigmas = np.cumsum(case.inliers) - 1, []
     each = zip(seen.sets, known.sigmas, seen.layout.poses, seen.layout.places, strict=True)
     for m, (length, angle), poses, places in each:
-        own, kind = case.kept[poses[:, 0]], find_kind(m.kind)
+        own, kind = case.inliers[poses[:, 0]], find_kind(m.kind)
         poses, places = place[poses[own]], places[own]
         parts = (places[:, : kind.lengths], places[:, kind.lengths :])
         factors = [

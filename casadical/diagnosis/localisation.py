@@ -70,7 +70,7 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
     """
     # More than 120 poses make these fractions no more accurate, at a cost of the third power of
     # their number.
-    indices = _sample(np.flatnonzero(case.kept), 120, rng)
+    indices = _sample(np.flatnonzero(case.inliers), 120, rng)
     functions = _smooth_functions(case)[indices]
     E = [(part, _products(lever[indices], functions)) for part, lever in _part_jacobians(case).items()]
     for j, joint in enumerate(case.given.joints, 1):
@@ -78,7 +78,7 @@ def _of_smooth_errors(case: Case, noise: Noise, remaining: Evidence, rng: np.ran
             # A joint's own reading has fast harmonics, too [cycles per turn].
             own = sines(case.m.q[indices, j - 1], range(3, 13))
             E.append((f"joint {j}", SETTINGS.unit_error * case.whole.Jq[indices][:, :, [j - 1]] * own[:, None]))
-    some = remaining.at(np.searchsorted(np.flatnonzero(case.kept), indices))
+    some = remaining.at(np.searchsorted(np.flatnonzero(case.inliers), indices))
     projection = some.projected(noise.repeatability / noise.sigma)
     axes = case.base.units / case.base.prior[:, None]
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -404,7 +404,7 @@ class _BootstrapShares:
     """Fractions of the inlier poses' squared residual, with intervals by bootstrap over poses."""
 
     def __init__(self, case: Case, seed: int) -> None:
-        self.kept = case.kept
+        self.inliers = case.inliers
         self.r = case.lengths
         n = len(self.r)
         self.times = np.random.default_rng(seed).multinomial(n, np.full(n, 1 / n), 500).astype(float)
@@ -428,7 +428,7 @@ class _BootstrapShares:
         rows = []
         size = (self.r**2).sum(axis=1)
         for by in dict.fromkeys(m[0] for m in masks):
-            mine = [(part, mask[self.kept]) for b, part, mask in masks if b == by and mask[self.kept].any()]
+            mine = [(part, mask[self.inliers]) for b, part, mask in masks if b == by and mask[self.inliers].any()]
             inside = np.stack([mask for _, mask in mine], axis=1).astype(float)
             share, low, high = self.shares(size[:, None] * inside)
             count = np.maximum(self.times @ inside, 1)
@@ -448,8 +448,8 @@ def _directions(case: Case, split: _BootstrapShares) -> pd.DataFrame:
     r = case.vectors
     if r is None:
         return pd.DataFrame(columns=list(DIRECTION_COLUMNS))
-    in_base, about = r @ case.robot.base.T[:3, :3], about_vertical(_in_base(case)[case.kept])
-    R = predicted(case.robot, case.m)[1][case.kept]
+    in_base, about = r @ case.robot.base.T[:3, :3], about_vertical(_in_base(case)[case.inliers])
+    R = predicted(case.robot, case.m)[1][case.inliers]
     rows = []
     for frame, names, parts in (
         ("base", ("x", "y", "z"), in_base),

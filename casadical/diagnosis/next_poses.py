@@ -39,7 +39,7 @@ def predict_cause(case: Case, variant: tuple[Effect, ...], noise: Noise, poses: 
     shape (K, 3, parameters) [m].
     variant : effects of the cause; poses : linearisation of the base model at the new poses
     """
-    old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.kept))
+    old, combinations = case.base.with_all_combinations(case.evidence, np.flatnonzero(case.inliers))
     E = poses.columns(variant)
     # Predictions do not depend on the campaign's unknown points.
     points = np.zeros((*poses.J.shape[:2], len(case.base.prior) - poses.J.shape[2]))
@@ -197,7 +197,7 @@ def next_poses(
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
-    drawn = later_poses(case.robot, case.m, case.kept, columns, pool, seed, workspace, payloads)
+    drawn = later_poses(case.robot, case.m, case.inliers, columns, pool, seed, workspace, payloads)
     poses = linearise(case.given, drawn.m, case.values)
     noise_there = noise_covariance_at(noise, poses)
     models = [(c.label, Predictive(*predict_cause(case, c.variant, noise, poses), noise_there)) for c in causes]

@@ -74,10 +74,10 @@ def refit_measurements(case: Case, effects: Sequence[Effect], noise: Noise) -> t
     seen = case.observations
     if not seen.plain:
         return selected_rows(
-            _with_sigmas(case, with_combined_conditions(seen.sets, m, seen.stops), noise), case.kept[seen.stops.of]
+            _with_sigmas(case, with_combined_conditions(seen.sets, m, seen.stops), noise), case.inliers[seen.stops.of]
         )
-    C = case.whole.covariance(noise)[case.kept]
-    m = replace(m.positions_alone()[case.kept], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
+    C = case.whole.covariance(noise)[case.inliers]
+    m = replace(m.positions_alone()[case.inliers], kind=PositionCovariance.name, extra={"whitening": whitening(C)})
     return (replace(m, sigma=typical_sigma(C)),)
 
 

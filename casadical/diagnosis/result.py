@@ -373,7 +373,7 @@ class Diagnosis(Result):
 
         Lengths and angles are scaled to equal noise.
         """
-        kept = self.case.kept
+        kept = self.case.inliers
         if not self.columns.size:
             return self.case.evidence.r
         return residual_of_fit_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
@@ -393,7 +393,7 @@ class Diagnosis(Result):
 
         name : title; it begins with "Held" for held-out errors
         """
-        m, k = self.case.m, self.case.kept
+        m, k = self.case.m, self.case.inliers
         out = tuple(LeftOut(m.source, o.row, o.distance) for o in self.outliers)
         position = self.case.positions[k]
         return PoseErrors(name, name.startswith("Held"), m.row[k], m.q[k], position, models, m.source, out)

@@ -213,9 +213,9 @@ class State:
         if not step.effects:
             return self
         state = replace(self, case=case, steps=(*steps, step))
-        _, distance = errors_and_distances(case.whole, state.columns(), ranking.noise[labels[0]], case.kept)
+        _, distance = errors_and_distances(case.whole, state.columns(), ranking.noise[labels[0]], case.inliers)
         # The limit has a hysteresis, so that the search does not alternate.
-        limit = np.where(case.kept, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
+        limit = np.where(case.inliers, SETTINGS.outlier_distance, SETTINGS.inlier_distance)
         screened = case.screened(distance < limit)
         if screened is not case:
             case.judged.forget()

@@ -142,8 +142,8 @@ def _best(case: Case, trial: list[tuple[Effect, ...]], log: Array, chosen: Array
     trial : variants; log : log evidence of each, shape (len(trial),); chosen : columns in the model
     """
     equal = np.flatnonzero(log >= log.max() - 1e-6)  # settings between which the poses cannot tell
-    if len(equal) > 1 and not case.kept.all():
-        every = case.with_inliers(np.ones_like(case.kept))
+    if len(equal) > 1 and not case.inliers.all():
+        every = case.with_inliers(np.ones_like(case.inliers))
         of_all = _log_evidence(every, [trial[k] for k in equal.tolist()], chosen)
         equal = equal[of_all >= of_all.max() - 1e-6]
     return int(equal[0])

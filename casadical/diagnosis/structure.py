@@ -107,7 +107,7 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     logarithms, with a Bonferroni correction over the joints.
     columns : indices of the causes' columns, shape (k,)
     """
-    out = ~case.kept
+    out = ~case.inliers
     if out.sum() < 2 or case.vectors is None:
         return None
     residuals, motions = residual_of_fit_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
@@ -136,7 +136,7 @@ class _WhitenedResidual:
     def __init__(self, case: Case, columns: Array, noise: Noise, form: Form) -> None:
         self.case = case
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
-        kept = np.flatnonzero(case.kept)
+        kept = np.flatnonzero(case.inliers)
         self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
         # The tested poses are spread over the campaign; under autocorrelated noise they are the
         # first ones, in sequence.

@@ -83,7 +83,7 @@ def _errors(d: Diagnosis, more: Details | None) -> Table:
     rows += [("before: calibrated, without causes", mm(d.gap.kept))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if d.effects() else []
     rows += [("noise alone would leave", mm(floor_of(d, more)))]
-    title = f"Mean error on poses held out, of {int(d.case.kept.sum())}{readings_of(d)} [mm]"
+    title = f"Mean error on poses held out, of {int(d.case.inliers.sum())}{readings_of(d)} [mm]"
     return Table(title, ("model", "mean"), rows, frozenset({1}))
 
 

@@ -95,7 +95,7 @@ def study(name: str, poses: int) -> Diagnosis:
     base = {k: errors(base_robot, t) for k, t in tests.items()}
     print(f"  {'never seen [mm]':<44}" + "   ".join(f"{k + ': mean, median, p95, shrink':<30}" for k in tests))
     line("calibrated base model", base, base)
-    kept = train[d.case.kept]
+    kept = train[d.case.inliers]
     word, error = with_network(base_robot, kept, tests)
     line(f"base + network{word}", error, base)
     for top, cause in enumerate(d.causes, 1):

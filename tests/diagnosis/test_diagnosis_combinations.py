@@ -59,7 +59,7 @@ def test_the_evidence_is_that_of_the_columns(known: Case, curve: Array, backlash
 
 def test_sums_by_another_set_of_poses_are_combined_alike(known: Case, curve: Array, backlash: list[Array]) -> None:
     known.evidence.log_grids([curve, *backlash])
-    kept = known.kept.copy()
+    kept = known.inliers.copy()
     kept[[3, 11]] = False
     fewer = known.with_inliers(kept)
     anew = known.whole.at(np.flatnonzero(kept))

@@ -181,7 +181,7 @@ FEW = ("backlash@2", "friction_windup@2", "gear_eccentricity@3")
 def odds_in_full(c, r: np.ndarray) -> float:
     """Log odds of some cause by the judgement that a diagnosis makes, for another residual."""
     e = replace(c.evidence, r=r, delta0=np.zeros_like(c.evidence.delta0))
-    none = rank(replace(c, whole=e, kept=np.ones(len(r), dtype=bool)), NOTHING).none
+    none = rank(replace(c, whole=e, inliers=np.ones(len(r), dtype=bool)), NOTHING).none
     return float(np.log1p(-none) - np.log(none))
 
 

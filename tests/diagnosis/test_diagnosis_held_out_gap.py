@@ -51,7 +51,7 @@ def doctored(signal: float, seed: int) -> tuple[Case, float]:
     wild = signal * rng.choice([-1.0, 1.0], (len(c.m), 3))
     r = wild + 20e-6 * rng.standard_normal((len(c.m), 3))
     whole = replace(c.whole, r=r, delta0=0 * c.whole.delta0)
-    return replace(c, whole=whole, kept=np.ones(len(c.m), dtype=bool)), 1e3 * signal * np.sqrt(3)
+    return replace(c, whole=whole, inliers=np.ones(len(c.m), dtype=bool)), 1e3 * signal * np.sqrt(3)
 
 
 def test_noise_is_taken_off() -> None:
@@ -70,7 +70,7 @@ def test_noise_is_taken_off() -> None:
 
 def test_blocks_are_contiguous_fifths_of_the_time() -> None:
     c = case("ur10e-P09", "joint_scale@2")
-    time = c.m.conditions["time_s"][c.kept]
+    time = c.m.conditions["time_s"][c.inliers]
     blocks = time_blocks(c)
     assert np.ptp(np.bincount(blocks)) <= 1
     assert all(time[blocks == k].max() < time[blocks == k + 1].min() for k in range(4))
@@ -214,7 +214,7 @@ def test_refit_has_the_priors_of_the_evidence() -> None:
 def test_refit_leaves_out_outliers() -> None:
     found = diagnosed("ur10e-P06")
     kept = np.arange(len(found.case.m)) != 3
-    case = replace(found.case, kept=found.case.kept & kept)
+    case = replace(found.case, inliers=found.case.inliers & kept)
     wild = replace(case.m, position=case.m.position + np.where(kept, 0.0, 0.01)[:, None])
     first, second = (refit(replace(case, m=m), found.effects(), found.noise).robot for m in (case.m, wild))
     assert first.parameters.values == pytest.approx(second.parameters.values, abs=1e-12)

@@ -356,7 +356,7 @@ def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
 
 def test_a_robot_that_fits_hardly_any_pose_is_refused() -> None:
     case = make_case(identified("hh800-P01"), [])
-    few = np.arange(len(case.kept)) < len(case.kept) // 3
+    few = np.arange(len(case.inliers)) < len(case.inliers) // 3
     with pytest.raises(InputError, match="poses are far off; check the signs and zeros of the joints"):
         case.screened(few)
 

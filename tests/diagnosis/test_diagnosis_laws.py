@@ -130,7 +130,7 @@ def test_drivers_are_what_the_robot_and_the_table_say() -> None:
 
 def where_noise_follows(name: str, stays: float) -> Case:
     c = case(name)
-    return c.with_form(ar_form(stays, int(c.kept.sum()))) if stays else c
+    return c.with_form(ar_form(stays, int(c.inliers.sum()))) if stays else c
 
 
 @pytest.mark.parametrize("stays", [pytest.param(0.0, marks=pytest.mark.slow), 0.7])
@@ -151,7 +151,7 @@ def test_screened_evidence_is_the_exact_one_at_each_rho(stays: float) -> None:
 @pytest.mark.slow
 def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> None:
     c, rng = case("kr210-P02"), np.random.default_rng(5)
-    problem, n = Problem.of_case(c, NONE), int(c.kept.sum())
+    problem, n = Problem.of_case(c, NONE), int(c.inliers.sum())
     screen = Screen.at_rho(problem.evidence, 2)
     G, b = screen.products(3e-4 * rng.standard_normal((n, 3, 2)), rng.standard_normal((1, n, 200)))
     gains, reach = screen.gains(G, b), screen.reach(G, b)
@@ -177,7 +177,7 @@ def test_a_law_of_every_joint_is_found_with_a_factor_each() -> None:
     assert (best.law.place, best.tried.driver.text, best.tried.form.name) == ("every joint", "q", "wave")
     assert best.settings[0] == pytest.approx(3.0, abs=0.1)
     more = with_law(c, best.law)
-    found = more.whole.take(more.group((best.law,)))[c.kept]
+    found = more.whole.take(more.group((best.law,)))[c.inliers]
     np.testing.assert_allclose(found, best.columns, rtol=0, atol=1e-6 * np.abs(best.columns).max())
     names = best.law.sizes()
     assert line_of(law, dict(zip(names, values, strict=True))) == (
@@ -245,7 +245,7 @@ def test_what_is_left_pulls_at_columns_as_their_products_say(stays: float) -> No
 
 def test_laws_of_several_places_pay_for_all_that_were_looked_at() -> None:
     c = case("kr210-P02")
-    problem, linear = Problem.of_case(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.kept))
+    problem, linear = Problem.of_case(c, NONE), linearise(c.given, c.m, c.values).at(np.flatnonzero(c.inliers))
     beam = Beam(linear, c.given.base.T[:3, 3], 3.0, "beam", Driver("r", "range", "range"))
     there = beam.at_all(stations(robot(NAME))[:3])
     few, many = (beam.tried(problem, FORMS["wave"], there, settings) for settings in (0, 3000 * 63))
@@ -259,7 +259,7 @@ def test_a_fold_knows_no_place_that_other_poses_said() -> None:
     tried, poses = law.tried, np.arange(0, len(law.columns), 2)
     assert law.seam >= tried.given > 0
     c = diagnose(robot(NAME), from_table(table(4), 6), ["backlash"], laws=False).case
-    other = tried.by(Problem.of_case(c, NONE), np.flatnonzero(c.kept))  # of a campaign without the wave
+    other = tried.by(Problem.of_case(c, NONE), np.flatnonzero(c.inliers))  # of a campaign without the wave
     assert {s.law.station for s in other.seams}.isdisjoint({s.law.station for s in tried.seams[tried.given :]})
     assert {s.law.station for s in other.seams} != {s.law.station for s in tried.seams[: tried.given]}
     alone = replace(tried, again=None).by(Problem.of_case(c, NONE), poses)
@@ -310,7 +310,7 @@ def test_the_columns_of_a_law_are_those_of_its_effect() -> None:
     c = case("kr210-P02")
     for s in laws_alone(c)[:6]:
         more = with_law(c, s.law)
-        found = more.whole.take(more.group((s.law,)))[c.kept]
+        found = more.whole.take(more.group((s.law,)))[c.inliers]
         np.testing.assert_allclose(found, s.columns, rtol=0, atol=1e-6 * np.abs(s.columns).max())
 
 
@@ -457,7 +457,7 @@ def test_noise_that_follows_itself_has_rivals_of_its_own() -> None:
     assert label == HEAVY_TAILS
     assert gain > 10
     # Poses that are left out later have no part in how likely this noise is.
-    kept = usual.kept & (np.arange(len(usual.kept)) > 5)
+    kept = usual.inliers & (np.arange(len(usual.inliers)) > 5)
     fewer = usual.with_inliers(kept)
     anew = fewer.with_form(ar_form(0.6, int(kept.sum())))
     assert best_form_given_ar(fewer, NONE)[1] == pytest.approx(best_form_given_ar(anew, NONE)[1], abs=1e-6)
@@ -474,14 +474,14 @@ def test_noise_is_a_rival_of_every_law() -> None:
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
     found = laws_of_diagnosis(replace(discovered(5, "stop").diagnosis, law=None), poses=36)
     assert found.thinned == (36, 80)
-    assert found.case.kept.sum() == 36
+    assert found.case.inliers.sum() == 36
     assert [s.law.place for s in found.laws] == ["joint 3"]
     assert "Laws were searched on 36 of 80 poses." in plain_text(found.blocks(), 100)
     assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
     assert len(found.refit().measurements[0]) == 80
     c = where_noise_follows("kr210-P02", 0.8)
     assert contest.thinned(c, 36).form.ar_coefficient == pytest.approx(
-        0.8 ** (c.kept.sum() / 36)
+        0.8 ** (c.inliers.sum() / 36)
     )  # less stays over longer ways
 
 

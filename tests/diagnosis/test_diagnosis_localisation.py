@@ -87,7 +87,7 @@ def test_tables_have_stable_columns_and_sum_to_one() -> None:
         np.testing.assert_allclose(table.groupby("by")["share"].sum(), 1)
         assert (table["low"] <= table["share"] + 1e-12).all()
         assert (table["share"] <= table["high"] + 1e-12).all()
-        assert (table.groupby("by")["poses"].sum() == int(diagnosed("ur10e-P06").case.kept.sum())).all()
+        assert (table.groupby("by")["poses"].sum() == int(diagnosed("ur10e-P06").case.inliers.sum())).all()
     assert set(w.payload["part"]) == {"0 kg", "10 kg"}
     assert list(w.time["part"]) == [f"quarter {k} of 4" for k in (1, 2, 3, 4)]
 
@@ -95,7 +95,7 @@ def test_tables_have_stable_columns_and_sum_to_one() -> None:
 def doctored(change: np.ndarray) -> Case:
     """A case whose residual is given."""
     c = case("ur10e-P09", "joint_scale@2")
-    return replace(c, whole=replace(c.whole, r=change), kept=np.ones(len(c.m), dtype=bool))
+    return replace(c, whole=replace(c.whole, r=change), inliers=np.ones(len(c.m), dtype=bool))
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ def small(poses: int = 14) -> Evidence:
     """A problem of few poses, its base model known well enough to be no more than a covariance."""
     c = case("kr210-P02")
     # Wide priors would make the covariance, by which it is checked, singular in double precision.
-    J, prior = c.base.J[c.kept][:poses], np.minimum(c.base.prior, 1e-4)
+    J, prior = c.base.J[c.inliers][:poses], np.minimum(c.base.prior, 1e-4)
     e = replace(
         c.evidence.at(np.arange(poses)), J=J, prior=prior, delta0=0 * prior, noise_prior=NoisePrior(), absorbed=0.0
     )
@@ -104,7 +104,7 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     found = heavy_tailed_form(p)
     assert found is not None
     times = np.where(np.isin(np.arange(40), (5, 20)), SETTINGS.tail_noise_factor, 1.0)
-    assert found.times == pytest.approx(times)
+    assert found.scale == pytest.approx(times)
     shares = 2 * np.log(SETTINGS.tail_share) + 38 * np.log(1 - SETTINGS.tail_share)
     plain = far.log_base()[0, at] - density(far, 0, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
     exact = density(far, 0, SIGMA_GRID_M[at], np.diag(times**2), np.ones(6)) + shares
@@ -153,9 +153,9 @@ def test_a_joint_scatters_in_a_ranking_where_its_scatter_leads_and_something_is_
 
 def test_noise_that_follows_itself_is_judged_again_without_the_last_pose() -> None:
     """No further pose follows another one then than before."""
-    known = case("ur10e-P03").with_form(ar_form(0.6, int(case("ur10e-P03").kept.sum())))
+    known = case("ur10e-P03").with_form(ar_form(0.6, int(case("ur10e-P03").inliers.sum())))
     assert np.isfinite(known.judged.log_base()).all()
-    kept = known.kept.copy()
+    kept = known.inliers.copy()
     kept[np.flatnonzero(kept)[known.order[-1]]] = False
     fewer = known.with_inliers(kept)
     fresh = prewhitened(fewer.evidence, fewer.form, fewer.order)

@@ -107,12 +107,12 @@ class Discovery(Result):
         Raises ConvergenceError: Ipopt finds no optimum.
         """
         noise = self.noise if self.kept == "law" else self.diagnosis.noise
-        return refit(self.case.with_inliers(self.diagnosis.case.kept), self.effects, noise)
+        return refit(self.case.with_inliers(self.diagnosis.case.inliers), self.effects, noise)
 
     @property
     def thinned(self) -> tuple[int, int] | None:
         """Return the numbers of searched poses and of all inliers; None where they are equal."""
-        searched, inliers = (int(c.kept.sum()) for c in (self.case, self.diagnosis.case))
+        searched, inliers = (int(c.inliers.sum()) for c in (self.case, self.diagnosis.case))
         return None if searched == inliers else (searched, inliers)
 
     def apply(self) -> Robot:

@@ -165,8 +165,8 @@ def thinned(case: Case, poses: int) -> Case:
 
     The AR(1) coefficient of its noise is adapted to the larger steps between them.
     """
-    at = np.flatnonzero(case.kept)[case.order]
-    mask = np.zeros_like(case.kept)
+    at = np.flatnonzero(case.inliers)[case.order]
+    mask = np.zeros_like(case.inliers)
     mask[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
     fewer = case.with_inliers(mask)
     if fewer is case or not case.form.ar_coefficient:

@@ -65,7 +65,7 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
     """
     show("laws beside nothing")
     case = thinned(found.case, poses)
-    cached = found.law if found.law and len(found.law.best.columns) == case.kept.sum() else None
+    cached = found.law if found.law and len(found.law.best.columns) == case.inliers.sum() else None
     first = cached or laws_before_causes(found, poses)
     rounds, laws, causes = [first], [], found.effects()
     columns = found.columns

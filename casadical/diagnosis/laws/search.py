@@ -201,7 +201,7 @@ def search_laws(
     assert isinstance(case.whole.E, EffectColumns)
     m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
     m, _ = derive(m, map(head_column, stations(case.given)))
-    linear = replace(case.whole.E.linear, conditions=dict(m.conditions)).at(np.flatnonzero(case.kept))
+    linear = replace(case.whole.E.linear, conditions=dict(m.conditions)).at(np.flatnonzero(case.inliers))
     varying, values = values_of(linear, available)
     drivers = list(zip(varying, values.T, strict=True))
     *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])

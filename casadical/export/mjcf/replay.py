@@ -173,7 +173,7 @@ def replay_diagnosis(found: Diagnosis) -> Replay:
     """
     case, robot = found.case, found.case.given
     m, _ = derive(case.m, ["progress", *(f"approach{i}" for i in range(1, robot.n + 1))])
-    m = m.positions_alone()[case.kept]
+    m = m.positions_alone()[case.inliers]
     numbered = replace(m, row=np.arange(len(m)))
     parts = numbered.split(REPLAY_SHARES)
     fitted = np.isin(numbered.row, parts["identify"].row)

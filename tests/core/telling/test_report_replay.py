@@ -39,7 +39,7 @@ def test_the_figure_shows_geometry_and_cause_shrink_the_gap_towards_the_noise(di
 def test_geometry_in_the_engine_is_that_of_casadical_on_the_same_poses(diagnosis, blocks) -> None:
     """By its own split and fit, without the module that replays."""
     case = diagnosis.case
-    m = case.m[case.kept]
+    m = case.m[case.inliers]
     parts = m.split({"identify": 2 / 3, "report": 0.332}, 0)
     fit = identify(case.given, parts["identify"], ("kinematic", "compliance"), loss="huber", priors=True, screen=False)
     figure = draw(next(b for b in blocks if isinstance(b, Figure)))
