@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
+from casadical.measurements.array_files import expanded
 from casadical.measurements.columns import in_seconds, numbers_of
 from casadical.measurements.headings import position_groups, words_of
 from casadical.measurements.raw_table import RawTable
@@ -18,14 +19,20 @@ from casadical.measurements.vocabulary import WORDS
 
 
 def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
-    """Return a table with one position in each row, where it has those of several targets in a row.
+    """Return a table with one position in each row and one number in each cell.
 
+    Lists in cells become columns, and rows with the positions of several targets as many rows.
     Targets on one flange keep their distances while the directions between them turn; coordinates
     in several frames, or nominal ones, do not. The column `tool` names the targets; copies of one
     target, which lie together, have none. A table without them is returned unchanged.
 
     given : columns of the file that are assigned already
     """
+    split = expanded(raw.frame)
+    if {*split} != {*raw.frame}:
+        lists = [str(name) for name in raw.frame if name not in split]
+        said = f"{raw.path.name}: lists in the cells of {', '.join(lists)} are columns."
+        raw = replace(_made(raw, split, said), line=raw.line)
     groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*given}]
     points = [np.column_stack([h.values for h in g]) for g in groups]
     best: tuple[int, ...] = ()

@@ -185,13 +185,15 @@ def understand(
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
             numbered = _numbered(raw, len(free))
-            groups = [dict(zip(free, numbered[0], strict=True))] if len(numbered) == 1 else []
+            groups = [dict(zip(free, group, strict=True)) for group in numbered]
         text = "Are these the joint readings?" if unknown else "Which columns are the joint readings?"
         decide([(_listed(group.values()), _parts_of(group, chain)) for group in groups], text, ask=unknown)
     if not seen:
         positions = [] if kind == "distance" else _groups(headings, "position", _XYZ)
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
-        frames = _frames(raw) if kind in (None, "position", "pose") else []
+        ways = [columns, *(way for q in questions for way in q.choices.values())]  # of the readings
+        used = {c.source.name for c in ways[-1]} if len(ways) < 3 else {*()}
+        frames = _frames(raw, used) if kind in (None, "position", "pose") else []
         options, about = _observations(positions, lengths, frames)
         decide(options, "What was measured?", about)
     turned = any(re.fullmatch(FIRST_ORIENTATION_COLUMN, name) for name in ours) or kind not in (
@@ -511,11 +513,14 @@ def _parts_of(group: Mapping[int, Heading], chain: Sequence[Joint]) -> _Parts:
     return [(*part, "angle" if kind == "revolute" else "length") for kind, part in parts.items()]
 
 
-def _frames(raw: RawTable) -> _Options:
+def _frames(raw: RawTable, taken: Collection[str] = ()) -> _Options:
     """Return the possible meanings of columns that are homogeneous matrices, such as T00 to T33.
 
     They are 4x4 or 3x4 by the indices in their headings (n, o, a, p for the columns, too), or 12 or
-    16 numbered columns; the values show where rotation and translation are.
+    16 numbered columns; the values show where rotation and translation are. Six or seven numbered
+    columns are a position and an orientation.
+
+    taken : headings that are not considered
     """
     grids: dict[str, dict[tuple[int, int], str]] = {}
     for name in raw.header:
@@ -538,6 +543,14 @@ def _frames(raw: RawTable) -> _Options:
     for names in columns:
         headings = [Heading(n, "", "", "", words_of(n)[1], frozenset(), numbers_of(raw.frame[n])) for n in names]
         options += _matrices(headings)
+    for n in (7, 6):
+        for group in _numbered(raw, n, taken):
+            if not any({*words_of(h.name)[0]} & (WORDS["joint"] - WORDS["filler"]) for h in group):
+                options += [
+                    (f"a position, then {way}: {_listed(group)}", [(group[:3], _XYZ, "length"), (group[3:], *form)])
+                    for way, form in _ORIENTATION_FORMS.items()
+                    if len(form[0]) == n - 3 and (n == 6 or _is_unit(group[3:]))
+                ]
     return options
 
 

@@ -28,6 +28,7 @@ from casadical.core.reading import (
     unpacked,
 )
 from casadical.measurements import table_form
+from casadical.measurements.array_files import ARRAY_FILES, table_of_arrays
 
 # Maximum number of columns; more show that the file is no table of measurements.
 MAX_COLUMNS = 2000
@@ -96,6 +97,12 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     if path.suffix.lower() == ".parquet":
         return _parquet(path, packed)
     data = unpacked(packed, str(path))
+    if path.suffix.lower() in ARRAY_FILES:
+        table, said = table_of_arrays(path, data)
+        refuse_many(path, table.size)
+        named = not all(str(name).startswith("column ") for name in table)
+        form = table_form.Form(path.suffix.lower()[1:], header_line=int(named))
+        return RawTable(path, tuple(map(str, table)), (), table, np.arange(len(table)) + 1, form, said=(said,))
     if not keep_text and (plain := _plain(path, data)) is not None:
         return plain
     sheet = ""

@@ -140,7 +140,10 @@ def separator_of(text: str) -> str:
     if len(text) > max_sample_characters:
         text = text[:max_sample_characters].rpartition("\n")[0] or text
     sample = "\n".join(line for line in text.splitlines() if not line.startswith(COMMENTS))
+    # A list in one cell is one number, whatever separates its own.
     lines = sample.splitlines()[:SAMPLE_LINES]
+    for pattern in (r"[\[(][^\[\]]*[\])]", r"array\([^()]*\)"):
+        lines = [re.sub(pattern, "0", line) for line in lines]
     best, most = ",", 0
     # Separators of cells that are tried, in this order.
     separators_tried = (",", ";", "\t", "|", " ")
@@ -149,7 +152,7 @@ def separator_of(text: str) -> str:
             rows = [cells for _, cells in records_of("\n".join(lines), separator)]
         except csv.Error:
             continue
-        numeric = [(len(cells), sum(map(is_number, cells))) for cells in rows]
+        numeric = [(len(cells), sum(all(map(is_number, c.split() or [""])) for c in cells)) for cells in rows]
         widths = Counter(width for width, numbers in numeric if width > 1 and numbers > 1)
         if not widths:
             continue

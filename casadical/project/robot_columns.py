@@ -176,8 +176,11 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
         tried = found
         for question, choice in zip(questions, choices, strict=True):
             tried = tried.answered(question, choice)
+        sources = {**tried.sources, **given}
+        if len({s.name for s in sources.values()}) < len(sources):  # no column has two meanings
+            continue
         with suppress(InputError, np.linalg.LinAlgError):
-            m = _measurements_of(raw, robot, {**tried.sources, **given})
+            m = _measurements_of(raw, robot, sources)
             if m.position is not None and len(m) >= 8:
                 turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
                 errors[choices] = (placed_by(robot, m)[1], turn)

@@ -1,5 +1,7 @@
 """Tables in the forms that people have: every one is read as the poses that were measured."""
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,9 +9,11 @@ import first_hour
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError
+from casadical.measurements.raw_table import read_table
 from casadical.project.new import new_problem
 from casadical.project.problem import read_campaign, read_problem
 
@@ -235,3 +239,89 @@ def test_headings_may_be_given(tmp_path: Path) -> None:
     assert (tmp_path / "arm" / "poses.csv").read_text().startswith(f"{names}\n")
     with pytest.raises(InputError, match="2 headings for 9 columns; the first row has"):
         new_problem(tmp_path / "b", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", headings="x,y")
+
+
+def saved_text(path: Path, held: object) -> None:
+    path.write_text(json.dumps(held, default=lambda a: a.tolist()))  # JSON is YAML, too
+
+
+RAD = np.deg2rad(Q)
+STATES = pd.DataFrame(
+    {
+        "stamp": TIMES,
+        "name": str([f"joint{k}" for k in range(1, 7)]),
+        "position": [str(list(q)) for q in RAD],
+        "effort": "[0.0, 0.0, 0.0, 0.0, 0.0, 0.0]",
+    }
+)
+HELD: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "npy": ("t.npy", lambda path: np.save(path, np.hstack([Q, P]))),
+    "npz": ("t.npz", lambda path: np.savez(path, q=RAD, T=T)),
+    "npz, pages behind": ("t.npz", lambda path: np.savez(path, joints=Q.T, tcp=np.moveaxis(T, 0, -1))),
+    "mat": ("t.mat", lambda path: savemat(path, {"q": Q, "p": P, "n": 3.0})),
+    "mat, a struct": ("t.mat", lambda path: savemat(path, {"data": {"jointAngles": RAD, "pos_m": P / 1e3}})),
+    "mat, transposed": ("t.mat", lambda path: savemat(path, {"Q": Q.T, "xyz": P.T, "quat": QUATERNION.T})),
+    "json records": (
+        "t.json",
+        lambda path: saved_text(
+            path, [{"joints": q, "tcp": {"x": x, "y": y, "z": z}} for q, (x, y, z) in zip(Q, P, strict=True)]
+        ),
+    ),
+    "json of lists": ("t.json", lambda path: saved_text(path, {"q": RAD, "position_mm": P})),
+    "yaml records": (
+        "t.yaml",
+        lambda path: saved_text(path, {"samples": [{"q": q, "p": p} for q, p in zip(Q, P, strict=True)]}),
+    ),
+    "a pose in six numbers": (
+        "t.npz",
+        lambda path: np.savez(path, q=RAD, pose=np.hstack([P / 1e3, Rotation.from_matrix(R).as_rotvec()])),
+    ),
+    "a pose in seven numbers": (
+        "t.json",
+        lambda path: saved_text(path, {"q": RAD, "pose": np.hstack([P / 1e3, QUATERNION])}),
+    ),
+    "lists in cells": (
+        "t.csv",
+        lambda path: pd.DataFrame({"q": [str(list(q)) for q in Q], "T": [str(t.tolist()) for t in T]}).to_csv(
+            path, index=False
+        ),
+    ),
+    "arrays in cells": (
+        "t.csv",
+        lambda path: pd.DataFrame(
+            {"joints": [f"array('d', {list(q)})" for q in Q], "xyz": [" ".join(map(str, p)) for p in P]}
+        ).to_csv(path, sep=";", index=False),
+    ),
+    "JointState": ("t.csv", lambda path: STATES.join(SEEN).to_csv(path, index=False)),
+}
+
+
+@pytest.mark.parametrize("form", HELD)
+def test_arrays_records_and_lists_are_tables(form: str, tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    name, write = HELD[form]
+    write(tmp_path / name)
+    arm = tmp_path / "arm"
+    problem = new_problem(arm, dh=tmp_path / "dh.csv", data=tmp_path / name, ask=lambda q: pytest.fail(q.text))
+    m = read_campaign(arm, arm / "poses.csv", problem.robot)
+    np.testing.assert_allclose(np.rad2deg(m.q), Q, atol=1e-4)
+    assert m.position is not None
+    np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
+    assert (m.orientation is not None) == (
+        form in ("npz", "npz, pages behind", "mat, transposed", "lists in cells") or "pose" in form
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("a.json", b'{"robot": "UR5", "ip": "10.0.0.1"}', "holds no table: robot, ip; save the poses as CSV"),
+        ("a.yaml", b"just words", "holds no table: str"),
+        ("a.mat", b"MATLAB 7.3 MAT-file" + bytes(200), "not a readable .mat file"),
+        ("a.npy", b"\x93NUMPY", "not a readable .npy file"),
+    ],
+)
+def test_files_that_hold_no_table_say_so(name: str, content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_table(tmp_path / name)
