@@ -305,18 +305,19 @@ class Robot(Shown, Arm):
 
         It is the 95 % quantile over the joints' range with full payload, and at least a twentieth
         of the largest of joints of the same kind, revolute or prismatic: a gear with a vertical
-        axis is made for the forces of motion. Where all axes are vertical, the largest is a
-        twentieth of the weight they rotate, at the arm's reach: a slightly tilted base loads them.
+        axis is made for the forces of motion. Where all axes are vertical, or all strokes level,
+        the largest is a twentieth of the weight they move, turned at the arm's reach: a slightly
+        tilted base loads them.
         """
         lower, upper = self.limits
         q = np.random.default_rng(0).uniform(lower, upper, (512, self.n))
         great = np.nanquantile(np.abs(self._bare_torques(q, {})), 0.95, axis=1)
         turning = np.array([j.kind == "revolute" for j in self.joints])
-        loads = [*(j.body for j in self.joints[turning.argmax() :]), self.payload]
-        weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
-        for kind, least in ((turning, MIN_TORQUE_SHARE * weight * self.reach), (~turning, 0.0)):  # N m and N
+        for kind, lever in ((turning, self.reach), (~turning, 1.0)):  # N m and N
             if kind.any():
-                most = max(1e-9, least, float(np.nanmax(great[kind])))
+                loads = [*(j.body for j in self.joints[kind.argmax() :]), self.payload]
+                weight = float(np.linalg.norm(self.gravity)) * sum(body.mass for body in loads if body)
+                most = max(1e-9, MIN_TORQUE_SHARE * weight * lever, float(np.nanmax(great[kind])))
                 great[kind] = np.maximum(great[kind], MIN_TORQUE_SHARE * most)
         return great
 

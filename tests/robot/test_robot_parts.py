@@ -108,6 +108,10 @@ def test_an_upright_joint_has_the_gear_of_a_twentieth() -> None:
     rail = Joint(kind="prismatic", lower=0, upper=1, body=Body(50.0, np.zeros(3)))
     lifted = Robot("lift", (rail, *joints), tool=Placement(np.eye(4))).torque_scale
     assert lifted[1] == pytest.approx(MIN_TORQUE_SHARE * lifted[2])  # N m and N are not compared
+    level = Robot("rail", (replace(rail, alpha=RIGHT), *joints), tool=Placement(np.eye(4))).torque_scale
+    assert level[0] == pytest.approx(
+        MIN_TORQUE_SHARE**2 * 54 * 9.81, rel=0.01
+    )  # was 5e-11: round-off over it was a load
     bare = Robot("arm", tuple(replace(j, body=None) for j in joints), tool=Placement(np.eye(4)))
     assert (bare.torque_scale > 0).all()  # something to divide by
     upright = tuple(replace(j, alpha=0.0, a=0.5) for j in joints)

@@ -37,11 +37,14 @@ class Grid:
         return {name: float(values[point]) for name, values in self.ratios.items()}
 
 
-def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projected: Array) -> Array:
+def log_gain(
+    sigmas: Array, kappas: Array, log_base: Array, value: Array, projected: Array, residual_square: float = np.inf
+) -> Array:
     """Return the log likelihood with each group of columns, shape (groups, sigmas, kappas).
 
     The parameters of a group are integrated out. The result is minus infinity at sigmas where it is
-    negligible (see `SIGMA_LOG_LIKELIHOOD_WINDOW`).
+    negligible (see `SIGMA_LOG_LIKELIHOOD_WINDOW`), and for a group that would explain more than the
+    residual: its columns were lost in round-off.
 
     sigmas : standard deviations of the white noise, in the unit of the residual
     kappas : prior standard deviations of the parameters in typical sizes, rising
@@ -50,6 +53,7 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
         orthogonal to the base, shape (groups, width)
     projected : products of the residual with the columns along the eigenvectors, shape (groups,
         width)
+    residual_square : squared norm of the residual, whitened for sigma = 1
     """
     value, square = np.maximum(value, 0), projected**2
     # This is an upper bound: the gain at the greatest kappa without the penalty of its determinant.
@@ -65,6 +69,7 @@ def log_gain(sigmas: Array, kappas: Array, log_base: Array, value: Array, projec
     unit, own = ((sigmas[likely, None] / kappas) ** 2).ravel(), np.repeat(sigmas[likely], len(kappas))
     gained = gain(unit, own, value, square).reshape(len(value), len(likely), len(kappas))
     out[:, likely] = log_base[likely, None] + gained
+    out[explained.max(axis=1) > 1.001 * residual_square] = -np.inf
     return out
 
 

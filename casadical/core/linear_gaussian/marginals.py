@@ -166,7 +166,8 @@ class Marginals:
                 V = chosen.axes(k, columns)
                 value, vector = np.linalg.eigh(own[:, k] - V @ V.transpose(0, 2, 1))
                 projected = np.einsum("gij,gi->gj", vector, chosen.b[k][columns][:, :, 0])
-                out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], value, projected)
+                most = chosen.at[k].square
+                out[which, k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], value, projected, most)
         return out
 
     def look_ahead(self, chosen: Sequence[Array], groups: Sequence[Array]) -> None:
@@ -279,7 +280,8 @@ class Marginals:
             while 0 <= i < len(near):
                 k = near[i]
                 value, projected = self._spectrum(group, chosen, k)
-                out[k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], value[None], projected[None])[0]
+                own = value[None], projected[None]
+                out[k] = log_gain(grid.sigmas, grid.kappas, chosen.log_base[k], *own, chosen.at[k].square)[0]
                 if self.sums.rows < self.model.combined(group).width:
                     out[k] -= loss_of_finer_noise(self.model, chosen.log_base[k])[:, None]
                 if out[k].max() < top - POINT_LOG_EVIDENCE_WINDOW:
