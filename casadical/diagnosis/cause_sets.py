@@ -98,7 +98,7 @@ def most_probable_set(
     first: Ranking,
     rankings_given: RankingsGiven,
     variants: Mapping[str, tuple[tuple[Effect, ...], ...]],
-    listed: frozenset[str],
+    twins: Mapping[str, frozenset[str]],
     steps: int = 0,
 ) -> tuple[tuple[str, ...], frozenset[str]]:
     """Return the labels of the most probable set of additional causes, and those not certain.
@@ -108,8 +108,9 @@ def most_probable_set(
     first : ranking given the causes in the model; steps : number of these causes
     rankings_given : function that returns the rankings given sets of additional causes
     variants : effects of each variant of each candidate, by label
-    listed : labels of the candidates that may be named
+    twins : labels of the forms at the joint of each candidate that may be named, by its label
     """
+    listed = frozenset(twins)
     search = _Search(rankings_given, variants, listed)
     root = search.take(_Set({}, 0.0, first))
     # Sets are built from six first causes, and from three sets of each larger size.
@@ -119,14 +120,14 @@ def most_probable_set(
         if not frontier:
             break
         width = 3
-    # The best set that begins with an unlisted cause is expanded up to two causes, so that the
-    # comparison is fair.
-    found, unlisted = root, [k for k in first.order if k not in listed and k in variants]
-    for k in range(2 if unlisted else 0):
-        label = unlisted[0] if not k else next((c for c in found.ranking.order if c in variants), None)
-        if label is None or found.ranking.log_factor[label] < SETTINGS.min_set_log_gain:
-            break
-        (found,) = search.expand([frozenset((*found.chosen, label))])
+    # The best two sets with an unlisted cause are expanded, too, so that the comparison is fair.
+    for _ in range(2):
+        mixed = (
+            k
+            for k, (before, label) in search.reached.items()
+            if not k <= listed and k <= variants.keys() and before.ranking.log_factor[label] > SETTINGS.min_set_log_gain
+        )
+        search.expand(search.best(mixed, 1))
     none = np.log((PRIOR_FURTHER if steps else PRIOR_FIRST)["none"]) + first.log_noise
     # The best listed set is expanded a few times to see whether a larger one is better.
     for _ in range(4):
@@ -144,7 +145,7 @@ def most_probable_set(
     if len(best) < 2 or best not in search.expanded:
         return (), frozenset()
     total = np.append(closed, none)
-    there = {c: np.array([c in k for k in search.mass] + [False]) for c in best}
+    there = {c: np.array([not k.isdisjoint({c} | twins[c]) for k in search.mass] + [False]) for c in best}
     without = {c: float(np.exp(np.logaddexp.reduce(total[~there[c]]) - np.logaddexp.reduce(total))) for c in best}
     # Where all listed sets together are less probable than 0.9, against those with an unlisted cause,
     # each cause must be in sets of probability 0.95.

@@ -87,21 +87,24 @@ def _given_others(state: State, k: int, *, first: bool = False) -> Step:
 def _is_listed(state: State, step: Step) -> bool:
     """Return whether a step's cause is the most probable listed one and probably a listed one.
 
-    The latter holds if listed causes have half of the probability that there is a cause.
+    The latter holds if listed causes have half of the probability that there is a cause. Forms at
+    the joint of the cause count with it where it has a quarter of their probability together.
     """
-    ranking, listed = step.ranking, state.listed(step.ranking)
+    ranking, listed, label = step.ranking, state.listed(step.ranking), step.labels[0]
     share = sum(ranking.probability[k] for k in listed)
-    return listed[0] == step.labels[0] and share >= 0.5 * (1 - ranking.none)
+    own = sum(ranking.probability[k] for k in state.twins(label) & ranking.probability.keys())
+    share += own if ranking.probability[label] >= 0.25 * (own + ranking.probability[label]) else 0.0
+    return listed[0] == label and share >= 0.5 * (1 - ranking.none)
 
 
 def _is_certain(state: State, step: Step) -> bool:
     """Return whether a step has one label, or several that reach `Settings.min_claim` together.
 
-    The several must be of effects that name each other in `Effect.confused_with`; others indicate a
-    flaw in another cause's equation instead.
+    The several must be of effects that name each other in `Effect.confused_with`, or forms at the
+    joint of the first; others indicate a flaw in another cause's equation instead.
     """
-    each = [step.ranking.probability[k] for k in step.labels]
-    own, *others = (state.by_label[k].variants[0][0] for k in step.labels)
+    each, twins = [step.ranking.probability[k] for k in step.labels], state.twins(step.labels[0])
+    own, *others = (state.by_label[k].variants[0][0] for k in step.labels if k not in twins)
     alike = all(own.name in e.confused_with or e.name in own.confused_with for e in others)
     return len(each) == 1 or (
         alike and first_of_best(each) == 0 and min(each) >= SETTINGS.min_ambiguous and sum(each) >= SETTINGS.min_claim

@@ -53,7 +53,9 @@ def conclude(
         """
         last = state.rankings[-1]
         noise = last.noise["" if end == "none" else last.order[0]]
-        account = account_of(case, columns, noise, repeated)
+        # A form that gains little beside what the causes gain may be a flaw of their equations.
+        form = last.noise_form if last.log_noise > SETTINGS.max_flaw * state.log_gain else ""
+        account = account_of(case, columns, noise, repeated, form)
         return noise, account, noise_floor(case.evidence, noise, account.anchor, seed)
 
     noise, account, floor = noise_of(state, end)
@@ -66,7 +68,8 @@ def conclude(
     causes = [_cause(state, step, before, seed) for step in state.steps]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
-    gap = Gap(float(before_all.mean()), float(after.mean()), floor, float(before.mean()))
+    # Noise leaves no more than all that is left, though its size is estimated on a grid.
+    gap = Gap(float(before_all.mean()), float(after.mean()), min(floor, float(after.mean())), float(before.mean()))
     causes += outliers
     causes = [causes[k] for k in ranked([c.shrink for c in causes])]
     shrinks = course(case, _stages(state, noise), partitions(case.evidence, seed), noise, seed)
@@ -76,6 +79,12 @@ def conclude(
     if verdict == "explained":
         doubted = exactly and exactly.probability < SETTINGS.min_set and _remainder(state) > SETTINGS.max_flaw
         verdict = "ambiguous" if doubted else "unknown" if richer else "explained"
+    if verdict == "explained" and state.steps and account.doubt:
+        verdict = "unknown"
+    if exactly:
+        untried = SETTINGS.untried_in_doubt if account.doubt else SETTINGS.untried
+        others = tuple((labels, p * (1 - untried)) for labels, p in exactly.others)
+        exactly = replace(exactly, probability=exactly.probability * (1 - untried), others=others, untried=untried)
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(

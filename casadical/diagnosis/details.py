@@ -98,6 +98,6 @@ def analyse(
     if unlisted and unlisted.beside and unlisted.after < best:
         best, noise = unlisted.after, unlisted.beside.noise[""]
     if discovery and discovery.gap.get("law", best) < best:
-        noise = discovery.noise
-    floor = noise_floor(found.case.evidence, noise, found.account.anchor, found.seed)
+        best, noise = discovery.gap["law"], discovery.noise
+    floor = min(noise_floor(found.case.evidence, noise, found.account.anchor, found.seed), best)
     return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out)

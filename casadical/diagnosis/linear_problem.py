@@ -450,7 +450,9 @@ def _problem(
         E,
         cause_prior=E.held,
         Jq=seen.Jq,
-        noise_prior=NoisePrior(declared, sheet, again.sigma, min(again.freedom, 60)),
+        noise_prior=NoisePrior(
+            declared, sheet, again.sigma, min(again.freedom, 60), float(np.sqrt((seen.Jq**2).sum() / numbers.sum()))
+        ),
         measured=seen.measured,
         size=seen.size,
         alike=seen.alike,

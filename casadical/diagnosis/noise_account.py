@@ -1,6 +1,6 @@
 """Account of the noise: estimate of the fit against declaration, data sheet and repeated poses."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import floor, log
 from typing import ClassVar
@@ -11,10 +11,10 @@ from scipy.special import fdtrc
 from casadical.core.basics import Array
 from casadical.core.telling.blocks import mm
 from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.diagnosis.evidence import MAX_REPEATABILITY_M
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
 from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
-from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
@@ -44,6 +44,7 @@ class NoiseAccount:
     form : label of the form of noise if it is not white; else empty
     structures : dependences found in the residual
     like_noise : whether the residual otherwise has Gaussian tails and is isotropic
+    doubt : why what is taken as noise may contain an effect, in words; empty without a reason
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -66,6 +67,7 @@ class NoiseAccount:
     form: str
     structures: tuple[Structure, ...] = field(metadata=written("structure"))
     like_noise: bool = field(metadata=WRITTEN)
+    doubt: str = field(default="", metadata=WRITTEN)
 
     @property
     def anchored(self) -> bool:
@@ -142,11 +144,12 @@ class NoiseAccount:
         return "; ".join(said)
 
 
-def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -> NoiseAccount:
+def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, likely_form: str = "") -> NoiseAccount:
     """Return the account of the noise that a fit with some causes leaves.
 
     columns : indices of the causes' columns, shape (k,); noise : that estimated by the fit
     repeated : standard deviation over repeated poses
+    likely_form : label of the form of noise that is more probable than white noise, or empty
     """
     e, noise_prior = case.evidence, case.evidence.noise_prior
     taken, remainder, form = scatter_of_coordinate(e, noise), remainder_of(case, columns, noise), ""
@@ -158,22 +161,45 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates) -
     far, rules, anchor = False, Rule.FIT, taken
     if repeated.enough:
         rules, anchor = Rule.REPEATS, repeated.sigma
-        far = _exceeds(taken, anchor, freedom, repeated.freedom)
+        far = exceeds(taken, anchor, freedom, repeated.freedom)
     elif noise_prior.stated:
-        far, rules, anchor = _by_statement(case, columns, noise, remainder)
+        far, rules, anchor = _by_statement(case, noise, remainder)
     excess = float(np.sqrt(taken**2 - anchor**2)) if far else 0.0
     # The limits are read from the sets, because noise_prior.sheet is scaled to the first set's
     # noise.
     stated = [m.datasheet for m in case.observations.sets if m.datasheet]
     sheet = min(stated) if noise_prior.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
-    return NoiseAccount(
+    found = NoiseAccount(
         taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, scatter, repeated.freedom, rules, excess,
-        form, remainder.structures, remainder.like_noise,
+        form, remainder.structures, remainder.like_noise, "",
     )  # fmt: skip
+    return replace(found, doubt=doubt_of(found, e.noise_prior.lever, form or likely_form))
 
 
-def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder) -> tuple[bool, Rule, float]:
+def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
+    """Return why what is taken as noise may contain an effect, in words; empty without a reason.
+
+    A form of noise that only the fit knows may be an effect that was not tried. Noise that repeated
+    poses or a declaration confirm is in doubt only where it depends on something.
+    lever : see `NoisePrior`; form : label of the form of noise, empty for white noise
+    """
+    if found.is_structure:
+        return found.structure_in_words()
+    if found.rules in (Rule.REPEATS, Rule.DECLARED):
+        return ""
+    if form:
+        return f"what is taken as noise is more like {form} than independent and alike everywhere"
+    if not found.like_noise:
+        return "what is taken as noise has heavier tails than noise has, or is larger in some directions than in others"
+    if lever * found.repeatability > MAX_REPEATABILITY_M:
+        return f"joints that repeat to {1e6 * found.repeatability:.3g} urad scatter the tool by more than 0.1 mm"
+    if found.declared and found.sigma > found.declared:
+        return "the noise is larger than declared"
+    return ""
+
+
+def _by_statement(case: Case, noise: Noise, remainder: Remainder) -> tuple[bool, Rule, float]:
     """Return whether the noise exceeds its declaration or data sheet, the source, and its figure.
 
     The figure is the standard deviation of a coordinate [m] by the source that determines the size
@@ -185,24 +211,20 @@ def _by_statement(case: Case, columns: Array, noise: Noise, remainder: Remainder
     # A declared sigma is the instrument's; at most 15 urad of joint repeatability are added to it.
     joints, rule = min(noise.repeatability, 15e-6), Rule.DECLARED if noise_prior.declared else Rule.SHEET
     taken, allowed = scatter_of_coordinate(e, noise), scatter_of_coordinate(e, Noise(noise_prior.stated, joints))
-    if _exceeds(taken, allowed, max(e.count - e.absorbed_by_base, 1.0), np.inf) and not (
-        remainder.like_noise and not remainder.structures
-    ):
+    freedom = max(e.count - e.absorbed_by_base, 1.0)
+    above = exceeds(taken, allowed, freedom, np.inf)
+    if above and (remainder.structures or not remainder.like_noise):
         return True, rule, allowed
-    logs = e.log_base(columns)
-    share = np.exp(logs - np.logaddexp.reduce(logs, axis=None)).sum(axis=0)
-    below = share[e.sigmas < noise_prior.declared / SETTINGS.min_noise_excess_factor].sum()
-    wrong = max(share[e.sigmas > SETTINGS.min_noise_excess_factor * noise_prior.stated].sum(), below)
-    # The declared sigma is overruled if it is wrong by the factor with a probability above 0.99.
-    return (False, Rule.FIT, taken) if wrong > 0.99 else (False, rule, allowed)
+    # Otherwise the fit rules where it differs significantly from what is stated.
+    differs = above or (noise_prior.declared and exceeds(allowed, taken, np.inf, freedom))
+    return (False, Rule.FIT, taken) if differs else (False, rule, allowed)
 
 
-def _exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
+def exceeds(larger: float, smaller: float, above: float, below: float) -> bool:
     """Return whether one standard deviation exceeds another significantly (F test at 0.1 %).
 
-    It must also exceed it by `Settings.min_noise_excess_factor`.
+    A tenth is allowed for figures that were rounded.
     above, below : degrees of freedom of the larger and of the smaller one
     """
-    if larger <= SETTINGS.min_noise_excess_factor * smaller:
-        return False
-    return bool(fdtrc(min(above, 1e6), min(below, 1e6), (larger / smaller) ** 2) < 1e-3)
+    ratio = larger / (1.1 * smaller)
+    return ratio > 1 and bool(fdtrc(min(above, 1e6), min(below, 1e6), ratio**2) < 1e-3)

@@ -25,7 +25,8 @@ class Form:
     ar_coefficient : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
     joint : index (0-based) of a joint with larger repeatability error, or None
     repeatability_factor : its repeatability error divided by that of the other joints
-    scale : factor on the noise of each pose, in the order of measuring, shape (n,); None for ones
+    scale : factor on the noise of each pose, in the order of measuring, shape (n,), or on the
+        instrument's noise of each number, shape (n, 3); None for ones
     log_weight : term that is added to the log likelihood: log prior of the form and log determinant
         of its prewhitening
     """
@@ -38,8 +39,9 @@ class Form:
 
     def serial(self, poses: int) -> SerialNoise:
         """Return the prewhitening of this form of noise for a number of poses in time order."""
-        weight = 1.0 if self.scale is None else 1 / self.scale
-        return serial_noise(self.ar_coefficient, np.arange(poses) == 0, weight)
+        weight = np.ones(poses) if self.scale is None else 1 / self.scale
+        first = np.arange(poses) == 0
+        return serial_noise(self.ar_coefficient, first if weight.ndim == 1 else first[:, None], weight)
 
     def repeatability(self, Jq: Array) -> Array:
         """Return the Jacobian by the joints' repeatability errors in prewhitened rows.
@@ -50,6 +52,8 @@ class Form:
         if self.ar_coefficient:
             both = np.sqrt((1 + self.ar_coefficient**2) / (1 - self.ar_coefficient**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
+        if self.scale is not None and self.scale.ndim == 2:
+            return np.asarray(Jq / self.scale[:, :, None])
         return (
             Jq
             if self.joint is None

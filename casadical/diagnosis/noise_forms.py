@@ -28,6 +28,8 @@ from casadical.measurements.measurements import Noise
 AR_NOISE = "autocorrelated noise"
 # Label of heavy-tailed noise of the instrument in rankings and reports.
 HEAVY_TAILS = "noise with heavy tails"
+# Label of noise of the instrument that is larger along some axes of its frame than along others.
+UNEQUAL_AXES = "noise that is unequal along x, y and z"
 
 
 def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collection[int | None] = ()) -> Ranking:
@@ -56,7 +58,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     plain = none = float(np.log(prior["none"]))
     noise_form = ""
     if len(chosen):
-        noise = (AR_NOISE, HEAVY_TAILS, *(noisy_joint_label(j) for j in joints if j))
+        noise = (AR_NOISE, HEAVY_TAILS, UNEQUAL_AXES, *(noisy_joint_label(j) for j in joints if j))
         own = {label: mass.pop(label) for label in noise if label in mass}
         none = float(np.logaddexp.reduce(np.array([plain, *own.values()])))
         best = best_of(own, own.__getitem__, logs=True)
@@ -90,10 +92,10 @@ def noisy_joint_label(joint: int) -> str:
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
     """Return each form of noise as a rival, with its log evidence over white noise.
 
-    The evidence is averaged over the form's settings; each of the three kinds has a third of the
+    The evidence is averaged over the form's settings; each of the four kinds has a quarter of the
     prior.
     chosen : indices of the columns of causes in the model
-    of_instrument : whether the instrument's forms are included
+    of_instrument : whether autocorrelated and heavy-tailed noise of the instrument is included
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
@@ -103,6 +105,8 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         numbers = e.count / len(e.r)
         kinds += [(AR_NOISE, [ar_form(share, len(e.r), numbers) for share in SETTINGS.ar_coefficients], 1)]
         kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
+    if case.vectors is not None and (axes := unequal_form(problem)):
+        kinds.append((UNEQUAL_AXES, [axes], 1))
     kinds += [
         (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=SETTINGS.noisy_joint_factor)], len(joints))
         for j in joints
@@ -117,8 +121,12 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             # Likelihood falls with the coefficient from here on.
             if logs[-1] < max(plain, logs.max()) - POINT_LOG_EVIDENCE_WINDOW:
                 break
-        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 3) - plain
-        rivals.append(Rival(label, float(factor), likely_noise(grids[first_of_best(logs, logs=True)], e.sigmas)))
+        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 4) - plain
+        best = first_of_best(logs, logs=True)
+        noise, times = likely_noise(grids[best], e.sigmas), forms[best].scale
+        if times is not None and times.ndim == 2:  # the mean over the axes
+            noise = replace(noise, sigma=noise.sigma * float(np.sqrt((times**2).mean())))
+        rivals.append(Rival(label, float(factor), noise))
     return rivals
 
 
@@ -187,6 +195,23 @@ def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
         rivals.append((HEAVY_TAILS, float(np.logaddexp.reduce(problem.log_likelihood(tails), axis=None)) - plain))
     label, gain = best_of(rivals, itemgetter(1), logs=True)
     return label, gain + plain - log
+
+
+def unequal_form(problem: Problem) -> Form | None:
+    """Return a form of noise whose size along x, y and z is that of the residual.
+
+    None unless a pose has three numbers. The two ratios cost half a log of the poses each.
+    """
+    n, times = len(problem.e.r), np.ones(3)
+    if problem.e.r.shape[1] != 3:
+        return None
+    for _ in range(3):
+        form = Form(scale=np.tile(times, (n, 1)), log_weight=-float(np.log(n)))
+        noise = likely_noise(problem.log_likelihood(form), problem.e.sigmas)
+        rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
+        times = times * np.sqrt((problem.residual(form, rho) ** 2).mean(axis=0))
+        times = times / np.exp(np.log(times).mean())
+    return form
 
 
 def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | None:

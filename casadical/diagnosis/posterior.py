@@ -22,10 +22,10 @@ if TYPE_CHECKING:
     Judged: TypeAlias = Case | MotionCase
 
 # Prior probabilities of the first cause: no cause, one of the listed effects, an unlisted effect.
-PRIOR_FIRST = {"none": 0.25, "listed": 0.60, "unknown": 0.15}
+PRIOR_FIRST = {"none": 0.25, "listed": 0.55, "unknown": 0.20}
 # Prior probabilities of an additional cause, once one was found: none, a listed or an unlisted
 # effect.
-PRIOR_FURTHER = {"none": 0.75, "listed": 0.20, "unknown": 0.05}
+PRIOR_FURTHER = {"none": 0.65, "listed": 0.20, "unknown": 0.15}
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +128,9 @@ def prior_weights(
     """Return the prior probability of each candidate, by label.
 
     The prior of listed effects is divided equally among the effects, and that of each effect
-    equally among its joints. The prior of unlisted effects is divided in the same way, half among
-    the rare effects and half for the smooth forms named "unknown".
+    equally among its joints; an effect of the extended list has a quarter of the share of others.
+    The prior of unlisted effects is divided in the same way, a quarter among the rare effects and
+    the rest for the smooth forms named "unknown".
     prior : one of PRIOR_FIRST and PRIOR_FURTHER; skip, covered : see `rank`
     """
     open_ = [c for c in case.candidates if c.label not in skip | covered]
@@ -137,9 +138,10 @@ def prior_weights(
     names = Counter(c.name for c in open_ if not c.together)
     kinds = {c.name: c.listed for c in open_}
     rare = [name for name, listed in kinds.items() if not listed and name != "unknown"]
-    part = {name: prior["listed"] / sum(kinds.values()) for name, listed in kinds.items() if listed}
-    part |= {name: prior["unknown"] / 2 / len(rare) for name in rare}
-    part["unknown"] = prior["unknown"] / (2 if rare else 1)
+    odds = {c.name: 0.25 if c.variants[0][0].on_list == "extended" else 1.0 for c in open_ if c.listed}
+    part = {name: prior["listed"] * share / sum(odds.values()) for name, share in odds.items()}
+    part |= {name: prior["unknown"] / 4 / len(rare) for name in rare}
+    part["unknown"] = prior["unknown"] * (0.75 if rare else 1.0)
     return {
         c.label: part[c.name] / max(names[c.name], 1) * (SETTINGS.same_joint_prior_factor if c.joint in taken else 1.0)
         for c in open_

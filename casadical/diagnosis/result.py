@@ -131,6 +131,8 @@ class CauseSet:
     """The set of all named causes and its posterior probabilities.
 
     probability : that of exactly this set, among all sets that differ from it by at most one cause
+        and the sets with an effect that was not tried
+    untried : probability that an effect that was not tried takes part (see `Settings.untried`)
     one_more : that of an additional cause given the set
     members : that of each cause, by label, summed over these sets
     others : labels of the most probable other sets, unlisted forms included, and the probability of
@@ -157,6 +159,7 @@ class CauseSet:
     names: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     further: Mapping[str, float] = field(default_factory=dict)
     further_gap: float = 0.0
+    untried: float = field(default=0.0, metadata=written(digits=4))
 
 
 @dataclass(frozen=True)

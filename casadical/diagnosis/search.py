@@ -74,6 +74,15 @@ class State:
         """Return the labels of the listed effects in a ranking, the most probable first."""
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
+    def twins(self, label: str) -> frozenset[str]:
+        """Return the labels of the forms without a cause at the joint of a listed cause.
+
+        They say where and by what the joint errs as the cause does, and leave its equation open.
+        """
+        joint = self.by_label[label].joint
+        same = (c for c in self.case.candidates if joint and c.name == "unknown" and c.variants[0][0].joint == joint)
+        return frozenset(c.label for c in same)
+
     def rank(
         self, given: Sequence[Step], also: Mapping[str, tuple[Effect, ...]] | None = None, keep: str = ""
     ) -> Ranking:
@@ -168,7 +177,7 @@ class State:
             self.rankings[-1],
             self._rank_sets,
             {c.label: c.variants for c in self.case.candidates},
-            frozenset(c.label for c in self.case.candidates if c.listed),
+            {c.label: self.twins(c.label) for c in self.case.candidates if c.listed},
             len(self.steps),
         )
 

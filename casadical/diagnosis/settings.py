@@ -23,6 +23,10 @@ class Settings:
         flaw of an equation. Of 139 campaigns of docs/studies/open_world.py (seeds "develop 2") 9 of
         11 such sets were wrong or incomplete; without the second condition 11 of 15; of the sets
         above 0.5 5 of 49.
+    untried : probability that beside named causes an effect acts that no candidate resembles, where
+        what is left is like noise; untried_in_doubt : the same where it is in doubt, both
+        as in docs/studies/open_world.py with seeds "develop 2", as many campaigns with an effect of
+        foreign_effects.py as without
     min_further : an additional cause is accepted from this probability on, given that there is one
     max_causes : largest number of causes of a diagnosis
     ambiguous_share : causes that the data cannot distinguish are counted until they reach this
@@ -64,8 +68,6 @@ class Settings:
     tail_noise_factor : factor on the noise of the poses in the tails, in the model of heavy
         tails
     noisy_joint_factor : repeatability error of a noisy joint divided by that of the other joints
-    min_noise_excess_factor : ratio of the estimated noise to its independent figure from which
-        it contains structure, if the excess is significant
     max_law_poses : largest number of poses, evenly taken from the campaign, on which laws (see
         `laws`) are searched: the time grows with it
     min_alias_correlation : a law is a listed effect under another name if their columns
@@ -105,6 +107,8 @@ class Settings:
     outlier_distance: float = 75.0
     inlier_distance: float = 40.0
     min_set: float = 0.5
+    untried: float = 0.05
+    untried_in_doubt: float = 0.6
     min_further: float = 0.65
     max_causes: int = 6
     ambiguous_share: float = 0.97
@@ -129,7 +133,6 @@ class Settings:
     tail_share: float = 0.05
     tail_noise_factor: float = 4.0
     noisy_joint_factor: float = 8.0
-    min_noise_excess_factor: float = 1.4
     max_law_poses: int = 600
     min_alias_correlation: float = 0.95
     min_law_score: float = 12.0

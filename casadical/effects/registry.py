@@ -63,6 +63,9 @@ StandStep = _defined["stand_step"]
 from casadical.effects.smooth import SmoothInJoint as SmoothInJoint
 from casadical.effects.smooth import AnyOfOwnAngle as AnyOfOwnAngle
 from casadical.effects.smooth import AnyOfOtherAngle as AnyOfOtherAngle
+from casadical.effects.smooth import AnyOfTime as AnyOfTime
+from casadical.effects.smooth import AnyOfLoad as AnyOfLoad
+from casadical.effects.smooth import AnyOfAngleAndLoad as AnyOfAngleAndLoad
 from casadical.effects.smooth import SmoothInJoints as SmoothInJoints
 from casadical.effects.smooth import SmoothInTime as SmoothInTime
 from casadical.effects.smooth import WarmUp as WarmUp

@@ -152,6 +152,89 @@ class AnyOfOtherAngle(_Smooth):
 
 
 @dataclass(frozen=True)
+class _OfOneJoint(_Smooth):
+    """Base of errors of one joint that follow a driver without a form: a series of `terms`."""
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, prior size in typical angles, dimensionless value) of each function.
+
+        If `context` is None, the values are placeholders.
+        """
+        raise NotImplementedError
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of the coefficient of each function, by name."""
+        return {name: (TYPICAL_ANGLE_RAD * share, "rad") for name, share, _ in self.terms(None)}
+
+    def angle(self, context: Context, q: Symbolic) -> Symbolic:
+        """Return the error of the effect's joint [rad]; q : its reading, not used."""
+        return sum(self.value(context, name) * value for name, _, value in self.terms(context))
+
+
+@dataclass(frozen=True)
+class AnyOfTime(_OfOneJoint):
+    """An error of one joint that walks at random in time (creep, slips, warmth of its own).
+
+    Its cosines are the Karhunen-Loeve expansion of a Brownian motion whose mean the zero takes up.
+    """
+
+    name = "unknown_of_time"
+    acts_at = "joints"
+    words = "any course in time of joint {joint}"
+    needs = ("progress",)
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, 3 / order, cosine of order pi t), orders 1 to 8; t is 0 to 1."""
+        t = context.conditions["progress"] if context else 0.0
+        return [(f"t{h}", 3 / h, ca.cos(ca.pi * h * t)) for h in range(1, 9)]
+
+
+@dataclass(frozen=True)
+class AnyOfLoad(_OfOneJoint):
+    """An error of one joint that is any function of its own load and approach, on either side."""
+
+    name = "unknown_of_load"
+    acts_at = "joints"
+    words = "any function of load and approach in joint {joint}"
+
+    @property
+    def conditions(self) -> tuple[str, ...]:
+        """Return the name of the column of the joint's direction of approach."""
+        return (f"approach{self.joint}",)
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, prior size, value) of functions of load, and of these times the approach.
+
+        The odd ones saturate, the even ones act on one side; the compliance takes up the linear one.
+        """
+        load, side = (context.load(self.joint), context.conditions[self.conditions[0]]) if context else (0.0, 0.0)
+        of_load = {"s": ca.tanh(8 * load), "t": ca.tanh(2 * load), "e": ca.sqrt(load**2 + 1e-4), "q": load**2}
+        terms = [(name, 1.0, value) for name, value in of_load.items()]
+        return [*terms, ("a", 1.0, side), *((f"a{name}", 1.0, side * value) for name, _, value in terms)]
+
+
+@dataclass(frozen=True)
+class AnyOfAngleAndLoad(_OfOneJoint):
+    """An error of one joint that follows its own angle with a size that follows its load.
+
+    orders : highest harmonic of the angle
+    """
+
+    orders: int = 6
+
+    name = "unknown_of_angle_and_load"
+    acts_at = "turning joints"
+    words = "any function of q{joint} and load in joint {joint}"
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, 1, value) of sine and cosine of each harmonic of the angle times the load."""
+        assert self.joint is not None
+        load, q = (context.load(self.joint), context.q[self.joint - 1]) if context else (0.0, 0.0)
+        waves = (("s", ca.sin), ("c", ca.cos))
+        return [(f"{n}{h}", 1.0, load * f(h * q)) for h in range(1, self.orders + 1) for n, f in waves]
+
+
+@dataclass(frozen=True)
 class SmoothInJoints(_Series):
     """Errors of all joints that are a smooth function of the angles of two joints."""
 

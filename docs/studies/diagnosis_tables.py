@@ -111,6 +111,10 @@ def _thresholds() -> str:
         ),
         ("one cause is claimed from a probability of", f"{d.min_claim:g}"),
         ("named causes explain if exactly these have a probability of", f"{d.min_set:g}"),
+        (
+            "something that was not tried acts beside named causes, the rest like noise / in doubt",
+            f"{d.untried:g} / {d.untried_in_doubt:g}",
+        ),
         ("a further cause is taken up from a probability of", f"{d.min_further:g}"),
         ("an unlisted remainder of this share of the evidence makes the verdict unknown", f"{d.max_flaw:g}"),
         ("a set holds this share of the probability, and at most so many", f"{d.ambiguous_share:g}, {d.max_ambiguous}"),

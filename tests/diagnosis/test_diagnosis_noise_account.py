@@ -8,10 +8,12 @@ from cases import diagnose, following_noise, practice, robot, simulated
 from planted import misread
 from scipy import stats
 
+from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.diagnosis import page_of
 from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
-from casadical.diagnosis.noise_account import Rule
+from casadical.diagnosis.noise_account import NoiseAccount, Rule, doubt_of, exceeds
+from casadical.diagnosis.noise_forms import HEAVY_TAILS
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.structure import log_chance_of
 from casadical.identification.accuracy import predicted
@@ -146,3 +148,50 @@ def test_round_off_of_readings_changes_no_verdict_and_no_cause() -> None:
     assert (first.verdict, [c.label for c in first.causes]) == (second.verdict, [c.label for c in second.causes])
     assert first.rankings[0].none == pytest.approx(second.rankings[0].none, rel=1e-3)
     assert first.unknown_rest == pytest.approx(second.unknown_rest, abs=1e-6)
+
+
+PLAIN = NoiseAccount(2e-5, 2e-5, 5e-6, 0.0, 0.0, 0.0, 0, Rule.FIT, 0.0, "", (), like_noise=True)
+
+
+@pytest.mark.parametrize(
+    ("account", "form", "said"),
+    [
+        (PLAIN, "", ""),
+        (PLAIN, HEAVY_TAILS, HEAVY_TAILS),
+        (replace(PLAIN, like_noise=False), "", "heavier tails"),
+        (replace(PLAIN, repeatability=30e-6), "", "joints that repeat to 30 urad"),  # 0.109 mm (ISO 9283) at 1 m
+        (replace(PLAIN, repeatability=27e-6), "", ""),
+        (replace(PLAIN, declared=1.5e-5), "", "larger than declared"),
+        (replace(PLAIN, like_noise=False, rules=Rule.REPEATS), HEAVY_TAILS, ""),
+        (replace(PLAIN, excess=1e-5, rules=Rule.REPEATS), "", "more than repeated poses say"),
+    ],
+)
+def test_noise_is_in_doubt_unless_poses_or_a_declaration_confirm_it(
+    account: NoiseAccount, form: str, said: str
+) -> None:
+    doubt = doubt_of(account, 1.0, form)
+    assert (said in doubt) if said else doubt == ""
+
+
+@pytest.mark.parametrize(("ratio", "far"), [(1.25, False), (1.3, True)])
+def test_noise_exceeds_a_figure_by_the_f_test_with_a_tenth_for_rounding(ratio: float, far: bool) -> None:
+    """Of 200 degrees of freedom chance gives sqrt(F) = 1.16 once in a thousand times, with the tenth 1.28."""
+    exact = stats.f(200, 1e6).sf((ratio / 1.1) ** 2) < 1e-3
+    assert exceeds(ratio, 1.0, 200, np.inf) == exact == far
+
+
+@pytest.mark.slow
+def test_a_joint_that_creeps_is_no_step_and_its_time_is_named() -> None:
+    """A belt that gives way under load: the angle relaxes to it over two hours, by nobody's list."""
+
+    def creep(stops: Stops) -> np.ndarray:
+        angle, course = 0.0, []
+        for k, wait in enumerate(np.diff(stops.time_s, prepend=0.0)):
+            angle += (4e-3 * np.sin(stops.q[k, 4]) - angle) * -np.expm1(-wait / 1800.0)
+            course.append(angle)
+        return np.array(course)
+
+    d = diagnose(robot("kr210"), simulated("kr210", 5, misread(5, creep)))
+    assert "joint_zero_step@5" not in [c.label for c in d.causes]
+    assert d.verdict == "unknown"
+    assert d.rankings[0].order[0] == "any course in time of joint 5"

@@ -20,6 +20,7 @@ from casadical.diagnosis.noise_forms import (
     ar_form,
     heavy_tailed_form,
     noisy_joint,
+    unequal_form,
 )
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import page_of
@@ -109,6 +110,22 @@ def test_poses_far_out_are_weighed_down_and_paid_for(columns: int) -> None:
     plain = far.log_base()[0, at] - density(far, 0, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
     exact = density(far, 0, SIGMA_GRID_M[at], np.diag(times**2), np.ones(6)) + shares
     assert p.log_likelihood(found)[0, at] - exact == pytest.approx(plain, abs=1e-5)
+
+
+def test_noise_that_is_unequal_along_the_axes_is_judged_by_its_covariance(columns: int) -> None:
+    at, e, times = 12, small(40), np.array([0.5, 0.5, 4.0])
+    r = SIGMA_GRID_M[at] * times * np.random.default_rng(1).standard_normal((40, 3))
+    p = problem(replace(e, r=r), columns=columns)
+    far, found = with_causes(p), unequal_form(p)
+    assert found is not None
+    assert found.scale is not None
+    own = found.scale[0]
+    if columns < 40:  # with fewer columns than numbers the ratios are those of the noise
+        assert own / own[0] == pytest.approx(times / times[0], rel=0.4)
+    scaled = replace(far, r=far.r / own, J=far.J / own[:, None], Jq=far.Jq / own[:, None])
+    plain = far.log_base()[3, at] - density(far, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6))
+    exact = density(scaled, 3, SIGMA_GRID_M[at], np.eye(40), np.ones(6)) - 40 * np.log(own).sum() - np.log(40)
+    assert p.log_likelihood(found)[3, at] - exact == pytest.approx(plain, abs=1e-5)
 
 
 def test_sums_in_parts_are_those_of_all_poses() -> None:

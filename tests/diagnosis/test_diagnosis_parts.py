@@ -11,7 +11,7 @@ import pytest
 from cases import ROOT, diagnose, planar, robot, small_problem
 from numpy.testing import assert_allclose
 from scipy.special import logsumexp
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2, multivariate_normal, norm
 
 from casadical import InputError, Joint, Measurements, Robot
 from casadical.core.linear_gaussian.grid import SIGMA_LOG_LIKELIHOOD_WINDOW, log_gain
@@ -152,6 +152,22 @@ def test_gains_are_left_out_only_where_they_cannot_count() -> None:
     assert_allclose(found[0][seen], direct[0][seen], rtol=1e-9)
 
 
+def test_a_group_that_would_explain_more_than_the_residual_is_refused() -> None:
+    """Round-off took its columns: 1e-20 is left of their square, and a product of 1 with the residual."""
+    sigmas, value, turned = np.geomspace(1e-6, 1e-3, 40), np.array([[1e-20], [2.0]]), np.array([[1e-5], [1e-5]])
+    found = log_gain(sigmas, 1e-4 * KAPPA_GRID, np.zeros(40), value, turned, residual_square=1e-8)
+    assert np.isneginf(found[0]).all()
+    assert np.isfinite(found[1]).any()
+
+
+def test_joints_repeat_as_data_sheets_say() -> None:
+    """At a lever of 1 m 0.1 mm (ISO 9283) is 27.6 urad, two standard deviations of a half-normal density."""
+    e = small_problem()
+    plain, known = (log_noise_prior(replace(e, noise_prior=NoisePrior(lever=a)), e.Jq) for a in (0.0, 1.0))
+    urad = 1e6 * RHO_GRID[:, None] * e.sigmas
+    assert_allclose(known - plain, norm(scale=13.81).logpdf(urad) - norm(scale=13.81).logpdf(0.0), rtol=1e-3)
+
+
 def test_drivers_of_columns_alone() -> None:
     assert Driver("t", "time", "time").columns_only
     assert Driver("approach1*t", "linear", "approach").columns_only
@@ -187,6 +203,10 @@ def test_before_any_data_all_is_shared_out_and_a_second_cause_at_a_joint_is_rare
     first, second = (prior_weights(case, PRIOR_FIRST, skip) for skip in (frozenset(), frozenset(["backlash@2"])))
     assert second["transmission_ripple@2"] == pytest.approx(second["transmission_ripple@3"] / 20)
     assert first["transmission_ripple@2"] == first["transmission_ripple@3"] == second["transmission_ripple@3"]
+    case.candidates = candidates_of(robot("ur10e"), ["backlash", "thermal_bend"])
+    weights = prior_weights(case, PRIOR_FIRST, frozenset())
+    shares = [sum(w for k, w in weights.items() if k.split("@")[0] == name) for name in ("backlash", "thermal_bend")]
+    assert shares[1] == pytest.approx(shares[0] / 4 * (1 - 1 / 7))  # a name of the extended list
 
 
 def test_thirds_are_named_to_a_tenth() -> None:

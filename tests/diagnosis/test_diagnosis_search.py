@@ -99,7 +99,7 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
 
 def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     """A set named backlash of all joints, of which its other causes left nothing (a ValueError before)."""
-    clean = case("kr210-P08", "backlash")
+    clean = case("hh800-P07", "backlash")
     state = State(clean).ranked()
     assert state.with_cause(("backlash",)) is state
     monkeypatch.setattr(search, "next_cause", lambda *_: ("unknown", ()))
