@@ -303,7 +303,8 @@ class Columns:
         return self._values(name)
 
     def _values(self, name: str) -> Array:
-        return (in_seconds if name == "time_s" else numbers_of)(self.table[name])
+        read = in_seconds if name == "time_s" else signs_of if name.startswith("approach") else numbers_of
+        return read(self.table[name])
 
     def _faults(self, name: str) -> list[Fault]:
         """Return the fault of a column's cells that are no finite numbers or out of range, or [].
@@ -471,6 +472,13 @@ def is_ours(name: str, pattern: str) -> bool:
 def numbers_of(cells: pd.Series) -> Array:
     """Return cells as numbers, shape (n,), NaN for those that are none."""
     return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
+
+
+def signs_of(cells: pd.Series) -> Array:
+    """Return cells of directions as -1 and 1, shape (n,): signs and words, numbers unchanged."""
+    words = {"+": 1.0, "-": -1.0, "−": -1.0, "–": -1.0, "pos": 1.0, "neg": -1.0, "plus": 1.0, "minus": -1.0}
+    texts = cells.astype(str).str.strip().str.casefold().str.replace(r"iti(v|ve|f)$|ati(v|ve|f)$", "", regex=True)
+    return np.where(texts.isin(words), texts.map(words), numbers_of(cells)).astype(float)
 
 
 def in_seconds(cells: pd.Series) -> Array:

@@ -191,8 +191,8 @@ def understand(
     if not seen:
         positions = [] if kind == "distance" else _groups(headings, "position", _XYZ)
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
-        ways = [columns, *(way for q in questions for way in q.choices.values())]  # of the readings
-        used = {c.source.name for c in ways[-1]} if len(ways) < 3 else {*()}
+        readings = [columns, *(way for q in questions for way in q.choices.values())]
+        used = {c.source.name for c in readings[-1]} if len(readings) < 3 else set()
         frames = _frames(raw, used) if kind in (None, "position", "pose") else []
         options, about = _observations(positions, lengths, frames)
         decide(options, "What was measured?", about)
@@ -209,7 +209,7 @@ def understand(
         decide(*_orientation(unused, raw, taken))
     if seen and not without_readings:  # beside our own names, only headings with a unit count
         headings = [h for h in headings if h.unit]
-    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours)]
+    columns += [*_conditions(headings, ours), *_times(headings, ours), *_tools(raw, ours), *_approaches(raw, ours)]
     if not raw.form.header_line:
         columns = [replace(c, why=f"order of the columns, {c.why}") for c in columns]
     return Understanding(tuple(columns), tuple(questions))
@@ -264,6 +264,15 @@ def _tools(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
                 return
 
 
+def _approaches(raw: RawTable, ours: Collection[str]) -> Iterator[Understood]:
+    """Yield the columns with the direction from which joints approached a pose, by their headings."""
+    for name in raw.header:
+        words = words_of(name)[0]
+        numbers = [w for w in words if w.isdecimal()]
+        if {*words} & WORDS["approach"] and len(numbers) == 1 and f"approach{int(numbers[0])}" not in ours:
+            yield Understood(f"approach{int(numbers[0])}", Source(name), "", "heading")
+
+
 def words_of(heading: str) -> tuple[list[str], str]:
     """Return the lower-case words of a heading, and its unit's word (a key of `UNITS`) or ""."""
     text = unicodedata.normalize("NFKC", heading).strip()
@@ -291,7 +300,7 @@ def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[Heading]:
     headings = []
     for k, name in enumerate(raw.header):
         words, unit = words_of(name)
-        if not words or set(words) & WORDS["about"]:
+        if not words or set(words) & (WORDS["about"] | WORDS["approach"]):
             continue
         said = {w for w in words if w not in WORDS["measured"] | WORDS["nominal"]}
         quantity, slot, rest = _meaning(words, said, [*named, *leaders])
@@ -610,7 +619,8 @@ def _orientation(headings: Sequence[Heading], raw: RawTable, taken: Collection[s
     headings : columns that are free; taken : names of columns in use
     """
     which = "Which columns are the orientation?"
-    triples = [*_groups(headings, "turn", _XYZ), *_numbered(raw, 3, taken)]
+    numbered = [g for g in _numbered(raw, 3, taken) if {*words_of(g[0].name)[0]} & WORDS["rotation"]]
+    triples = [*_groups(headings, "turn", _XYZ), *numbered]
     quaternion_columns, _ = _ORIENTATION_FORMS["a quaternion, w first"]
     matrix_columns, _ = _ORIENTATION_FORMS["a matrix, row by row"]
     # Numbers of a rotation matrix's entries, counted from 0 and from 1.

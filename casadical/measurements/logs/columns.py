@@ -70,10 +70,13 @@ def logged(raw: RawTable, names: Sequence[str] = (), listed: Sequence[str] = ())
     scalars: dict[str, Array] = {}
     headings: dict[tuple[str, str], str] = {}
     notes: list[str] = []
+    listed = listed or _listed_names(raw)
     for heading in raw.header:
         if heading.startswith("time_") or heading not in frame:  # a column without a heading
             continue
         said = {*words_of(heading)[0]}
+        if said & {"name", "names"}:
+            continue
         if scalar := next((name for name in ("voltage", "payload", "run") if said & WORDS[f"log_{name}"]), ""):
             scalars.setdefault(scalar, numbers_of(frame[heading]))
             continue
@@ -113,6 +116,7 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
 
     Raises InputError where the lists are not all of k numbers.
     """
+    cells = cells.map(lambda cell: _as_json(cell) if isinstance(cell, str) else cell)
     first = cells.iloc[0]
     if isinstance(first, str) and first.lstrip().startswith("["):
         rows = json_of(f"[{','.join(map(str, cells))}]", raw.path.name, list)
@@ -138,6 +142,35 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
     return np.array(rows, dtype=float)
 
 
+def _as_json(cell: str) -> str:
+    """Return a list as Python writes it, array('d', [1.0]) or (1.0,), in brackets; others unchanged."""
+    text = re.sub(r"^\s*array\('\w',\s*(.*)\)\s*$", r"\1", cell)
+    return re.sub(r"^\s*\((.*?),?\s*\)\s*$", r"[\1]", text)
+
+
+def _listed_names(raw: RawTable) -> list[str]:
+    """Return the joint names in a column `name` of lists, as ROS writes JointState; else []."""
+    for heading in raw.header:
+        if {*words_of(heading)[0]} & {"name", "names"} and len({*raw.frame[heading].astype(str)}) == 1:
+            return re.findall(r"[\w./-]+", str(raw.frame[heading].iloc[0]))
+    return []
+
+
+def tells_time(heading: str) -> bool:
+    """Return whether a column is a time: by a word, or t alone."""
+    words = words_of(heading)[0]
+    return words == ["t"] or bool({*words} & WORDS["time"])
+
+
+def has_lists(raw: RawTable, channel: str) -> bool:
+    """Return whether cells of a column of this channel are lists."""
+    return any(
+        _channel(words_of(heading)[0]) == channel and _as_json(str(raw.frame[heading].iloc[0])).startswith("[")
+        for heading in raw.header
+        if heading in raw.frame
+    )
+
+
 def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
     """Return channel, joint (a number or a name) and unit that a column's heading states.
 
@@ -150,6 +183,8 @@ def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
     words, unit = words_of(heading)
     joint, rest = _joint(words, names)
     channel = _channel(rest)
+    if not channel and {*rest} <= WORDS["joint"] and len(rest) < 2 and is_number(joint):
+        channel = "position"  # J1 or joint_1 alone
     return (channel, joint, _si_name(unit)) if channel and joint else ("", "", "")
 
 
@@ -199,7 +234,7 @@ def _time(raw: RawTable) -> Array:
     if "time_s" in frame:
         return numbers_of(frame["time_s"])
     named = [(name, *words_of(name)) for name in raw.header]
-    clocks = [(name, words, unit) for name, words, unit in named if {*words} & WORDS["time"] or unit == "nanosec"]
+    clocks = [(name, words, unit) for name, words, unit in named if tells_time(name) or unit == "nanosec"]
     if not clocks:
         raise InputError(
             f"{raw.path.name}: no column holds the time; name it time_s; there are {', '.join(raw.header)}"

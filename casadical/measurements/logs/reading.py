@@ -13,21 +13,21 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import Arm
 from casadical.measurements.columns import FULL_TURN_RAD
-from casadical.measurements.headings import words_of
 from casadical.measurements.logs.columns import (
     LENGTH_UNITS,
     NAMING_ADVICE,
     SI_FACTORS,
     Logged,
+    has_lists,
     is_number,
     logged,
     meaning,
+    tells_time,
 )
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import BAG_SUFFIXES, LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, lerobot, sage
 from casadical.measurements.raw_table import plain_headings, read_table
-from casadical.measurements.vocabulary import WORDS
 
 
 def read_log(
@@ -77,7 +77,11 @@ def is_log(path: str | Path) -> bool:
     ):
         return True
     try:
-        headings = _plain_headings(path) or read_table(path, keep_text=False).header
+        headings = _plain_headings(path)
+        lists: tuple[str, ...] = ()
+        if not headings:
+            raw = read_table(path, keep_text=False)
+            headings, lists = raw.header, tuple(c for c in ("position", "torque", "current") if has_lists(raw, c))
     except InputError:
         return False
     if {"x_mm", "x_m", "distance_mm"} & {*headings}:  # measured poses
@@ -85,7 +89,8 @@ def is_log(path: str | Path) -> bool:
     channels = {meaning(heading, ())[0] for heading in headings} | {
         LEROBOT_CHANNELS.get(heading, "") for heading in headings
     }
-    timed = [heading for heading in headings if {*words_of(heading)[0]} & WORDS["time"]]
+    channels |= {*lists}
+    timed = [heading for heading in headings if tells_time(heading)]
     motion_alone = all(meaning(heading, ())[0] for heading in headings if heading not in ("run", *timed))
     driven = bool(channels & {"command", "torque", "current"})
     return bool(timed) and "position" in channels and (driven or motion_alone)

@@ -8,7 +8,7 @@ import pytest
 
 from casadical import InputError, Joint, Robot
 from casadical.measurements.logs.log import JointLog
-from casadical.measurements.logs.reading import read_log
+from casadical.measurements.logs.reading import is_log, read_log
 
 T = np.arange(400) / 100
 Q = np.column_stack([0.5 * np.sin(T), 1.0 + 0.3 * np.cos(2 * T)])
@@ -208,3 +208,32 @@ def test_a_stray_row_with_a_run_of_its_own_is_left_out_and_said(tmp_path) -> Non
     log = read_log(path)
     assert (len(log), [len(run) for run in log.runs()]) == (400, [200, 200])
     assert any("row 402: a run of its own (1 such): left out" in str(f) for f in log.findings)
+
+
+def lists(values: np.ndarray, form: str) -> list[str]:
+    return [form.format([float(v) for v in row]) for row in values]
+
+
+@pytest.mark.parametrize(
+    "columns",
+    [
+        {"Time": T, "Joint_1": Q[:, 0], "Joint_2": Q[:, 1], "current_1": T, "current_2": -T},
+        {"t [s]": T, "q_1": Q[:, 0], "q_2": Q[:, 1], "i_1": T, "i_2": -T},
+        {"timestamp": T, "θ1 (rad)": Q[:, 0], "θ2 (rad)": Q[:, 1], "I1 [A]": T, "I2 [A]": -T},
+        {"Zeit": T, "Achse 1 [rad]": Q[:, 0], "Achse 2 [rad]": Q[:, 1], "Strom A1": T, "Strom A2": -T},
+        {"time": T, "name": "['shoulder', 'elbow']", "position": lists(Q, "{}"), "current": lists(np.c_[T, -T], "{}")},
+        {
+            "time": T,
+            "name": "['elbow', 'shoulder']",
+            "position": lists(Q[:, ::-1], "array('d', {})"),
+            "current": lists(np.c_[-T, T], "array('d', {})"),
+        },
+    ],
+    ids=["Joint_1, current_1", "q_1, i_1", "letters", "German", "JointState", "JointState of Python, another order"],
+)  # fmt: skip
+def test_headings_as_people_write_them(columns, tmp_path) -> None:
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    assert is_log(tmp_path / "log.csv")
+    log = read_log(tmp_path / "log.csv", ARM)
+    assert log.position == pytest.approx(Q)
+    assert log.current == pytest.approx(np.column_stack([T, -T]))

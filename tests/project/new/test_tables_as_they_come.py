@@ -325,3 +325,42 @@ def test_files_that_hold_no_table_say_so(name: str, content: bytes, words: str, 
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=re.escape(words)):
         read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("heading", "cells"),
+    [
+        ("approach1", ["+", "-"]),
+        ("Anfahrrichtung Achse 1", ["+", "-"]),
+        ("approach direction J1", ["positive", "negative"]),
+        ("Anfahrrichtung A1", ["Plus", "−"]),
+        ("Approach_1", [1, -1]),
+    ],
+)
+def test_a_direction_of_approach_may_be_a_sign(heading: str, cells: list[object], tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    READINGS.join(SEEN).assign(**{heading: cells * (ROWS // 2)}).to_csv(tmp_path / "table.csv", index=False)
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
+    np.testing.assert_array_equal(m.conditions["approach1"], [1, -1] * (ROWS // 2))
+
+
+def test_numbered_columns_of_other_words_are_no_angles_of_the_tool(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    more = pd.DataFrame(np.random.default_rng(2).uniform(-1, 1, (ROWS, 3)), columns=["phix1", "phix2", "phix3"])
+    READINGS.join([SEEN, more]).to_csv(tmp_path / "table.csv", index=False)
+    ask: Callable[[object], str] = lambda q: pytest.fail(str(q))  # noqa: E731
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", ask=ask).whole
+    assert m.kind == "position"
+
+
+def test_rounded_coordinates_of_the_robot_give_way_to_a_measured_length(tmp_path: Path) -> None:
+    """As a controller shows them: angles to .1 deg and coordinates to .1 mm, beside the wire's length."""
+    computed = first_hour.positions(Q, first_hour.ROWS, first_hour.TOOL)
+    table = pd.DataFrame(np.hstack([Q.round(1), computed.round(1)]), columns=[*J, "x", "y", "z"])
+    table["L"] = np.linalg.norm(P - [3000, 200, 100], axis=1)
+    table.to_csv(tmp_path / "table.csv", index=False)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    said: list[object] = []
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", show=said.append).whole
+    assert m.kind == "distance"
+    assert "the coordinates are computed" in str(said)
