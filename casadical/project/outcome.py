@@ -244,6 +244,15 @@ def chance_of(before: Accuracy, after: Accuracy) -> float:
     return float(2 * np.hypot(before.std, after.std) / np.sqrt(after.n)) if after.n > 1 else 0.0
 
 
+def poses_to_tell(before: Accuracy, after: Accuracy) -> int:
+    """Return the number of held-out poses from which a difference of two mean errors is no chance.
+
+    It exceeds the number of poses where the difference may be one of chance (`chance_of`).
+    """
+    off = abs(after.mean - before.mean)
+    return int(min(np.ceil(after.n * (chance_of(before, after) / max(off, 1e-12)) ** 2), 1e9))
+
+
 def worse_methods(accuracies: Accuracies) -> Iterator[tuple[str, Accuracy, Accuracy]]:
     """Yield (method, errors before, errors after) of methods that worsen held-out poses.
 
@@ -279,7 +288,7 @@ def worse_than_before(result: Identification, before: Accuracy, after: Accuracy)
         return f"{text}: {len(result.names)} parameters from few poses; measure more, or free fewer parameters"
     if worst:
         return f"{text}; check these rows first: {rows_in_words(worst, 4, result.sources)}"
-    return f"{text}: the nominal model is better than what these poses tell; measure more, or keep the nominal robot"
+    return f"{text}: measure more poses"
 
 
 def _payload_is_ignored(problem: Problem) -> bool:
@@ -325,6 +334,7 @@ def _with_own_effects(problem: Problem) -> Robot:
 _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
     "chance_of": chance_of,
+    "poses_to_tell": poses_to_tell,
     "with_own_effects": _with_own_effects,
     "weighs_nothing": _payload_is_ignored,
     "changed_readings": changed_readings,

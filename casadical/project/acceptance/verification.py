@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import chdtri, fdtri
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
@@ -124,7 +124,7 @@ def verify(
 
     Base and tool are fitted again. With c n - k degrees of freedom of `found`, c numbers a pose (3
     of a position), k those of base, tool and unknown points, the limit is the 99 % quantile of
-    chi-squared. Base and tool may stand elsewhere in each session. Effects of the instrument that
+    Fisher's F, for the promise is that of some held-out poses, else of chi-squared. Base and tool may stand elsewhere in each session. Effects of the instrument that
     was there are left out.
 
     robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
@@ -145,7 +145,8 @@ def verify(
     if others:
         kinds = ", ".join([kind, *others])
         raise InputError(f"{', '.join(m.source for m in sets)}: tables of kinds {kinds}; check one at a time")
-    promised = promised_rms(place, kind) if promised_mm is None else _in_metres(promised_mm, "promised_mm")
+    known = (_in_metres(promised_mm, "promised_mm"), 0) if promised_mm is not None else promised_rms(place, kind)
+    promised, judged = known
     arm, named, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in named])
     placing = _Refit.needed_by(prepared)
@@ -159,7 +160,9 @@ def verify(
     at = [(m.source, int(row)) for m in prepared.sets for row in m.row]
     freedom = placing.freedom(len(e), k)
     # A robot as accurate as promised fails one check in a hundred.
-    found, limit = placing.scatter(e, k), promised * float(np.sqrt(chdtri(freedom, 0.01) / freedom))
+    # The promise is that of a number of poses, too: both scatter (Fisher's F).
+    quantile = fdtri(freedom, placing.lengths * judged, 0.99) if judged else chdtri(freedom, 0.01) / freedom
+    found, limit = placing.scatter(e, k), promised * float(np.sqrt(quantile))
     # A pose with more than four times the promised error is named.
     far = [LeftOut(at[i][0], at[i][1], float(e[i])) for i in np.argsort(-e) if e[i] > 4.0 * promised]
     without = None
@@ -203,7 +206,7 @@ def iso9283(robot: str | Path, tables: Sequence[str | Path]) -> Iso9283:
         raise InputError(f"{len(tables)} tables; a test by ISO 9283 is one")
     place, stated = result_in(Path(robot)), None
     with suppress(InputError):
-        stated = promised_rms(place)
+        stated, _ = promised_rms(place)
     return evaluated_table(Path(tables[0]), read_robot(place), stated)
 
 
@@ -275,8 +278,10 @@ class _Refit:
         return "The tool was" if not self.points else "The tool and the unknown places were"
 
 
-def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
-    """Return the rms error of held-out poses [m] that the results in a robot file's folder state.
+def promised_rms(robot: Path, kind: str = POSITION_KIND) -> tuple[float, int]:
+    """Return the rms error of held-out poses [m] that a robot file's results state, and their number.
+
+    The number is 0 where it is not stated.
 
     Of METHOD.robot.toml it is that of the report set in result.json, which counts no outliers. Of
     diagnosed.robot.toml and discovered.robot.toml, diagnosis.json and discovery.json state a mean,
@@ -295,7 +300,7 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
             if mean is not None:
                 remedy = "; diagnose again, or give the promised rms error with --promised-mm"
                 # The ratio of rms to mean length of a normally distributed error in three axes.
-                return float(np.sqrt(3 * np.pi / 8)) * _in_metres(mean, f"{path}: gap_mm", remedy)
+                return float(np.sqrt(3 * np.pi / 8)) * _in_metres(mean, f"{path}: gap_mm", remedy), 0
     path = robot.parent / "result.json"
     remedy = "give the promised rms error with --promised-mm"
     alike = (POSITION_KIND, "pose", "position_covariance") if kind == POSITION_KIND else (kind,)
@@ -304,7 +309,7 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
         sets = dict(stated["methods"]).get(robot.name.removesuffix(".robot.toml"), {}).get("sets", {})
         kinds = stated.get("kinds", {})
         held_out_rms = [
-            figures["rms_mm"]
+            (figures["rms_mm"], figures.get("n", 0))
             for name, figures in sets.items()
             if name.split("/")[0] == "report" and kinds.get(name, kind) in alike
         ]
@@ -313,11 +318,9 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> float:
         raise InputError(f"{path}: no figures of a calibration{why}; {remedy}") from None
     if not held_out_rms:
         raise InputError(f"{path}: no held-out poses of {robot.name} (kind {kind}); {remedy}")
-    return _in_metres(
-        held_out_rms[0],
-        f"{path}: no figures of a calibration: rms_mm of {robot.name}",
-        f"; calibrate again, or {remedy}",
-    )
+    rms, n = held_out_rms[0]
+    fault = f"{path}: no figures of a calibration: rms_mm of {robot.name}"
+    return _in_metres(rms, fault, f"; calibrate again, or {remedy}"), n if type(n) is int and n > 0 else 0
 
 
 def _in_metres(stated: Any, place: str, remedy: str = "") -> float:
