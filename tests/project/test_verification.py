@@ -105,7 +105,7 @@ def test_what_cannot_be_checked_is_refused(calibrated_arm: Path, tmp_path: Path)
 
 
 def test_a_later_table_is_understood_as_the_tables_of_the_calibration(tmp_path, monkeypatch):
-    """A sign was repaired in the robot file; the table of the later check has the same slip, and no folder beside it."""
+    """A sign was repaired in the robot file; the later table has the same slip, and no folder beside it."""
     q, p = first_hour.measured(100)
     q[:, 2] *= -1
     data = first_hour.write(tmp_path, "messung.csv", q[:88], p[:88])

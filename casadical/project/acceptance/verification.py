@@ -124,8 +124,8 @@ def verify(
 
     Base and tool are fitted again. With c n - k degrees of freedom of `found`, c numbers a pose (3
     of a position), k those of base, tool and unknown points, the limit is the 99 % quantile of
-    Fisher's F, for the promise is that of some held-out poses, else of chi-squared. Base and tool may stand elsewhere in each session. Effects of the instrument that
-    was there are left out.
+    Fisher's F, for the promise is that of some held-out poses, else of chi-squared. Base and tool
+    may stand elsewhere in each session. Effects of the instrument that was there are left out.
 
     robot : file as `casadical calibrate --out` writes it, or that folder (the last method counts)
     tables : measured poses, one table or several of one kind
