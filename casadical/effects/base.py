@@ -101,7 +101,7 @@ class Context:
         return ca.atan2(-row[1], row[0])
 
     @property
-    def great_moment(self) -> Symbolic:
+    def peak_moment(self) -> Symbolic:
         """Return the maximum over the revolute joints of their peak gravity torques [N m].
 
         If no joint is revolute, it is the maximum over all joints [N].

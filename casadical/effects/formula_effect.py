@@ -374,7 +374,7 @@ def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = 
     if name[0] == "m":
         link, composed = int(name[1:-1]), {} if moments is None else moments
         if link not in composed:
-            composed[link] = _moment(context, link) / context.great_moment
+            composed[link] = _moment(context, link) / context.peak_moment
         return composed[link][axis]
     number = int(name.removeprefix("tau").removeprefix("q"))
     return context.load(number) if name.startswith("tau") else context.q[number - 1]

@@ -233,7 +233,7 @@ class BaseCompliance(Effect):
         It is proportional to the moment of the weight of all links and the payload about a point
         `below` the base's origin. Parameters: tilt about x and y under the arm's peak moment.
         """
-        moment = context.moment(1, ca.vertcat(0, 0, -self.below)) / context.great_moment
+        moment = context.moment(1, ca.vertcat(0, 0, -self.below)) / context.peak_moment
         rx, ry = (self.value(context, name) * moment[k] for k, name in enumerate(("rx", "ry")))
         return translate(0, 0, -self.below) @ small_frame(0, 0, 0, rx, ry, 0) @ translate(0, 0, self.below)
 

@@ -107,7 +107,7 @@ def test_great_torques_and_forces_are_not_compared() -> None:
     assert scale[0] > 4000  # N, of 500 kg and the arm
     assert scale[1:] == pytest.approx(arm.torque_scale, rel=0.1)  # of other random readings
     context = Context(whole, scale, None, {}, {}, (), None)
-    assert float(context.great_moment) == pytest.approx(float(arm.torque_scale.max()), rel=0.1)
+    assert float(context.peak_moment) == pytest.approx(float(arm.torque_scale.max()), rel=0.1)
 
 
 def test_the_greatest_torque_may_be_that_of_the_first_joint() -> None:
@@ -115,4 +115,4 @@ def test_the_greatest_torque_may_be_that_of_the_first_joint() -> None:
     heavy = Joint(alpha=np.pi / 2, body=Body(10.0, np.array([0.5, 0.0, 0.0])))
     arm = Robot("lying", (heavy, Joint(a=1.0, body=Body(1.0, np.array([0.2, 0.0, 0.0])))))
     context = Context(arm, arm.torque_scale, None, {}, {}, (), None)
-    assert float(context.great_moment) == arm.torque_scale[0] > arm.torque_scale[1]
+    assert float(context.peak_moment) == arm.torque_scale[0] > arm.torque_scale[1]
