@@ -7,7 +7,7 @@ import numpy as np
 from casadical.blind_check.mujoco_physics.cause import acts, rated_torque, settle
 from casadical.blind_check.mujoco_physics.mechanism import Cord, Joint, Mechanism, Shaft
 from casadical.blind_check.mujoco_physics.plant import Array, Plant
-from casadical.blind_check.mujoco_physics.robot import SETTLING_TIME_S, spring
+from casadical.blind_check.mujoco_physics.robot import SPRING_TIME_CONSTANT_S, spring
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 
@@ -24,7 +24,9 @@ def backlash(mechanism: Mechanism, plant: Plant, *, joint: int, size: float, fri
     """
     name, stiffness = f"joint{joint}", float(plant.stiffness[joint - 1])
     k = 0.1 * stiffness
-    play = Joint(f"play{joint}", limits=(-size, size), inertia=k * SETTLING_TIME_S**2, damping=k * SETTLING_TIME_S)
+    play = Joint(
+        f"play{joint}", limits=(-size, size), inertia=k * SPRING_TIME_CONSTANT_S**2, damping=k * SPRING_TIME_CONSTANT_S
+    )
     rub = Shaft(f"bearing{joint}", {name: 1.0, play.name: 1.0}, friction=friction * size * stiffness)
     mechanism = mechanism.with_joints(name, mechanism.joint(name), play)
     return replace(mechanism, shafts=(*mechanism.shafts, rub), travels=True)

@@ -9,7 +9,7 @@ from casadical.blind_check.mujoco_physics.cause import Vector, acts, length_of, 
 from casadical.blind_check.mujoco_physics.equilibrium import Setting
 from casadical.blind_check.mujoco_physics.mechanism import Body, Mechanism, X, Y
 from casadical.blind_check.mujoco_physics.plant import Array, Plant, slide
-from casadical.blind_check.mujoco_physics.robot import SETTLING_TIME_S, spring, springs
+from casadical.blind_check.mujoco_physics.robot import SPRING_TIME_CONSTANT_S, spring, springs
 from casadical.blind_check.mujoco_physics.stops import Stops
 
 
@@ -217,8 +217,8 @@ def tool_slip(mechanism: Mechanism, plant: Plant, *, size: float, grip: float) -
     """
     weight = plant.weight * plant.payload_kg
     k = weight / size
-    heavy = 10 * k * SETTLING_TIME_S**2  # for what sticks in the engine creeps the less
-    sticking = {"friction": grip * weight, "inertia": heavy, "damping": k * SETTLING_TIME_S, "keeps": True}
+    heavy = 10 * k * SPRING_TIME_CONSTANT_S**2  # for what sticks in the engine creeps the less
+    sticking = {"friction": grip * weight, "inertia": heavy, "damping": k * SPRING_TIME_CONSTANT_S, "keeps": True}
     slides = springs("plate", 0.0, size, "xy", kind="slide", **sticking)
     return replace(mechanism.with_body(replace(mechanism.body("tool"), joints=slides)), travels=True)
 

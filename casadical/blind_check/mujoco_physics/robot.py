@@ -10,7 +10,7 @@ from casadical.blind_check.mujoco_physics.mechanism import Body, Joint, Mechanis
 from casadical.blind_check.mujoco_physics.plant import Array, FourBar, Plant, slide, turn
 
 # Time constant with which every spring joint alone comes to rest in the simulation [s].
-SETTLING_TIME_S = 0.1
+SPRING_TIME_CONSTANT_S = 0.1
 
 
 def mechanism(plant: Plant) -> Mechanism:
@@ -58,7 +58,7 @@ def start(plant: Plant, angles: Array) -> dict[str, float]:
 
 
 def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **more: object) -> Joint:
-    """Return a joint on a spring, critically damped with the time constant `SETTLING_TIME_S`.
+    """Return a joint on a spring, critically damped with the time constant `SPRING_TIME_CONSTANT_S`.
 
     Its inertia and damping are chosen for that; they do not change the equilibrium.
 
@@ -68,7 +68,9 @@ def spring(name: str, stiffness: float, *, inertia_of: float | None = None, **mo
     more : further fields of the `Joint`
     """
     k = float(stiffness if inertia_of is None else inertia_of)
-    joint = Joint(name, stiffness=float(stiffness), inertia=k * SETTLING_TIME_S**2, damping=2 * k * SETTLING_TIME_S)
+    joint = Joint(
+        name, stiffness=float(stiffness), inertia=k * SPRING_TIME_CONSTANT_S**2, damping=2 * k * SPRING_TIME_CONSTANT_S
+    )
     return replace(joint, **more)  # type: ignore[arg-type]
 
 
@@ -87,7 +89,7 @@ def free(name: str, like: float, **more: object) -> Joint:
 
     like : stiffness of that spring joint [N m/rad or N/m]; more : further fields of the `Joint`
     """
-    return replace(Joint(name, inertia=0.1 * float(like) * SETTLING_TIME_S**2), **more)  # type: ignore[arg-type]
+    return replace(Joint(name, inertia=0.1 * float(like) * SPRING_TIME_CONSTANT_S**2), **more)  # type: ignore[arg-type]
 
 
 def _with_four_bar(plain: Mechanism, plant: Plant, bar: FourBar, middle: Array) -> Mechanism:

@@ -32,7 +32,7 @@ from casadical.robot.robot import Robot
 
 # Time constant with which every spring joint alone comes to rest [s]. It is arbitrary, as statics
 # depend neither on inertia nor on damping.
-SETTLING_TIME_S = 0.02
+SPRING_TIME_CONSTANT_S = 0.02
 # Unit vectors x, y, z as the text of MJCF attributes.
 AXIS_VECTORS = ("1 0 0", "0 1 0", "0 0 1")
 # Length of a balancing spring's lever [m]. It is arbitrary, as stiffness and pull scale with it.
@@ -80,11 +80,14 @@ def add_spring(body: ET.Element, name: str, axis: str, stiffness: float, cubic: 
 
 
 def armature_and_damping(stiffness: float) -> dict[str, str]:
-    """Return MJCF attributes armature and damping of a spring joint, for `SETTLING_TIME_S`.
+    """Return MJCF attributes armature and damping of a spring joint, for `SPRING_TIME_CONSTANT_S`.
 
     stiffness : stiffness of the spring [N m/rad or N/m]
     """
-    return {"armature": numbers(stiffness * SETTLING_TIME_S**2), "damping": numbers(2 * stiffness * SETTLING_TIME_S)}
+    return {
+        "armature": numbers(stiffness * SPRING_TIME_CONSTANT_S**2),
+        "damping": numbers(2 * stiffness * SPRING_TIME_CONSTANT_S),
+    }
 
 
 def add_pieces(
@@ -179,7 +182,7 @@ def add_loop(
     coupler = add_body(crank, f"coupler{d}", frame(np.eye(3), np.array([loop.crank, 0.0, 0.0])))
     rocker = add_body(links[f"link{loop.carrier}"], f"rocker{d}", frame(np.eye(3), np.array([row.a, 0.0, 0.0])))
     # A tenth of the drive's armature, as less makes the constraints soft. Bars have no weight.
-    heavy = numbers(0.1 * drive.stiffness * SETTLING_TIME_S**2)
+    heavy = numbers(0.1 * drive.stiffness * SPRING_TIME_CONSTANT_S**2)
     for body, name in ((coupler, "coupler"), (rocker, "rocker")):
         ET.SubElement(body, "joint", name=f"{name}{d}", axis="0 0 1", armature=heavy)
     for body in (crank, coupler, rocker):

@@ -18,7 +18,7 @@ from casadical.effects.base import Counterparts, Drive, Omission
 from casadical.export.mjcf import elements
 from casadical.export.mjcf.elements import (
     AXIS_VECTORS,
-    SETTLING_TIME_S,
+    SPRING_TIME_CONSTANT_S,
     add_body,
     add_mass,
     add_spring,
@@ -72,7 +72,7 @@ def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
     # First lines of the comment at the beginning of a model.
     model_comment = (
         "Written by casadical. Statics are exact: geometry, masses, joint springs. Inertias, damping and armature are",
-        f"placeholders (every spring comes to rest in some {SETTLING_TIME_S:g} s). ctrl takes the "
+        f"placeholders (every spring comes to rest in some {SPRING_TIME_CONSTANT_S:g} s). ctrl takes the "
         "joint readings [rad or m].",
     )
     describe(root, model_comment, parts.written, map(str, parts.left_out))
