@@ -22,7 +22,7 @@ from casadical.project.check.findings import (
     data_findings,
     far_rows,
     fault_findings,
-    held_out_findings,
+    set_findings,
     limits_findings,
     outlook_findings,
     slip_finding,
@@ -82,7 +82,7 @@ def precheck(
             slips = searched
             findings = [f for f in findings if not (f.topic == "units" and f.level == "error")]
             findings.insert(0, slip_finding(slips, problem.robot, standard, sets[0]))
-    findings += held_out_findings(problem)
+    findings += set_findings(problem)
     findings += limits_findings(problem.robot)
     known_noise, source = _noise(noise, sets)
     show("accuracy to expect")

@@ -214,7 +214,7 @@ def limits_findings(robot: Robot) -> list[Finding]:
     return [Finding("note", "limits", f"{text} {more}")]
 
 
-def held_out_findings(problem: Problem) -> list[Finding]:
+def set_findings(problem: Problem) -> list[Finding]:
     """Return findings on targets, turned signs of coordinates, held-out poses, copies of rows, and
     unused columns.
     """
