@@ -41,7 +41,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
     rows, alone = [], sum(bool(c.effects) for c in d.causes) == 1
     for c in d.causes:
         shown, mechanical = _signature(c)
-        after = d.gap.after if alone else d.gap.kept * (1 - c.shrink)
+        after = d.gap.after if alone else d.gap.without_outliers * (1 - c.shrink)
         low, high = (100 * v for v in c.shrink_interval)
         settings = [setting for e in c.effects for setting in settings_of(e).items()]
         parameters = [(name, f"{value:.3g}", "", "") for name, value in dict.fromkeys(settings)]
@@ -55,7 +55,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
                 c,
                 "; ".join([shown, *(f"{which}: {sizes}" for which, sizes in wires_at_fault(d, c).items())]),
                 f"{c.label}; may be {mechanical}" if mechanical else c.label,
-                f"{mm(d.gap.kept)} -> {mm(after)}" if c.effects else f"{mm(d.gap.before)} with them",
+                f"{mm(d.gap.without_outliers)} -> {mm(after)}" if c.effects else f"{mm(d.gap.before)} with them",
                 f"{low:.0f} to {high:.0f} %" if c.effects else "left out",
                 tuple(parameters),
             )

@@ -154,7 +154,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
         note = ", refused" if net.refused else ""
         # Networks are trained on one partition only; so their ratio there scales the gap of all
         # partitions.
-        alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.kept) * net.used / net.before
+        alone = 1e3 * (d.gap.after if name.endswith("rest") else d.gap.without_outliers) * net.used / net.before
         rows.append((name + note, alone, alone, alone, "orange"))
     alone = 1e3 * (d.gap.floor if floor is None else floor)
     rows.append(("noise alone", alone, alone, alone, "green"))

@@ -77,9 +77,11 @@ def _said(said: Sequence[Statement], *about: str) -> Iterator[Words]:
 
 def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
     """Yield the key figures at the page's top: errors [mm], leading cause, unexplained part."""
-    yield Tile("Gap, held out", mm(d.gap.kept), "mm", f"mean of {int(d.case.inliers.sum())} poses")
+    yield Tile("Gap, held out", mm(d.gap.without_outliers), "mm", f"mean of {int(d.case.inliers.sum())} poses")
     if d.effects():
-        yield Tile("With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.kept):.0f} % less")
+        yield Tile(
+            "With the causes", mm(d.gap.after), "mm", f"{100 * (1 - d.gap.after / d.gap.without_outliers):.0f} % less"
+        )
     yield Tile("Noise alone", mm(floor_of(d, more)), "mm", f"instrument {mm(d.noise.sigma)} mm per coordinate")
     if d.effects():
         first = next(c for c in d.causes if c.effects)

@@ -43,13 +43,13 @@ class Gap:
     before : that of the base model, outliers included if they are named as a cause; else `kept`
     after : that of the model with the causes, on the inlier poses
     floor : that of simulated noise alone under the same fit
-    kept : that of the base model on the inlier poses, over the same partitions into fifths
+    without_outliers : that of the base model on the inlier poses, over the same partitions into fifths
     """
 
     before: float
     after: float
     floor: float
-    kept: float
+    without_outliers: float
 
 
 @dataclass(frozen=True)
@@ -231,7 +231,7 @@ class Diagnosis(Result):
     Examples
     --------
     >>> gap = diagnosis.gap
-    >>> [round(1e3 * value, 3) for value in (gap.kept, gap.after, gap.floor)]  # mm
+    >>> [round(1e3 * value, 3) for value in (gap.without_outliers, gap.after, gap.floor)]  # mm
     [0.081, 0.037, 0.033]
     >>> [effect.label for effect in diagnosis.effects(top=1)]
     ['gear_eccentricity@2']
@@ -247,7 +247,7 @@ class Diagnosis(Result):
 
     line: ClassVar[str] = (
         " of {{ it.identification.given.name | repr }}: {{ it.verdict }}; "
-        "{{ it.causes | map(attribute='label') | join(', ') or 'no cause named' }}; gap {{ it.gap.kept | mm }}"
+        "{{ it.causes | map(attribute='label') | join(', ') or 'no cause named' }}; gap {{ it.gap.without_outliers | mm }}"
         " -> {{ it.gap.after | mm }} mm, noise alone {{ it.gap.floor | mm }} mm"
     )
 
@@ -290,7 +290,11 @@ class Diagnosis(Result):
 
     def bars(self) -> list[tuple[str, float]]:
         """Return (name, mean held-out error [m]) of base model, model with causes, and noise."""
-        return [("gap, held out", self.gap.kept), ("with the causes", self.gap.after), ("noise alone", self.gap.floor)]
+        return [
+            ("gap, held out", self.gap.without_outliers),
+            ("with the causes", self.gap.after),
+            ("noise alone", self.gap.floor),
+        ]
 
     @property
     def in_question(self) -> tuple[str, ...]:

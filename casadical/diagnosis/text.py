@@ -79,8 +79,8 @@ def brief(title: str, d: Diagnosis, more: Details | None = None) -> Sequence[Wor
 
 def _errors(d: Diagnosis, more: Details | None) -> Table:
     """Return the table of mean held-out errors before and after causes, and of noise [mm]."""
-    rows = [("before, outliers in", mm(d.gap.before))] if d.gap.before > d.gap.kept else []
-    rows += [("before: calibrated, without causes", mm(d.gap.kept))]
+    rows = [("before, outliers in", mm(d.gap.before))] if d.gap.before > d.gap.without_outliers else []
+    rows += [("before: calibrated, without causes", mm(d.gap.without_outliers))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if d.effects() else []
     rows += [("noise alone would leave", mm(floor_of(d, more)))]
     title = f"Mean error on poses held out, of {int(d.case.inliers.sum())}{readings_of(d)} [mm]"

@@ -186,7 +186,7 @@ def test_distances_to_three_anchors_name_the_cause_that_positions_name() -> None
     assert found.verdict == "explained"
     assert [c.label for c in found.causes] == ["thermal_growth"]
     assert found.case.evidence.count == 3 * 60
-    assert found.gap.after < 0.6 * found.gap.kept
+    assert found.gap.after < 0.6 * found.gap.without_outliers
     assert any("rows were read at 60 stops" in text for text in assumptions(found))
 
 

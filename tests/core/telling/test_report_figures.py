@@ -74,10 +74,10 @@ def test_shares_and_probabilities_sum_to_one(diagnosis, details) -> None:
     assert sum(figures["where/joints"].data[0].x) == pytest.approx(100, abs=1e-3)
     assert sum(figures["causes/1"].data[0].x) == pytest.approx(1, abs=0.02)  # those beyond the first eight are left out
     bars = figures["gap"].data[0].x
-    assert bars[0] == pytest.approx(1e3 * diagnosis.gap.kept)
+    assert bars[0] == pytest.approx(1e3 * diagnosis.gap.without_outliers)
     assert bars[-1] == pytest.approx(1e3 * diagnosis.gap.floor)
     held_out = [np.mean(t.customdata) for t in figures["errors"].data[:2]]
-    assert held_out == pytest.approx([1e3 * diagnosis.gap.kept, 1e3 * diagnosis.gap.after], abs=1e-5)
+    assert held_out == pytest.approx([1e3 * diagnosis.gap.without_outliers, 1e3 * diagnosis.gap.after], abs=1e-5)
 
 
 def test_curves_are_drawn_with_their_bands(diagnosis, details, curves) -> None:
