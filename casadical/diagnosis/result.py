@@ -247,8 +247,8 @@ class Diagnosis(Result):
 
     line: ClassVar[str] = (
         " of {{ it.identification.given.name | repr }}: {{ it.verdict }}; "
-        "{{ it.causes | map(attribute='label') | join(', ') or 'no cause named' }}; gap {{ it.gap.without_outliers | mm }}"
-        " -> {{ it.gap.after | mm }} mm, noise alone {{ it.gap.floor | mm }} mm"
+        "{{ it.causes | map(attribute='label') | join(', ') or 'no cause named' }}; gap "
+        "{{ it.gap.without_outliers | mm }} -> {{ it.gap.after | mm }} mm, noise alone {{ it.gap.floor | mm }} mm"
     )
 
     derived: ClassVar[tuple[Key, ...]] = (

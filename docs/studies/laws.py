@@ -157,7 +157,7 @@ def _said(found: Discovery) -> dict[str, Any]:
         "smooth": [first.smooth[0], round(first.smooth[1], 2)],
         "alias": list(first.alias),
         "gap": {name: float(v) for name, v in found.gap.items()},
-        "kept": found.kept,
+        "kept": found.best_model,
         "verdict": found.diagnosis.verdict,
         "causes": [c.label for c in found.diagnosis.causes],
     }

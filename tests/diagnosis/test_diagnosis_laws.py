@@ -325,7 +325,7 @@ def test_a_cable_that_stops_a_joint_is_found() -> None:
     assert unit == "rad"
     assert value == pytest.approx(slope, abs=4 * error + 0.2 * abs(slope))
     assert found.gap["law"] < min(found.gap["base"], found.gap.get("smooth", 1.0))
-    assert found.kept == "law"
+    assert found.best_model == "law"
     assert found.shrink is not None
     assert found.shrink[1][0] > 0.1
 

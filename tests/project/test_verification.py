@@ -56,7 +56,7 @@ def test_the_same_robot_keeps_its_promise_and_a_changed_one_does_not(calibrated_
     ("name", "stated", "figures"),
     [
         ("diagnosed", "diagnosis", {"gap_mm": {"before": 0.4, "after": 0.05, "floor": 0.01}}),
-        ("discovered", "discovery", {"gap_mm": {"base": 0.4, "law": 0.05}, "kept": "law"}),
+        ("discovered", "discovery", {"gap_mm": {"base": 0.4, "law": 0.05}, "best_model": "law"}),
     ],
 )
 def test_the_promise_of_a_diagnosed_robot_is_in_its_json(calibrated_arm, tmp_path, name, stated, figures):

@@ -66,7 +66,7 @@ class Discovery(Result):
     Examples
     --------
     >>> discovery = casadical.discover(found, effects=["backlash"])
-    >>> discovery.kept, discovery.laws, discovery.effects
+    >>> discovery.best_model, discovery.laws, discovery.effects
     ('base', (), ())
     >>> discovery.refit().is_optimal(), discovery.apply().effects_in_words
     (True, '')
@@ -86,7 +86,7 @@ class Discovery(Result):
     smooth: Unlisted | None
 
     @property
-    def kept(self) -> KeptModel:
+    def best_model(self) -> KeptModel:
         """Return the name of the model in `gap` that predicts held-out poses best."""
         return best_of(self.gap, lambda name: -self.gap[name])
 
@@ -99,14 +99,14 @@ class Discovery(Result):
             "smooth": self.diagnosis.effects(unlisted=self.smooth),
             "causes": self.diagnosis.effects(),
         }
-        return effects.get(self.kept, ())
+        return effects.get(self.best_model, ())
 
     def refit(self) -> Identification:
         """Return the identification of the base model together with `effects`.
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
-        noise = self.noise if self.kept == "law" else self.diagnosis.noise
+        noise = self.noise if self.best_model == "law" else self.diagnosis.noise
         return refit(self.case.with_inliers(self.diagnosis.case.inliers), self.effects, noise)
 
     @property
@@ -148,7 +148,7 @@ class Discovery(Result):
             tables=each,
             shares=shares if len(set(shares)) > 1 else shares[:1],
             gaps=Table("Held-out error [mm]", ("model", "mean"), gaps, frozenset({1})),
-            model=_MODEL_WORDS[self.kept],
+            model=_MODEL_WORDS[self.best_model],
         )
 
     @cached_property
@@ -202,7 +202,7 @@ class Discovery(Result):
     def laws_json(self) -> dict[str, Any]:
         """Return the laws and held-out errors as plain data for JSON.
 
-        Keys are laws, gap_mm (by model), shrink, kept (the best model) and, where they apply, why
+        Keys are laws, gap_mm (by model), shrink, best_model and, where they apply, why
         (no law is claimed) and poses.
         """
         shrink = self.shrink and {"share": round(self.shrink[0], 4), "interval": [round(x, 4) for x in self.shrink[1]]}
@@ -210,7 +210,7 @@ class Discovery(Result):
             "laws": [_law(self, s, line) for s, line in zip(self.laws, self.lines, strict=True)],
             "gap_mm": {model: round(1e3 * value, 5) for model, value in self.gap.items()},
             "shrink": shrink,
-            "kept": self.kept,
+            "best_model": self.best_model,
             **({} if self.laws else {"why": _why_not(self.rounds[0])}),
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
         }
@@ -225,7 +225,7 @@ class Discovery(Result):
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
         kinds = [type(e) for e in refit.robot.effects]
         texts = robot_files(folder / "discovered.robot.toml", refit.robot, comment, kinds, known_alone=True)
-        if self.kept == "law":
+        if self.best_model == "law":
             laws = tuple(s.law for s in self.laws)
             texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment, known_alone=True)
         texts[folder / "discovery.json"] = json_text(self.to_json(name))

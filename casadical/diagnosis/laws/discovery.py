@@ -49,7 +49,7 @@ def discover(
 
     Examples
     --------
-    >>> casadical.discover(found, effects=["backlash"]).kept  # neither a law nor a cause is missing
+    >>> casadical.discover(found, effects=["backlash"]).best_model  # neither a law nor a cause is missing
     'base'
     """
     found = diagnose(robot, m, effects, seed=seed, show=show)

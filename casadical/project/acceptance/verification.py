@@ -296,7 +296,7 @@ def promised_rms(robot: Path, kind: str = POSITION_KIND) -> tuple[float, int]:
             path, mean = robot.parent / f"{stated}.json", None
             with suppress(OSError, ValueError, KeyError, TypeError):
                 gap = load_json(path)
-                mean = gap["gap_mm"][gap.get("kept", "after")]
+                mean = gap["gap_mm"][gap.get("best_model", "after")]
             if mean is not None:
                 remedy = "; diagnose again, or give the promised rms error with --promised-mm"
                 # The ratio of rms to mean length of a normally distributed error in three axes.

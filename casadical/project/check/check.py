@@ -22,9 +22,9 @@ from casadical.project.check.findings import (
     data_findings,
     far_rows,
     fault_findings,
-    set_findings,
     limits_findings,
     outlook_findings,
+    set_findings,
     slip_finding,
     target_findings,
 )
