@@ -241,7 +241,7 @@ def test_what_sticks_one_way_alone_is_no_ripple():
     assert refused.share > 1
     assert refused.gain > 150
     assert refused.probability > 0.97
-    assert min(refused.ways) < 0 < max(refused.ways)
+    assert min(refused.gains_by_direction) < 0 < max(refused.gains_by_direction)
     assert not found.fitting
 
 

@@ -69,7 +69,7 @@ class Found:
     gain : log evidence [nats]; listed : whether it is a listed cause
     held_out : decrease of half the squared whitened residual on each held-out run [nats]
     rival : log evidence of the best unlisted candidate [nats]
-    ways : gain while its joint moves up and while it moves down [nats], empty for a cause of
+    gains_by_direction : gain while its joint moves up and while it moves down [nats], empty for a cause of
         several joints
     before : largest log evidence of a cause in the model that acts on its joint, too [nats]
     """
@@ -82,7 +82,7 @@ class Found:
     held_out: tuple[float, ...]
     listed: bool
     rival: float
-    ways: tuple[float, ...] = ()
+    gains_by_direction: tuple[float, ...] = ()
     before: float = 0.0
 
     @property
@@ -108,7 +108,7 @@ class Found:
         # Given another cause of its joint or of the arm, it must gain a fifth of that one's
         # evidence, as an equation that is only roughly right leaves about as much where it acts.
         clear = self.gain >= max(MIN_NAMED_EVIDENCE, 0.2 * self.before)
-        either = self.label.startswith(ONE_DIRECTION_CAUSES) or min(self.ways, default=1.0) > 0
+        either = self.label.startswith(ONE_DIRECTION_CAUSES) or min(self.gains_by_direction, default=1.0) > 0
         large = self.share >= (1.0 if "@" in self.label else ARM_VISIBLE_SHARE)
         return self.listed and large and clear and either and alone and self.confirmed
 
@@ -254,7 +254,7 @@ def next_cause(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> 
     candidate = case.by_label[top]
     share = share_of(case, np.union1d(chosen, own), own) / VISIBLE_SHARE
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
-    ways: tuple[float, ...] = ()
+    gains_by_direction: tuple[float, ...] = ()
     if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
         speed = case.region_values[1][:, acts.pop()]
         ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
