@@ -95,8 +95,8 @@ def analyse(
     out = ruled_out(found, unlisted)
     # The noise floor is that of the best model: causes, smooth forms or an expression.
     best, noise = found.gap.after, found.noise
-    if unlisted and unlisted.beside and unlisted.after < best:
-        best, noise = unlisted.after, unlisted.beside.noise[""]
+    if unlisted and unlisted.further and unlisted.after < best:
+        best, noise = unlisted.after, unlisted.further.noise[""]
     if discovery and discovery.gap.get("law", best) < best:
         best, noise = discovery.gap["law"], discovery.noise
     floor = min(noise_floor(found.case.evidence, noise, found.account.anchor, found.seed), best)

@@ -336,15 +336,15 @@ def ruled_out(d: Diagnosis, unlisted: Unlisted | None) -> dict[str, list[str]]:
     against each of them. A cause that the description absorbs, as a curve of a joint absorbs its
     gear's errors, is not ruled out.
     """
-    if unlisted is None or unlisted.beside is None:
+    if unlisted is None or unlisted.further is None:
         return {}
-    noise = unlisted.beside.noise[""]
+    noise = unlisted.further.noise[""]
     poses = of_case(d.case, noise, d.effects(unlisted=unlisted))
     seen = poses.effects[
         (poses.effects["size_mm"] >= SETTINGS.min_size_mm) & (poses.effects["absorbed"] <= SETTINGS.max_absorbed_share)
     ]
     named = {label for c in d.causes for label in (c.label, *c.indistinguishable)} | set(d.in_question)
-    last = unlisted.beside.log_factor
+    last = unlisted.further.log_factor
     labels: dict[str, list[str]] = {}
     multiples = (1.0, 2.0, SETTINGS.max_findable_multiple)
     for label in (c.label for c in d.case.candidates if c.listed and c.label in seen.index and c.label not in named):

@@ -183,7 +183,7 @@ class Unlisted:
         model
     before, after : mean held-out error with the named causes, and with these forms in addition [m]
     shrink, shrink_interval : fraction by which it falls, and its 95 % interval
-    beside : ranking of an additional cause given the named causes and these forms
+    further : ranking of an additional cause given the named causes and these forms
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -196,7 +196,7 @@ class Unlisted:
     after: float
     shrink: float
     shrink_interval: tuple[float, float] = field(metadata=written(digits=4))
-    beside: Ranking | None = None
+    further: Ranking | None = None
 
 
 @dataclass(frozen=True, eq=False)

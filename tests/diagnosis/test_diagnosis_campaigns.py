@@ -81,7 +81,7 @@ def test_what_several_joints_do_is_one_cause() -> None:
     d = diagnose(robot("ur10e"), simulated("ur10e", 15, *wound, planted("hose_pull", size=400e-6)))
     left = describe_unlisted(d)
     assert (d.verdict, named(d), left.labels[0]) == ("unknown", {("friction_windup", None)}, "hose_drag")
-    assert not {f"friction_windup@{j}" for j in sizes} & {*left.beside.order}
+    assert not {f"friction_windup@{j}" for j in sizes} & {*left.further.order}
 
 
 @pytest.mark.slow
