@@ -32,7 +32,7 @@ class Rule(StrEnum):
 class NoiseAccount:
     """The noise that a diagnosis assumed and its independent references, for one coordinate.
 
-    taken : standard deviation estimated by the fit [m], instrument and joints together
+    total : standard deviation estimated by the fit [m], instrument and joints together
     sigma : that of the instrument alone [m]; repeatability : joint repeatability [rad]
     declared : declared sigma of the instrument [m], zero if none
     sheet : largest error by the data sheet [m], zero if none
@@ -55,7 +55,7 @@ class NoiseAccount:
         Key("form", lambda noise: noise.form or None, if_known=True),
     )
 
-    taken: float = field(metadata=written("taken", "mm", 5))
+    total: float = field(metadata=written("taken", "mm", 5))
     sigma: float
     repeatability: float
     declared: float
@@ -87,7 +87,7 @@ class NoiseAccount:
         """
         if self.rules == Rule.REPEATS:
             return self.repeats
-        return float(np.sqrt(self.taken**2 - self.excess**2)) if self.excess else 0.0
+        return float(np.sqrt(self.total**2 - self.excess**2)) if self.excess else 0.0
 
     @property
     def structure(self) -> float:
@@ -96,12 +96,12 @@ class NoiseAccount:
         It is the larger of the excess and the part that depends on a driver; zero without both.
         """
         share = max((s.share for s in self.structures), default=0.0)
-        return max(self.excess, self.taken * float(np.sqrt(share)))
+        return max(self.excess, self.total * float(np.sqrt(share)))
 
     def in_words(self) -> str:
         """Return a text of all figures of the noise, and which source determines its size."""
         joints = f", joint repeatability {1e6 * self.repeatability:.3g} urad" if self.repeatability else ""
-        said = [f"noise: {mm(self.taken)} mm per coordinate (instrument {mm(self.sigma)}{joints})"]
+        said = [f"noise: {mm(self.total)} mm per coordinate (instrument {mm(self.sigma)}{joints})"]
         said += [self.form] * bool(self.form)
         stated = f"declared: {mm(self.declared)}" if self.declared else "nothing declared"
         said.append(f"data sheet: errors up to {mm(self.sheet)}" if self.sheet else stated)
