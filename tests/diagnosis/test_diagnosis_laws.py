@@ -154,7 +154,7 @@ def test_laws_that_cannot_reach_what_is_needed_are_left_out_and_no_others() -> N
     problem, n = Problem.of_case(c, NONE), int(c.inliers.sum())
     screen = Screen.at_rho(problem.evidence, 2)
     G, b = screen.products(3e-4 * rng.standard_normal((n, 3, 2)), rng.standard_normal((1, n, 200)))
-    gains, reach = screen.gains(G, b), screen.reach(G, b)
+    gains, reach = screen.gains(G, b), screen.max_gains(G, b)
     assert np.all(gains <= reach)
     least = float(np.quantile(reach, 0.7))
     some = screen.gains(G, b, least)

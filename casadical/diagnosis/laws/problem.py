@@ -113,7 +113,7 @@ class Screen:
         G = np.einsum("naik,najk->kij", B, B, optimize=True) - np.einsum("pik,pjk->kij", M, M, optimize=True)
         return G, np.einsum("naik,na->ki", B, self.y, optimize=True)
 
-    def reach(self, G: Array, b: Array) -> Array:
+    def max_gains(self, G: Array, b: Array) -> Array:
         """Return an upper bound of the log evidence over none of K laws, shape (K,) [nats].
 
         It holds for any size and noise of the grids. G, b : see `products`
@@ -127,10 +127,10 @@ class Screen:
 
         It is the mean over the sizes of the grid, each at the maximum-likelihood noise.
         G, b : products of columns in units of their typical sizes (see `products`)
-        least : laws whose bound (`reach`) is below this [nats] get `NOT_JUDGED_LOG_EVIDENCE`
+        least : laws whose bound (`max_gains`) is below this [nats] get `NOT_JUDGED_LOG_EVIDENCE`
         """
         if least > 0:
-            gains, can = np.full(len(b), NOT_JUDGED_LOG_EVIDENCE), self.reach(G, b) >= least
+            gains, can = np.full(len(b), NOT_JUDGED_LOG_EVIDENCE), self.max_gains(G, b) >= least
             gains[can] = self.gains(G[can], b[can])
             return gains
         rows = self.rows
@@ -533,7 +533,7 @@ class Problem:
             gains[k, some] = share + screen.gains(G, b, least)
             # At other rhos a law gains at most 20 nats over its bound at the most probable one.
             if not k and least > 20.0:
-                some = np.flatnonzero(screen.reach(G, b) >= least - 20.0)
+                some = np.flatnonzero(screen.max_gains(G, b) >= least - 20.0)
                 if not len(some):
                     break
         return log_mean(gains)
