@@ -279,7 +279,7 @@ def _problem(folder: Path, seed: int | None, carried: Carried, tables: Sequence[
         paper=file.paper,
         prior=prior,
         set_column=sets.column,
-        tables=tuple(data.understood for data in file.measurements),
+        tables=tuple(data.interpretation for data in file.measurements),
         robot_file=place,
         whole=tuple(whole for whole, _ in measured) if sets.refit and len(split) > 1 else (),
     )

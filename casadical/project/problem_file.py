@@ -142,7 +142,7 @@ class DataTable(_Strict):
         return self.model_dump(include={"sigma_mm", "sigma_deg", "datasheet_mm"}, exclude_none=True)
 
     @property
-    def understood(self) -> dict[str, Any]:
+    def interpretation(self) -> dict[str, Any]:
         """Return the keys and values by which another table of the same origin is interpreted.
 
         They are those that were given among file, kind, columns, point_from, inverted and camera.
