@@ -78,7 +78,7 @@ def noise(d: Diagnosis) -> str:
     return (d.account.form or "noise") + by_source.get(d.account.rules, ", or a form that was not tried")
 
 
-def hidden(d: Diagnosis) -> bool:
+def noise_hides_structure(d: Diagnosis) -> bool:
     """Return whether the noise, as estimated, hides structure that is larger than what is left.
 
     It does if it exceeds an independent figure of the noise, or if the structure in it is larger
@@ -243,7 +243,7 @@ _SAYS: dict[str, Any] = {
         function.__name__: function
         for function in (
             mm, listed, gathered, cannot_tell, indistinguishable, invisible, discrimination_probability, kinds_of_poses,
-            noise, hidden, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of, great_parts,
+            noise, noise_hides_structure, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of, great_parts,
             claims_near, detections_near, change, resembles, not_logged,
         )
     },

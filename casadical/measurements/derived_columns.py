@@ -181,18 +181,18 @@ def last_sense(ways: Array, least: float) -> Array:
     return np.asarray(motion)
 
 
-def _memory(q: Array, way: float) -> Array:
+def _memory(q: Array, travel: float) -> Array:
     """Return the hysteresis state of one joint at each pose, shape (n,), -1 to 1.
 
     It approaches the direction of each motion exponentially, and begins at zero, because the
     motion before the first pose is not known.
 
     q : readings of the joint in the order of measuring, shape (n,) [rad or m]
-    way : travel over which the distance from the direction falls to 1/e [rad or m]
+    travel : path over which the distance from the direction falls to 1/e [rad or m]
     """
     state, states = 0.0, []
     for move in _moves(q):
-        state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / way)) if move else state
+        state = float(np.sign(move) + (state - np.sign(move)) * np.exp(-abs(move) / travel)) if move else state
         states.append(state)
     return np.array(states)
 
