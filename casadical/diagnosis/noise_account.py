@@ -39,7 +39,7 @@ class NoiseAccount:
     repeats : standard deviation over repeated poses [m]; freedom : its degrees of freedom; zero if
         none
     rules : source that determines how large the noise is
-    excess : root of the difference of the squares of `taken` and of that source's figure [m]; zero
+    excess : root of the difference of the squares of `total` and of that source's figure [m]; zero
         where they agree
     form : label of the form of noise if it is not white; else empty
     structures : dependences found in the residual

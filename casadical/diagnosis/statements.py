@@ -243,8 +243,8 @@ _SAYS: dict[str, Any] = {
         function.__name__: function
         for function in (
             mm, listed, gathered, cannot_tell, indistinguishable, invisible, discrimination_probability, kinds_of_poses,
-            noise, noise_hides_structure, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of, great_parts,
-            claims_near, detections_near, change, resembles, not_logged,
+            noise, noise_hides_structure, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of,
+            great_parts, claims_near, detections_near, change, resembles, not_logged,
         )
     },
     "gravity_in_words": gravity_in_words,

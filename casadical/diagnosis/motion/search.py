@@ -254,15 +254,15 @@ def next_cause(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> 
     candidate = case.by_label[top]
     share = share_of(case, np.union1d(chosen, own), own) / VISIBLE_SHARE
     gains, by_block = held_out(case, chosen, own, local=candidate.name in LOCAL_CAUSES)
-    gains_by_direction: tuple[float, ...] = ()
+    by_direction: tuple[float, ...] = ()
     if len(acts := {row % case.joints for row in case.rows_of(own)}) == 1 and candidate.joint:
         speed = case.region_values[1][:, acts.pop()]
-        ways = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
+        by_direction = float(by_block[speed > 0].sum()), float(by_block[speed < 0].sum())
     rival = max((g for k, g in ranking.log_factor.items() if not case.by_label[k].listed), default=0.0)
     joints = {f: case.by_label[f.label].joint for f in found if f.label != top}
     near = (f for f, joint in joints.items() if joint is None or candidate.joint in (None, joint))
     before, gain = max((f.gain for f in near), default=0.0), ranking.log_factor[top]
-    return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, ways, before)
+    return Found(top, ranking.variant[top], p, share, gain, gains, candidate.listed, rival, by_direction, before)
 
 
 def _with_renewed_noise(case: MotionCase, found: tuple[Found, ...], ranking: Ranking) -> tuple[Ranking, MotionCase]:
