@@ -198,7 +198,7 @@ def _ours(path: Path, text: str) -> bool:
         *({"folder", "files", "verified"}, {"file", "robot", "left_out"}, {"withheld", "not_drawn"}),
         *({"key_sha256"}, {"answers", "by"}, {"by", "figures"}, {"changed", "changes", "campaigns"}),
         *({"fleet", "robots", "types"}, {"robot", "fields", "readings"}, {"certificate", "decision"}),
-        *({"dAP_mm", "poses"}, {"touches", "verdict"}),
+        *({"dAP_mm", "poses"}, {"touches", "verdict"}, {"log", "verdict", "ranking"}),
     )
     if text.lstrip().startswith(("{", "[")):
         try:

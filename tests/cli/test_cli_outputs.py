@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 from command_line import main, own_planar, run
 
-from casadical.core.files import claimed
+from casadical import InputError
+from casadical.cli.outputs import _refuse_foreign
+from casadical.core.files import claimed, json_text
+from casadical.diagnosis.motion.result import LogDiagnosis
 
 ROOT = Path(__file__).parents[2]
 
@@ -119,3 +122,12 @@ def test_inputs_in_the_folder_of_the_outputs_are_safe_by_their_name(name, refuse
     given = ("calibrate", ROOT / "problems" / "planar", "--prior", tmp_path / name, "--out", tmp_path)
     assert main(monkeypatch, *given) == 2
     assert ("is an input, and --out may replace it" in capsys.readouterr().err) == refused
+
+
+def test_the_diagnosis_of_logs_is_written_over_its_own_file(tmp_path: Path) -> None:
+    text = json_text(dict.fromkeys([key.name for key in LogDiagnosis.derived], "x"))
+    (tmp_path / "a.json").write_text(text)
+    _refuse_foreign(tmp_path / "a.json")
+    (tmp_path / "b.json").write_text('{"log": "mine", "verdict": "mine"}')
+    with pytest.raises(InputError, match="was not written by casadical"):
+        _refuse_foreign(tmp_path / "b.json")

@@ -15,7 +15,16 @@ BC = joint("j2", "revolute", "b", "c")
 FAULTS = {
     "not XML": ("<robot name='r'><link name='a'>", {}, "malformed XML.*line 1"),
     "another format": ("<sdf><model/></sdf>", {}, "root element is <sdf>, not <robot>"),
-    "xacro": (robot(ABC, joint("j1", "fixed", "a", "b").replace("0.0", "${x}", 1)), {}, "xacro must be expanded"),
+    "xacro": (
+        robot(ABC, joint("j1", "fixed", "a", "b").replace("0.0", "${x}", 1)),
+        {},
+        r"is xacro, no URDF; expand it first: xacro arm\.urdf > arm\.expanded\.urdf",
+    ),
+    "xacro with arguments": (
+        robot(ABC, AB).replace('name="j1"', 'name="$(arg prefix)j1"'),
+        {},
+        r"it asks for the arguments prefix; expand it first: xacro arm\.urdf prefix:=\.\.\. > ",
+    ),
     "two numbers": (robot(ABC, joint("j1", "fixed", "a", "b", (1, 2))), {}, "vectors three numbers"),
     "an origin of words": (
         robot(ABC, AB, BC).replace('xyz="0.0 0.0 0.0"', 'xyz="0,0 0 0"', 1),

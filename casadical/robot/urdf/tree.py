@@ -1,5 +1,6 @@
 """Links and joints of a URDF file as a tree; every fault is an InputError with the file's name."""
 
+import re
 from collections.abc import Collection, Iterator
 from io import BytesIO
 from pathlib import Path
@@ -46,11 +47,30 @@ def parse_urdf(path: Path) -> Any:
     needed = "reading a URDF needs yourdfpy: pip install 'casadical[urdf]', in a checkout pip install '.[urdf]'"
     yourdfpy = optional("yourdfpy", needed)
     document = parse_xml(path)
+    _refuse_xacro(document, str(path))
     _refuse_odd(document, str(path))
     content = BytesIO(document.toxml(encoding="utf-8"))
     needs = "robot, links and joints need a name, joints a type, parent and child, vectors three numbers"
     with foreign(f"{path}: not a readable URDF", f"{needs}; a xacro must be expanded first"):
         return yourdfpy.URDF.load(content, build_scene_graph=False, load_meshes=False).robot
+
+
+def _refuse_xacro(document: minidom.Document, path: str) -> None:
+    """Refuse elements and values that xacro would replace. Raises InputError that names the first."""
+    read = ("robot", "link", "joint", "parent", "child", "origin", "axis", "limit", "mass", "inertia", "mimic")
+    for element in document.getElementsByTagName("*"):
+        items = element.attributes.items() if element.tagName in read else ()
+        values = [f'{name}="{value}"' for name, value in items if re.search(r"\$[({]", value)]
+        if element.tagName.startswith("xacro:") or values:
+            inside = f"<{element.tagName}{''.join(f' {value}' for value in values[:1])}>"
+            arguments = dict.fromkeys(re.findall(r"\$\(arg (\w+)\)", document.toxml()))
+            given = "".join(f" {name}:=..." for name in arguments)
+            asked = f"; it asks for the arguments {', '.join(arguments)}" if arguments else ""
+            name = Path(path).name
+            raise InputError(
+                f"{path}: {shown(inside)} is xacro, no URDF{asked}; expand it first: "
+                f"xacro {name}{given} > {name.removesuffix('.xacro').removesuffix('.urdf')}.expanded.urdf"
+            )
 
 
 def _refuse_odd(document: minidom.Document, path: str) -> None:
