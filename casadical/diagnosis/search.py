@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -22,7 +22,7 @@ from casadical.diagnosis.noise_forms import better_ar_form, with_noise_forms
 from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, rank
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
-from casadical.diagnosis.structure import event_times, lines_of
+from casadical.diagnosis.structure import shown_by
 from casadical.effects import Effect, TransmissionRipple
 
 # Why the search ended: no additional cause is detected, candidates cannot be distinguished, an
@@ -230,12 +230,17 @@ class State:
             case.judged.forget()
         return replace(state, case=screened)
 
-    def with_events(self) -> State:
-        """Return the state with events of the instrument as candidates at the times they show at."""
+    def with_shown(self) -> State:
+        """Return the state with the lines and the steps that its residual shows as candidates."""
         case, columns = self.case, self.columns()
         noise = likely_noise(case.judged.log_base(columns), case.judged.sigmas)
-        for time in event_times(case, columns, noise, case.form):
+        lines, times = shown_by(case, columns, noise, case.form)
+        for time in times:
             case = case.with_events_at(time)
+        for joint, cycles in sorted(lines):
+            ripple = TransmissionRipple(joint, cycles=cycles)
+            if ripple.label in self.by_label and ripple not in case.columns:
+                case = case.with_variants(ripple.label, [(ripple,)])
         return replace(self, case=case)
 
     def revisited(self) -> State:
@@ -268,9 +273,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     if not case.observations.plain:
         return state, end, p_nothing
 
-    # Lines (joint, cycles per turn) that were seen so far, and whether sets of causes are still to
-    # be searched.
-    lines, lone = set[tuple[int, float]](), False
+    lone = False  # whether sets of causes are still to be searched
 
     def where_noise_follows(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
         """Return the result of a search under the best AR(1) noise given the causes of a state.
@@ -282,11 +285,10 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
         follows = better_ar_form(given.case, given.columns())
         if not follows:
             return None
-        form, noise, gain = follows
+        form, _, gain = follows
         show(f"causes under autocorrelated noise, coefficient {form.ar_coefficient:g}")
-        lines.update(lines_of(given.case, given.columns(), noise, form))
         given.case.judged.forget()
-        other, other_end, _ = search(_with_lines(case.with_form(form), lines), seed, 0, show, sets=not first)
+        other, other_end, _ = search(case.with_form(form), seed, 0, show, sets=not first)
         detected = other.steps and other.rankings[0].none <= SETTINGS.max_p_nothing_under_form
         there = detected and gain + other.log_gain > least
         return (other, other_end) if there else None
@@ -302,18 +304,8 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
             break
         (state, end), lone = found, False
     if lone:
-        state, end, _ = search(_with_lines(case.with_form(state.case.form), lines), seed, 0, show)
+        state, end, _ = search(case.with_form(state.case.form), seed, 0, show)
     return state, end, p_nothing
-
-
-def _with_lines(case: Case, lines: Iterable[tuple[int, float]]) -> Case:
-    """Return the case with transmission ripple at these (joint, cycles per turn) as candidates."""
-    labels = {c.label for c in case.candidates}
-    for joint, cycles in sorted(lines):
-        ripple = TransmissionRipple(joint, cycles=cycles)
-        if ripple.label in labels:
-            case = case.with_variants(ripple.label, [(ripple,)])
-    return case
 
 
 def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = True) -> tuple[State, End, float | None]:
@@ -327,7 +319,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
     end: End = "none"
     while len(state.steps) < SETTINGS.max_causes:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
-        state = state.with_events().ranked()
+        state = state.with_shown().ranked()
         ranking, known = state.rankings[-1], len(state.steps)
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)

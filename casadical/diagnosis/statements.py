@@ -19,6 +19,7 @@ from casadical.diagnosis.next_poses import discrimination_probability, kinds_of_
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.result import Cause, Diagnosis
 from casadical.diagnosis.settings import SETTINGS
+from casadical.effects import TransmissionRipple
 from casadical.identification.gravity import in_words as gravity_in_words
 
 # Words before a statement, by its topic, where it is shown as a sentence without the topic; the
@@ -191,6 +192,20 @@ def change(ratio: float) -> str:
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
+def loose_cycles(d: Diagnosis) -> Iterator[tuple[str, float, float, float]]:
+    """Yield the ripples whose joint spans too little to tell their cycles per turn to one.
+
+    Each item is a cause's label, its cycles, those to both sides that look like them, and the span
+    of the joint's angles [deg].
+    """
+    for c in d.causes:
+        for e in (e for e in c.effects if isinstance(e, TransmissionRipple)):
+            span = float(np.ptp(d.case.m.q[d.case.inliers, (e.joint or 1) - 1]))
+            # Two sines are told apart where their phases part by half a turn over the span.
+            if span < np.pi:
+                yield c.label, e.cycles, np.pi / span, float(np.rad2deg(span))
+
+
 def resembles(d: Diagnosis) -> str:
     """Return the label of the unlisted form that the remaining error resembles most; else "".
 
@@ -244,7 +259,7 @@ _SAYS: dict[str, Any] = {
         for function in (
             mm, listed, gathered, cannot_tell, indistinguishable, invisible, discrimination_probability, kinds_of_poses,
             noise, noise_hides_structure, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of,
-            great_parts, claims_near, detections_near, change, resembles, not_logged,
+            great_parts, claims_near, detections_near, change, loose_cycles, resembles, not_logged,
         )
     },
     "gravity_in_words": gravity_in_words,

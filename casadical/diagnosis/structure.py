@@ -10,7 +10,6 @@ noise in a single direction. Neighbouring poses are compared, too: in joint spac
 in the order of measuring.
 """
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,6 +35,11 @@ from casadical.measurements.derived_columns import MIN_WAY_M, derive, last_sense
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
+# Greatest frequency of a joint's periodic error that is tested as a line of its own [cycles per
+# turn]: strain-wave gears have ratios to 160 and two lobes.
+MAX_LINE_CYCLES = 300.0
+# Difference of log chances up to which another line of the same joint may be the true one [nats].
+ALIAS_NATS = 3.0
 # Name of the driver that stands for a correlation of consecutive poses.
 PREVIOUS_POSE = "the pose before"
 
@@ -82,21 +86,18 @@ def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = N
     return _WhitenedResidual(case, columns, noise, form or Form()).judged()
 
 
-def lines_of(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[tuple[int, float], ...]:
-    """Return joint (1-based) and cycles per turn of the most significant line of each joint.
+def shown_by(
+    case: Case, columns: Array, noise: Noise, form: Form
+) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
+    """Return the lines that the residual of a fit shows, and the times of its steps.
 
-    The arguments and the number of tests are those of `remainder_of`.
-    """
-    return _WhitenedResidual(case, columns, noise, form).lines()
-
-
-def event_times(case: Case, columns: Array, noise: Noise, form: Form) -> tuple[float, ...]:
-    """Return the times, 0 to 1, at which the residual of a fit shows that the instrument jumped.
-
-    There are two at most; every pose is tried. The arguments are those of `remainder_of`.
+    A line is a joint (1-based) and cycles per turn, with the significance of `remainder_of`. Times,
+    two at most, are those at which the instrument jumped, 0 to 1; every pose is tried.
+    The arguments are those of `remainder_of`.
     """
     kinds = {c.label: c.variants[0][0] for c in case.candidates if getattr(c.variants[0][0], "event", 0) == 1}
-    return _WhitenedResidual(case, columns, noise, form).events(kinds) if kinds else ()
+    residual = _WhitenedResidual(case, columns, noise, form)
+    return residual.lines(), residual.events(kinds)
 
 
 def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
@@ -185,24 +186,92 @@ class _WhitenedResidual:
         if not self._has_residual:
             return Remainder((), like_noise=True)
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
-        sure = _significant(tests, len(tests))
+        tests += [s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])]
+        sure = _significant(tests, len(tests) + self._screened)
         # Of a joint's lines only the most significant one is kept.
-        each = {s.line[0] if s.line else s.over: s for s in reversed(sure)}
+        each = {s.line[0] if s.line else s.over: self._with_aliases(s, sure) for s in reversed(sure)}
         # The tails are Gaussian if the squares have 0.6 of the numbers' degrees of freedom.
         tails = self.freedom >= 0.6 * (self.e.count - self._absorbed)
         # At most three drivers are reported.
         return Remainder(tuple([*reversed(each.values())][:3]), tails and self._isotropic())
 
+    @staticmethod
+    def _with_aliases(line: Structure, sure: Sequence[Structure]) -> Structure:
+        """Return a line whose name lists the cycles that its joint's angles do not tell from it.
+
+        sure : all significant dependences; other dependences are returned unchanged
+        """
+        same = [s.line[1] for s in sure if s.line and line.line and s.line[0] == line.line[0]
+                and s.log_chance < line.log_chance + ALIAS_NATS and abs(s.line[1] - line.line[1]) >= 1]  # fmt: skip
+        others = ", ".join(f"{cycles:.4g}" for cycles in same)
+        return replace(line, over=f"{line.over} (or {others})") if others else line
+
     def lines(self) -> tuple[tuple[int, float], ...]:
-        """Return (joint, cycles per turn) of each joint's most significant line, if it has one."""
+        """Return (joint, cycles per turn) of significant lines: the best of a joint and its aliases.
+
+        The joints of an arm often have gears of one ratio: where one shows a line, the others need
+        be significant only among the same number of cycles, its half and its double.
+        """
         if not self._has_residual:
             return ()
-        groups = [*self._groups()]
         # The Bonferroni correction counts the same tests as `judged`.
-        tried = sum(len(some) for _, _, some, _ in groups) + len([*self._neighbours()])
-        lines = [(a, v, tuple(f for f in some if f[0] in cycles), cycles) for a, v, some, cycles in groups]
-        sure = _significant([s for group in lines if group[2] for s in self._tests(*group)], tried)
-        return tuple({s.line[0]: s.line for s in reversed(sure) if s.line}.values())
+        tried = sum(len(some) for _, _, some, _ in self._groups()) + len([*self._neighbours()]) + self._screened
+        sure = _significant([s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])], tried)
+        best = {s.line[0]: s for s in reversed(sure) if s.line}
+        found = [s.line for s in sure if s.line and s.log_chance < best[s.line[0]].log_chance + ALIAS_NATS]
+        others = [j for j in self.case.robot.numbers if j not in best]
+        for cycles in {s.line[1] for s in best.values() if s.line} if others else ():
+            ratios = [cycles * r for r in (0.5, 1.0, 2.0) if 3 < cycles * r <= MAX_LINE_CYCLES]
+            tests = [s for j in others for s in self._line_tests(j, ratios)]
+            found += [s.line for s in _significant(tests, len(tests)) if s.line]
+        return tuple(dict.fromkeys(found))
+
+    def _line_tests(self, joint: int, cycles: Sequence[float]) -> Iterator[Structure]:
+        """Yield the dependences of a joint's motion on lines of its own angle, each tested alone.
+
+        joint : 1-based; cycles : per turn
+        """
+        q = self.case.m.q[self.at, joint - 1]
+        names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
+        some = tuple((name, sines(q, [f])) for name, (_, f) in names.items())
+        return self._tests(f"joint {joint}", self.e.Jq[:, :, joint - 1], some, names) if some else iter(())
+
+    @cached_property
+    def _cycles(self) -> dict[int, tuple[float, ...]]:
+        """Return the cycles per turn of the lines of each joint that are tested, by joint (1-based).
+
+        They are the best of all lines up to `MAX_LINE_CYCLES` by a screening that needs one inner
+        product over the poses for each, without what the fit absorbs of a line, and the whole
+        numbers next to them. The spacing is that which the range of the readings resolves.
+        """
+        serial, n = self._form.serial(len(self.squares)), len(self.squares)
+        white = self.y.reshape(n, -1)
+        raw = serial.whiten_transposed(np.einsum("nij,ni->nj", self._W, white))
+        tested = {}
+        for j in self.case.robot.numbers:
+            q, v = self.case.m.q[self.at, j - 1], self.e.Jq[:, :, j - 1]
+            steps = self._line_steps(j)
+            turns = np.exp(1j * steps[:, None] * q)
+            weight = (np.einsum("nij,nj->ni", self._W, v) ** 2).sum(axis=1)
+            right, double = turns @ (v * raw).sum(axis=1), turns**2 @ weight
+            # A pair of sine and cosine explains r' N^-1 r with N = [W - Re d, Im d; Im d, W + Re d] / 2.
+            total = weight.sum()
+            share = 2 * (total * np.abs(right) ** 2 - (double * (right**2).conj()).real)
+            share /= np.maximum(total**2 - np.abs(double) ** 2, 1e-9 * max(total, 1e-300) ** 2)
+            best = steps[np.argsort(-share)[:8]]
+            near = best.round()[np.abs(best - best.round()) < np.ptp(steps[:2])]
+            tested[j] = tuple(dict.fromkeys([*best.tolist(), *near.tolist()]))
+        return tested
+
+    def _line_steps(self, joint: int) -> Array:
+        """Return the cycles per turn of all lines of a joint's (1-based) own angle, rising."""
+        step = max(0.5, np.pi / max(float(np.ptp(self.case.m.q[self.at, joint - 1])), 1e-3))
+        return np.arange(SETTINGS.max_joint_harmonic + step, MAX_LINE_CYCLES + step / 2, step)
+
+    @property
+    def _screened(self) -> int:
+        """Return the number of lines that the screening of `_cycles` dismisses."""
+        return sum(len(self._line_steps(j)) for j in self.case.robot.numbers)
 
     def events(self, kinds: Mapping[str, Any]) -> tuple[float, ...]:
         """Return the times of the two most significant steps that are a twentieth apart, in order.
@@ -210,7 +279,7 @@ class _WhitenedResidual:
         kinds : events by label of their candidate. The sums over the poses behind each pose come
         from one pass: a step's columns are those of an event before all poses, cut off there.
         """
-        if not self._has_residual:
+        if not (kinds and self._has_residual):
             return ()
         time, n, chance = self.case.progress[self.at], len(self.squares), np.zeros(len(self.squares))
         for label, event in kinds.items():
@@ -258,12 +327,8 @@ class _WhitenedResidual:
             if len(g) and np.ptp(g, axis=0).max() > 0:  # a constant explains nothing
                 functions[g.shape[1]] = (*functions.get(g.shape[1], ()), (name, g))
         for along, v in self._directions():
-            own, cycles = dict(functions), dict[str, tuple[int, float]]()
-            if hit := re.fullmatch(r"joint (\d+)", along):
-                lines, cycles = _lines(self.case.m.q[self.at, int(hit[1]) - 1], int(hit[1]))
-                own |= {2: (*own.get(2, ()), *lines)} if lines else {}
-            for some in own.values():
-                yield along, v, some, cycles
+            for some in functions.values():
+                yield along, v, some, {}
 
     def _tests(
         self, along: str, v: Array, some: _Functions, cycles: Mapping[str, tuple[int, float]]
@@ -442,20 +507,6 @@ def _drivers(robot: Robot, m: Measurements, p: Array) -> Iterator[tuple[str, Arr
             yield f"the tool's {axis} against {other}", _cosines(R[:, direction, k])
         for other, direction in (("the radius", 0), ("the azimuth", 1)):
             yield f"the tool's {axis} against {other}", _cosines((R[:, :, k] * about[:, :, direction]).sum(axis=1))
-
-
-def _lines(angle: Array, joint: int) -> tuple[tuple[tuple[str, Array], ...], dict[str, tuple[int, float]]]:
-    """Return candidate lines of a joint's own angle, and (joint, cycles per turn) of each by name.
-
-    A line is its name with its sine and cosine at the poses, shape (n, 2). The spacing of the
-    frequencies is that which the range of the readings resolves.
-    angle : readings of the joint, shape (n,) [rad]; joint : its number, 1-based
-    """
-    step = max(0.5, np.pi / max(float(np.ptp(angle)), 1e-3))
-    # The lines of a joint's own angle are tested one by one up to 140 cycles per turn.
-    cycles = np.arange(SETTINGS.max_joint_harmonic + step, 140.0, step)
-    names = {f"q{joint} at {f:.4g} cycles a turn": (joint, float(f)) for f in cycles}
-    return tuple((name, sines(angle, [f])) for name, (_, f) in names.items()), names
 
 
 def sines(angle: Array, cycles: range | list[float]) -> Array:

@@ -24,10 +24,11 @@ from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
 from casadical.diagnosis.smooth_description import describe_unlisted
+from casadical.diagnosis.statements import statements
 from casadical.diagnosis.text import page_of
-from casadical.identification.accuracy import errors
+from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import identify
-from casadical.measurements.measurements import Noise
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.problem import read_problem
 
 ROOT = Path(__file__).parents[2]
@@ -158,6 +159,24 @@ def test_a_set_of_similar_causes_has_three_labels_and_none_that_is_negligible() 
     # What shares the probability may be on no list; a listed one that has nothing of it is not in question.
     form = made_up({"a": 0.6, "b": 1e-9, "form": 0.4})
     assert indistinguishable(form, ["a", "b"]) == ("a", "form")
+
+
+@pytest.mark.parametrize(("cycles", "span"), [(240.0, 4.6), (101.0, 0.4)])
+def test_a_line_far_beyond_the_grid_is_named_and_where_a_joint_spans_little_so_is_its_width(
+    cycles: float, span: float
+) -> None:
+    """Joints 4 and 5 err along sines of their own angles, and joint 5 hardly moves in one of the two campaigns."""
+    r, rng = robot("ur10e"), np.random.default_rng(5)
+    q = np.array([0, -1.6, 0, 0, 0, 0]) + np.array([2.3, 1.2, 2.3, 2.3, span / 2, 2.3]) * rng.uniform(-1, 1, (150, 6))
+    error = np.zeros_like(q)
+    error[:, 3:5] = 1.5e-4 * np.sin(cycles * q[:, 3:5] + 0.4)
+    p, _ = predicted(r, Measurements(q + error, "position", position=np.zeros((150, 3))))
+    found = diagnose(r, Measurements(q, "position", position=p + rng.normal(0, 2e-5, p.shape)), ["transmission_ripple"])
+    named = {c.label: c.effects[0].cycles for c in found.causes}  # type: ignore[attr-defined]
+    assert named["transmission_ripple@4"] == pytest.approx(cycles, abs=0.2)
+    assert abs(named["transmission_ripple@5"] - cycles) < np.pi / span
+    said = [s.text for s in statements(found) if s.about == "CANNOT" and "cycles a turn of" in s.text]
+    assert len(said) == (span < np.pi)
 
 
 @pytest.mark.slow
