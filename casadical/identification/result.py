@@ -23,7 +23,7 @@ from casadical.identification.accuracy import (
     turn_errors,
 )
 from casadical.identification.departure import Departure
-from casadical.identification.fit_statistics import covariance, redundancies
+from casadical.identification.fit_statistics import covariance, redundancies, variance
 from casadical.identification.identifiability import Identifiability
 from casadical.identification.least_squares import SETTLED_COST_GAIN, LeastSquares, initial_sigmas
 from casadical.identification.prediction import covariance_of_all
@@ -453,17 +453,29 @@ class Identification(Result):
 
         It is the robot "before calibration" with which the calibrated one is compared.
         """
+        return self._placed[0]
+
+    @property
+    def placed_covariance(self) -> tuple[tuple[str, ...], Array]:
+        """Names of the fitted parameters of `placed`, and their covariance, shape (p, p) [SI]."""
+        return self._placed[1:]
+
+    @cached_property
+    def _placed(self) -> tuple[Robot, tuple[str, ...], Array]:
+        """Compute `placed`, and names and covariance of its parameters."""
+        nothing = self.start, (), np.zeros((0, 0))
         groups = [g for g in ("base", "tool") if g in self.given.parameters.groups]
         if not groups:
-            return self.start
+            return nothing
         names = self.start.parameters.select(groups)
         used = tuple(replace(m, noise=own.noise) for m, own in zip(self.used, self.problem.sets, strict=True))
         free = LeastSquares(self.start, used, names, self.loss, False, initial_sigmas(used))
         try:
             (problem, solution, _), _ = solve_without_outliers(free, MAX_OUTLIER_ROUNDS, None)
-            return self.start.with_values(problem.values(solution.v))
         except InputError:  # relative measurements do not determine the frames
-            return self.start
+            return nothing
+        C = covariance(problem, solution.v, variance(problem, solution.v, trimmed=True))
+        return self.start.with_values(problem.values(solution.v)), problem.names, C
 
     def is_optimal(self, tolerance: float = 1e-4) -> bool:
         """Return whether no step within the bounds lowers the cost, recomputed from the data.

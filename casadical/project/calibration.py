@@ -93,6 +93,7 @@ class Calibration(Result):
         Key("methods", lambda c: {method: c._method(method) for method in c.identifications}),
         Key("compliance_tried", "identification.tried", if_known=True),
         Key("hand_eye", if_known=True),
+        Key("hand_eye_nominal", if_known=True),
         Key("arm_or_camera", if_known=True),
         Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, if_known=True),
         Key("trained_on", "networks.trained_on", if_known=True),
@@ -132,6 +133,11 @@ class Calibration(Result):
     def hand_eye(self) -> HandEye | None:
         """Return the hand-eye transform that is written; None where no camera measured poses."""
         return hand_eye_of(list(self.written.values())[-1])
+
+    @cached_property
+    def hand_eye_nominal(self) -> HandEye | None:
+        """Return the hand-eye transform for the nominal arm; None where no camera measured poses."""
+        return hand_eye_of(list(self.written.values())[-1], nominal=True)
 
     @cached_property
     def arm_or_camera(self) -> ArmOrCamera | None:
@@ -272,12 +278,13 @@ class Calibration(Result):
     def files(self, folder: str | Path) -> dict[Path, str | bytes]:
         """Return path -> text of the files in a folder of results.
 
-        They are result.json, robots and parameters by method, compensators, and hand_eye.calib.
+        They are result.json, robots and parameters by method, compensators, and those of `hand_eye`.
         """
         folder, problem = Path(folder), self.problem
         texts: dict[Path, str | bytes] = {folder / "result.json": json_text(self.to_json())}
-        if self.hand_eye:
-            texts[folder / "hand_eye.calib"] = self.hand_eye.calib_text(problem.folder.name)
+        for name, found in {"hand_eye.calib": self.hand_eye, "hand_eye_nominal.calib": self.hand_eye_nominal}.items():
+            if found:
+                texts[folder / name] = found.calib_text(problem.folder.name)
         for name, trained in (self.networks.results if self.networks else {}).items():
             if trained.compensator is not None:
                 texts[folder / f"{name}.compensator.json"] = compensator_text(trained.compensator)

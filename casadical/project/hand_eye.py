@@ -12,6 +12,7 @@ from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.core.telling.result import Shown
 from casadical.core.transforms import quaternion
 from casadical.identification.result import Identification
+from casadical.robot.robot import Robot
 
 # Where the camera is -> its parent frame, and the placement whose parameters have the transform.
 _PARENTS = {"in hand": ("flange", "tool"), "to base": ("base", "base")}
@@ -25,6 +26,7 @@ class HandEye(Shown):
     parent : frame in which it is given, flange or base; the flange is the last link's frame
     T : pose of the camera in it, shape (4, 4) [m]
     std_errors : of its coordinates [m], None where they were not identified
+    nominal : whether the arm has its nominal geometry, else the calibrated one
     """
 
     line: ClassVar[str] = " {{ it.in_words() }}"
@@ -37,6 +39,7 @@ class HandEye(Shown):
     parent: str = field(metadata=WRITTEN)
     T: Array
     std_errors: tuple[float, float, float] | None = field(metadata=written("std_error", unit="mm"))
+    nominal: bool = False
 
     def in_words(self) -> str:
         """Return the transform as a sentence [mm, quaternion], with the errors that it includes."""
@@ -46,6 +49,8 @@ class HandEye(Shown):
         if self.std_errors is not None:
             sure = f" (+- {', '.join(f'{1e3 * s:.2g}' for s in self.std_errors)})"
         rows = {"flange": "last", "base": "first"}
+        if self.nominal:
+            return f"With the nominal arm: x {x}, y {y}, z {z} mm{sure}."
         return (
             f"Hand-eye (camera in the frame of the {self.parent}, eye {self.camera}): x {x}, y {y}, z {z} mm{sure}, "
             f"quaternion w {w}, xyz {', '.join(vector)}; errors of the {rows[self.parent]} row are part of it."
@@ -72,16 +77,28 @@ class HandEye(Shown):
         )
 
 
-def hand_eye_of(found: Identification) -> HandEye | None:
+def hand_eye_of(found: Identification, *, nominal: bool = False) -> HandEye | None:
     """Return the hand-eye transform of an identification, or None.
 
     None where no camera measured poses, or the base was known.
+
+    nominal : whether it is for the nominal arm, with base and tool alone fitted
     """
     camera = next((m.camera for m in found.measurements if m.orientation is not None), "")
     if not camera or found.robot.base.unknown != "pose":
         return None
     parent, group = _PARENTS[camera]
-    T = found.robot.tool.T if parent == "flange" else np.linalg.inv(found.robot.base.T)
-    errors = found.parameters.set_index("name")["std_error"].reindex([f"{group}_{c}" for c in "xyz"]).to_numpy()
-    x, y, z = (1e-3 * float(error) for error in errors)
-    return HandEye(camera, parent, T, (x, y, z) if np.isfinite([x, y, z]).all() else None)
+    robot, names, C = (
+        (found.placed, *found.placed_covariance) if nominal else (found.robot, found.names, found.covariance)
+    )
+
+    def transform(robot: Robot) -> Array:
+        return robot.tool.T if parent == "flange" else np.linalg.inv(robot.base.T)
+
+    own = [k for k, name in enumerate(names) if name.startswith(f"{group}_")]
+    T, step = transform(robot), 1e-6
+    moved = (robot.with_values({names[k]: robot.parameters[names[k]].value + step}) for k in own)
+    J = np.array([(transform(r)[:3, 3] - T[:3, 3]) / step for r in moved]).reshape(-1, 3)
+    x, y, z = (float(v) for v in np.sqrt(np.maximum(np.diag(J.T @ C[np.ix_(own, own)] @ J), 0.0)))
+    sure = len(own) == 6 and np.isfinite([x, y, z]).all()
+    return HandEye(camera, parent, T, (x, y, z) if sure else None, nominal)

@@ -13,6 +13,7 @@ from casadical import InputError, Measurements, calibrate, identify, read_proble
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.project.check import precheck
+from casadical.project.hand_eye import hand_eye_of
 from casadical.project.new import new_problem
 from casadical.project.robot_columns import as_poses
 from casadical.robot.robot import Robot
@@ -172,3 +173,18 @@ def test_the_hand_eye_transform_is_named_and_written(tmp_path: Path) -> None:
     R = Rotation.from_quat([numbers[c] for c in "xyzw"]).as_matrix()
     np.testing.assert_allclose(R, found.T[:3, :3], atol=1e-8)
     assert "calibration_type: eye_in_hand" in text
+    nominal = result.hand_eye_nominal
+    np.testing.assert_allclose(nominal.T[:3, 3], HAND_EYE[:3, 3], atol=4 * max(nominal.std_errors))
+    assert max(nominal.std_errors) < 3e-4
+    assert "With the nominal arm" in result.files("results")[Path("results/hand_eye_nominal.calib")]
+    assert result.to_json()["hand_eye_nominal"]["xyz_mm"] == pytest.approx(1e3 * nominal.T[:3, 3])
+
+
+def test_errors_of_a_camera_that_stands_are_of_its_place_not_of_the_base() -> None:
+    found = identify(ur5e(), replace(seen(False, poses=40), camera="to base"), ["placement"])
+    names = [f"base_{c}" for c in ("x", "y", "z", "rx", "ry", "rz")]
+    at = [found.names.index(name) for name in names]
+    rng, C = np.random.default_rng(0), found.covariance[np.ix_(at, at)]
+    values = found.estimate[at] + rng.multivariate_normal(np.zeros(6), C, size=800)
+    T = [np.linalg.inv(found.robot.with_values(dict(zip(names, v, strict=True))).base.T) for v in values]
+    assert hand_eye_of(found).std_errors == pytest.approx(np.std(T, axis=0)[:3, 3], rel=0.1)
