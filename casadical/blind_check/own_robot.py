@@ -107,6 +107,7 @@ def _refuse(robot: Robot) -> None:
     coupled = [str(i) for i, j in enumerate(robot.joints, 1) if j.coupling is not None]
     faults = {
         f"joint {', '.join(coupled)} follows other joints or is locked": bool(coupled),
+        "its controller counts otherwise than its rows (readings)": robot.counts_otherwise,
         "it has several four-bars": len(robot.loops) > 1,
         "its four-bar is not between a joint from 3 on and the joint before": any(
             loop.carrier != loop.driven - 1 or loop.driven < 3 for loop in robot.loops

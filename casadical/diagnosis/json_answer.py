@@ -1,5 +1,6 @@
 """Serialisation of a diagnosis: as data for JSON, and as files."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,13 @@ def as_json(d: Diagnosis, campaign: str, more: Details | None = None) -> dict[st
 
 
 def diagnosis_files(
-    folder: str | Path, found: Diagnosis, more: Details, name: str, *, unlisted: bool = False
+    folder: str | Path,
+    found: Diagnosis,
+    more: Details,
+    name: str,
+    *,
+    unlisted: bool = False,
+    tables: Sequence[Mapping[str, Any]] = (),
 ) -> dict[Path, str | bytes]:
     """Return the text of each file that `casadical diagnose --out` writes: robot, data and report.
 
@@ -84,6 +91,7 @@ def diagnosis_files(
     folder : folder of the files; more : result of `analyse`; name : name of the campaign
     unlisted : whether the robot's model includes the description of the unlisted cause, if there is
         one
+    tables : how tables of the campaign are interpreted, as of `DataTable.understood`
     Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """
     folder = Path(folder)
@@ -92,7 +100,7 @@ def diagnosis_files(
     kinds = [type(effect) for effect in refit.robot.effects]
     return {
         **robot_files(folder / "diagnosed.robot.toml", refit.robot, comment, kinds, known_alone=True),
-        folder / "diagnosis.json": json_text(as_json(found, name, more)),
+        folder / "diagnosis.json": json_text({**as_json(found, name, more), "tables": list(tables)}),
         folder / "diagnosis.txt": page_of(found, more) + "\n",
     }
 

@@ -39,7 +39,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.measurements.reading import refuse_shared_rows
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
-from casadical.project.problem_file import own_tables, problem_file
+from casadical.project.problem_file import own_tables, problem_file, tables_of
 from casadical.project.telling import campaign_files
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
@@ -246,7 +246,8 @@ class CampaignDiagnosis(Result):
         unlisted : whether the description of an unknown cause is one of them
         """
         name = self.campaign.name
-        texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted)
+        tables = [table.understood for table in tables_of(self.campaign.folder)]
+        texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted, tables=tables)
         return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
 

@@ -398,16 +398,17 @@ def own_tables(source: Path) -> list[Path]:
 
 
 def tables_of(folder: Path) -> Sequence[DataTable]:
-    """Return the [[measurements]] of a problem, or those of a robot file's calibration.
+    """Return the [[measurements]] of a problem, or those of a robot file's calibration or diagnosis.
 
-    [] where there is neither problem.toml nor result.json.
+    [] where there is neither problem.toml nor the JSON file of the results.
 
-    folder : problem folder, or a robot file with the result.json of its calibration beside it
+    folder : problem folder, or a robot file with the JSON file of its results beside it
     """
     if (folder / "problem.toml").exists():
         return problem_file(folder).measurements
     try:
-        listed = load_json(folder.parent / "result.json")["tables"]
+        diagnosed = folder.name in ("diagnosed.robot.toml", "discovered.robot.toml")
+        listed = load_json(folder.parent / ("diagnosis.json" if diagnosed else "result.json"))["tables"]
         return [check(DataTable, table, "result.json") for table in listed]
     except (OSError, ValueError, KeyError, TypeError, InputError):
         return []

@@ -12,6 +12,7 @@ from command_line import main, own_planar
 
 from casadical import calibrate, read_problem, read_robot, read_urdf, write_robot
 from casadical.export.mjcf.mjcf import mjcf
+from casadical.measurements.logs.reading import read_log
 from casadical.project.problem import read_campaign_robot
 from casadical.robot.robot_file import to_toml
 from casadical.robot.urdf import new_urdf
@@ -57,6 +58,35 @@ def test_tables_correction_c_and_later_commands_take_the_controllers_readings(tm
     by_c = other / "by_c.csv"
     assert main(monkeypatch, "correct", other / "c", other / "program.csv", "--out", by_c) == 0
     assert np.abs(pd.read_csv(by_c)[["q1_deg", "q2_deg"]].to_numpy() - corrected[1]).max() < 2e-3
+
+
+def test_a_diagnosed_robot_reads_later_tables_as_the_problem_does(tmp_path, monkeypatch, capfd):
+    """Columns in another unit, of which the robot file says nothing."""
+    _, other = arms(tmp_path)
+    table = pd.read_csv(other / "poses.csv")
+    table["q1_deg"] = np.deg2rad(table["q1_deg"])
+    table.to_csv(other / "poses.csv", index=False)
+    problem = (other / "problem.toml").read_text().replace("[sets]", 'columns = { q1_rad = "q1_deg" }\n[sets]')
+    (other / "problem.toml").write_text(problem)
+    found, table = tmp_path / "found", other / "poses.csv"
+    assert main(monkeypatch, "diagnose", other, "--effects", "backlash", "--out", found, "-q") == 0
+    later = table.rename(tmp_path / "later.csv")
+    assert main(monkeypatch, "verify", found / "diagnosed.robot.toml", later) == 0
+    assert "STILL VALID" in capfd.readouterr().out
+
+
+def test_a_log_is_in_readings(tmp_path: Path) -> None:
+    """Angles and speeds are those of the rows, and the power of the drives is the same."""
+    _, other = arms(tmp_path)
+    time = np.arange(0, 4, 0.01)
+    q = np.rad2deg(np.column_stack([np.sin(time), np.cos(2 * time)]))
+    J, force = counted(q), np.column_stack([np.cos(time), np.sin(3 * time)])
+    names = ["time", "joint1_position_deg", "joint2_position_deg", "joint1_torque", "joint2_torque"]
+    pd.DataFrame(np.column_stack([time, J, force]), columns=names).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", read_problem(other).robot)
+    assert np.rad2deg(log.position) == pytest.approx(q, abs=1e-6)
+    power = (np.gradient(np.deg2rad(J), axis=0) * force).sum(axis=1)
+    assert (np.gradient(log.position, axis=0) * log.torque).sum(axis=1) == pytest.approx(power, abs=1e-9)
 
 
 def test_a_plan_is_in_readings_and_the_file_keeps_them(tmp_path, monkeypatch):

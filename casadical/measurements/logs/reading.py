@@ -157,6 +157,15 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
     if "position" not in arrays:
         raise InputError(f"{log.source}: the positions of the robot's joints have no number in any row")
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
+    if robot is not None and robot.counts_otherwise:
+        A = robot.reading_map[0]
+        for channel in ("position", "command"):
+            arrays |= {channel: robot.variables_of(arrays[channel])} if channel in arrays else {}
+        arrays |= {channel: arrays[channel] @ A.T for channel in ("speed", "command_speed") if channel in arrays}
+        # Powers are the same: the efforts at the rows' variables are those at the readings times A^-1.
+        efforts = [channel for channel in ("torque", "current") if channel in arrays]
+        arrays |= {channel: arrays[channel] @ np.linalg.inv(A) for channel in efforts}
+        notes += (f"the rows' angles q are made of the controller's readings J: {robot.readings_in_words}",)
     arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
     arrays["current_unsigned"] = "abs" in {log.units.get(("current", key)) for key in keys}
     said = (*log.notes, *notes, *odd)
