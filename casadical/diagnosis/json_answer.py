@@ -91,7 +91,7 @@ def diagnosis_files(
     folder : folder of the files; more : result of `analyse`; name : name of the campaign
     unlisted : whether the robot's model includes the description of the unlisted cause, if there is
         one
-    tables : how tables of the campaign are interpreted, as of `DataTable.understood`
+    tables : how tables of the campaign are interpreted, as of `DataTable.interpretation`
     Raises ConvergenceError: Ipopt finds no optimum of the refit.
     """
     folder = Path(folder)

@@ -246,7 +246,7 @@ class CampaignDiagnosis(Result):
         unlisted : whether the description of an unknown cause is one of them
         """
         name = self.campaign.name
-        tables = [table.understood for table in tables_of(self.campaign.folder)]
+        tables = [table.interpretation for table in tables_of(self.campaign.folder)]
         texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted, tables=tables)
         return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
