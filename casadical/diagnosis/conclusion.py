@@ -20,6 +20,7 @@ from casadical.diagnosis.held_out_gap import course
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount, account_of
 from casadical.diagnosis.noise_floor import noise_floor, outlier_probability, replicates
+from casadical.diagnosis.noise_forms import noisy_joint_label
 from casadical.diagnosis.result import Cause, Diagnosis, Gap, Outlier, Verdict
 from casadical.diagnosis.search import End, State, Step
 from casadical.diagnosis.settings import SETTINGS
@@ -66,6 +67,9 @@ def conclude(
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
     causes = [_cause(state, step, before, seed) for step in state.steps]
+    # Where a joint also scatters, its cause and something else that drives it are equally probable.
+    scatters = [account.doubt and noisy_joint_label(c.joint or 0) == state.rankings[-1].noise_form for c in causes]
+    causes = [replace(c, confidence=c.confidence * (0.5 if s else 1.0)) for c, s in zip(causes, scatters, strict=True)]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
     # Noise leaves no more than all that is left, though its size is estimated on a grid.
@@ -84,7 +88,10 @@ def conclude(
     if exactly:
         untried = SETTINGS.untried_in_doubt if account.doubt else SETTINGS.untried
         others = tuple((labels, p * (1 - untried)) for labels, p in exactly.others)
-        exactly = replace(exactly, probability=exactly.probability * (1 - untried), others=others, untried=untried)
+        members = {c.label: min(c.confidence, p) for c in causes for p in [exactly.members.get(c.label)] if p}
+        exactly = replace(
+            exactly, probability=exactly.probability * (1 - untried), members=members, others=others, untried=untried
+        )
     if (account.is_structure or joint) and not state.steps and verdict in ("none", "explained"):
         verdict = "unknown"
     return Diagnosis(

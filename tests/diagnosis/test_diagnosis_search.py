@@ -21,8 +21,10 @@ from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.isolability import ruled_out
 from casadical.diagnosis.json_answer import as_json, diagnosis_files
 from casadical.diagnosis.linear_problem import make_case
+from casadical.diagnosis.noise_forms import HEAVY_TAILS, noisy_joint_label
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.search import State, Step, indistinguishable, next_cause
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.diagnosis.statements import statements
 from casadical.diagnosis.text import page_of
@@ -96,6 +98,26 @@ def test_a_set_that_is_improbable_is_no_explanation(odds: float, verdict: str) -
     words = " ".join(page_of(d).split())
     assert ("instead: gear_eccentricity@4 + law" in words) == (verdict == "ambiguous")
     assert ("a further cause is present with probability" in words) == (verdict == "ambiguous")
+
+
+@pytest.mark.parametrize(("gain", "form", "verdict", "confidence"), [
+    (0.0, "", "explained", 1.0), (0.5, noisy_joint_label(4), "unknown", 0.5), (0.5, HEAVY_TAILS, "unknown", 1.0),
+    (0.04, HEAVY_TAILS, "explained", 1.0),
+])  # fmt: skip
+def test_nothing_is_explained_where_the_noise_takes_a_form(
+    gain: float, form: str, verdict: str, confidence: float
+) -> None:
+    """The form has a share of the evidence of the cause; up to 0.05 it is a flaw of its equation."""
+    plain = eccentric()
+    state, end, _ = search.search(plain.case, 0, 0, silent)
+    last = replace(state.rankings[-1], noise_form=form, log_noise=gain * state.log_gain)
+    d = conclude(plain.identification, replace(state, rankings=(*state.rankings[:-1], last)), end, 0)
+    assert (d.verdict, form in d.account.doubt) == (verdict, verdict == "unknown" or not form)
+    assert d.causes[0].confidence == pytest.approx(confidence, rel=0.02)
+    untried = SETTINGS.untried_in_doubt if verdict == "unknown" else SETTINGS.untried
+    assert d.cause_set is not None
+    assert d.cause_set.untried == untried
+    assert d.cause_set.probability <= 1 - untried
 
 
 def test_what_no_joint_shows_beside_the_others_ends_the_search(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from casadical.diagnosis.noise_account import NoiseAccount, Rule
 from casadical.diagnosis.noise_floor import Replicates
 from casadical.diagnosis.posterior import Ranking
 from casadical.diagnosis.result import Cause, CauseSet, Gap, Outlier
-from casadical.diagnosis.statements import missing_columns, not_logged
+from casadical.diagnosis.statements import headline, missing_columns, not_logged
 from casadical.diagnosis.text import PAGE_WIDTH, brief, page_of
 from casadical.effects import Backlash, ThermalZeroDrift
 from casadical.measurements.measurements import Noise
@@ -253,3 +253,11 @@ def test_something_at_its_threshold_is_said_as_such(fixed: Diagnosis, nothing: f
     assert ("an effect is just" in text) == bool(said)
     assert f"{said} the threshold of detection: P(nothing) = {nothing:.3f}, detected up to 0.1" in text or not said
     assert "a further effect is" not in text  # that was judged again is not beside a cause
+
+
+def test_where_the_refit_disagrees_its_figure_is_said(fixed: Diagnosis, details: Details) -> None:
+    explained = replace(fixed, verdict="explained", unknown_rest=0.0, course=fixed.course.assign(model_mm=0.0))
+    wrong = replace(details, check=Check(319e-6, 4.91e-3))  # the linear model of a robot that is far off
+    assert [f"-> {said} mm" in headline(explained, more) for more, said in ((details, "0.046"), (wrong, "0.319"))] == [
+        True, True
+    ]  # fmt: skip
