@@ -159,7 +159,7 @@ def _faults(listed: Sequence[str], count: int, source: str) -> InputError:
     count : number of all faults, including those that are not listed
     """
     more = [f"and {count - len(listed)} more"] if count > len(listed) else []
-    return InputError("\n  ".join([f"{source}: {count} fault(s)", *listed, *more]))
+    return InputError("\n  ".join([f"{source}: {count} fault{'s' if count > 1 else ''}", *listed, *more]))
 
 
 def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
@@ -181,7 +181,7 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
         hint = f" (is {near[0]} meant?)" if near else ""
         return f"{key} = {_short(value)}: not a known key{hint}; allowed here: {', '.join(keys)}"
     if error["type"] == "missing":
-        return f"{key}: is missing"
+        return f"{key}: is missing{'; write casadical = 1, the version of the file' if key == 'casadical' else ''}"
     given = f" = {_short(value)}" if not isinstance(value, Mapping) else ""
     return f"{key}{given}: {_text(error)}"
 

@@ -105,7 +105,8 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
 
     A joint that errs at few places makes such outliers. For unrelated outliers the cosine between
     error and any direction is uniform from -1 to 1; the chances are combined by Fisher's sum of
-    logarithms, with a Bonferroni correction over the joints.
+    logarithms, with a Bonferroni correction over the joints. Typing errors in one coordinate each
+    are no such outliers, though a joint may move the tool along it.
     columns : indices of the causes' columns, shape (k,)
     """
     out = ~case.inliers
@@ -116,6 +117,9 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     cosine = np.abs(np.einsum("ki,kij->kj", residuals, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
     best = first_of_best(total)
+    one_coordinate = np.abs(residuals).max(axis=1) / np.maximum(np.linalg.norm(residuals, axis=1), 1e-300)
+    if -np.log(np.clip(1 - one_coordinate, 1e-300, 1.0)).sum() >= total[best]:
+        return None
     # A sum of k logarithms has a gamma distribution of shape k.
     chance = len(total) * float(gammaincc(len(residuals), total[best]))
     return best + 1 if chance < SETTINGS.max_structure_chance else None

@@ -125,6 +125,19 @@ def test_outliers_along_one_joint_are_no_single_points() -> None:
     assert as_json(d, "x")["outliers_along_joint"] == 2
 
 
+def test_typing_errors_of_one_coordinate_are_no_joint() -> None:
+    """Joint 2 moves a stretched arm nearly along z, and so would two typing errors in z."""
+    arm, m = robot("ur10e"), simulated("ur10e", 41)
+    turn = np.zeros((len(m), 6))
+    turn[:, 1] = 1e-6
+    motion = predicted(arm, replace(m, q=m.q + turn))[0] - predicted(arm, m)[0]
+    at = np.argsort(-np.abs(motion[:, 2]) / np.linalg.norm(motion, axis=1))[:2]
+    position = m.position.copy()
+    position[at, 2] += [9e-3, -2e-3]
+    d = diagnose(arm, replace(m, position=position))
+    assert (d.joint_of_outliers, sorted(o.row for o in d.outliers)) == (None, sorted(m.row[at].tolist()))
+
+
 @pytest.mark.slow
 def test_missing_columns_are_reported_and_never_fatal() -> None:
     drift = planted("frame_drift")

@@ -63,7 +63,7 @@ FAULTS = {
     ),
     "a gain that drives away": (
         before_tool("[drive]\nkp_Nm_per_rad = [1, -5]"),
-        ["1 fault(s)\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
+        ["1 fault\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
     ),
     "one name for two joints": (
         ("[[joint]]\n", '[[joint]]\nname = "a"\n[[joint]]\nname = "a"\n'),
