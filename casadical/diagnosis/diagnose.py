@@ -272,7 +272,7 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     ]
     if case.observations.plain:
         return tuple(said)
-    held = (u.reason.split(";")[0] for u in found.identifiability.held)
+    held = (u.reason.split(";")[0] for u in found.identifiability.unidentifiable)
     # The reason for fixed parameters begins so where measurements do not determine the base.
     said += dict.fromkeys(reason for reason in held if reason.startswith("nothing at rest"))
     stops = case.observations.stops

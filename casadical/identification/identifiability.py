@@ -50,12 +50,12 @@ class Identifiability:
     """Which parameters the data determine.
 
     independent : names of the identifiable parameters, in model order
-    held : the parameters fixed at nominal, each with its reason
+    unidentifiable : the parameters fixed at nominal, each with its reason
     condition : condition number of the scaled Jacobian of the independent ones
     """
 
     independent: tuple[str, ...]
-    held: tuple[Unidentifiable, ...]
+    unidentifiable: tuple[Unidentifiable, ...]
     condition: float
 
 
@@ -67,7 +67,7 @@ def analyse(
     J : shape (residuals, always + len(names)), in units of sigma per unit of scale
     always : number of first columns (unknown points), which are always variables
     names : parameters of the further columns, the preferred ones first
-    held : name -> reason, of parameters that are fixed whatever the data
+    unidentifiable : name -> reason, of parameters that are fixed whatever the data
     moved : verb phrase for the effect of a parameter on the data, in the reasons
     """
     R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J

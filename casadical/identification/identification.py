@@ -458,8 +458,8 @@ def _with_priors(
     asked = replace(prepared, method=None, free=())
     held = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
     judged = held.identifiability
-    others = (u for u in free.identifiability.held if u.name not in names)
-    judged = replace(judged, held=(*judged.held, *others))
+    others = (u for u in free.identifiability.unidentifiable if u.name not in names)
+    judged = replace(judged, unidentifiable=(*judged.unidentifiable, *others))
     return replace(held, method=free.method, identifiability=judged, departure=free.departure)
 
 

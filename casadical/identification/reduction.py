@@ -345,9 +345,15 @@ def reduce_and_solve(
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
                 if more is None:
-                    return reduced, solution, replace(analysis, independent=reduced.names, held=(*analysis.held, *poor))
+                    return (
+                        reduced,
+                        solution,
+                        replace(analysis, independent=reduced.names, unidentifiable=(*analysis.unidentifiable, *poor)),
+                    )
                 reduced, start = more
-                analysis = replace(analysis, held=tuple(u for u in analysis.held if u.name not in reduced.names))
+                analysis = replace(
+                    analysis, unidentifiable=tuple(u for u in analysis.unidentifiable if u.name not in reduced.names)
+                )
                 optima.setdefault((reduced.names, reduced.labels), start)
         poor += worse
         gone = {u.name for u in worse}
@@ -361,7 +367,7 @@ def reduce_and_solve(
             "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
             f"{known and frames_known}"
         )
-    held = (*poor, *analysis.held)
+    held = (*poor, *analysis.unidentifiable)
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in held[:MAX_NAMES_IN_MESSAGE]) + (
         f"; and {len(held) - MAX_NAMES_IN_MESSAGE} more" if len(held) > MAX_NAMES_IN_MESSAGE else ""
     )
@@ -382,8 +388,8 @@ def _with_visible(
     """
     robot, tilts = problem.robot, set[str]()
     if problem.weighed and robot.gravity_frame == "measuring" and any(j.compliance is not None for j in robot.joints):
-        tilts = {u.name for u in found.held if u.reason == GAUGE_REASON and u.name in _TILTS}
-    hidden = {u.name for u in found.held if u.reason == NO_EFFECT_REASON} | tilts
+        tilts = {u.name for u in found.unidentifiable if u.reason == GAUGE_REASON and u.name in _TILTS}
+    hidden = {u.name for u in found.unidentifiable if u.reason == NO_EFFECT_REASON} | tilts
     if not hidden:
         return None
     wider, at = _with_added_parameters(problem, v, hidden, order)
@@ -481,7 +487,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     points = 3 * len(problem.labels)
     analysis = analyse(R, [names[k] for k in asked], points, held)
     if wide:
-        dropped = {u.name for u in analysis.held}
+        dropped = {u.name for u in analysis.unidentifiable}
         return replace(analysis, independent=tuple(n for n in names if n not in dropped))
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
         return analysis

@@ -143,7 +143,7 @@ class Identification(Result):
 
     line: ClassVar[str] = (
         " {{ it.method }} of {{ it.given.name | repr }}: {{ it.names | length }} parameters from "
-        "{{ it.used | map('length') | sum }} poses, {{ it.identifiability.held | length }} not identifiable, "
+        "{{ it.used | map('length') | sum }} poses, {{ it.identifiability.unidentifiable | length }} not identifiable, "
         "{{ (1e3 * it.sigmas | map('first') | max) | f('.3g') }} mm per coordinate remaining"
     )
 
@@ -357,7 +357,7 @@ class Identification(Result):
         Where an identified one has the standard error of its prior, the reason says so.
         """
         quantile = stdtrit(max(1, self.degrees_of_freedom), 0.975)
-        reasons = {u.name: u.reason for u in self.identifiability.held}
+        reasons = {u.name: u.reason for u in self.identifiability.unidentifiable}
         place_of = {name: k for k, name in enumerate(self.names)}
         before = {p.name: p.prior for p in self.start.parameters if p.guess}
         before |= {name: sigma for name, (_, sigma) in self.problem.given.items()}
@@ -508,7 +508,7 @@ class Identification(Result):
         masses = len(self.names) - len(self.identified)
         text = (
             f"{self.method}: {len(self.identified)} parameters identified from {used} poses, "
-            f"{len(self.identifiability.held)} not identifiable"
+            f"{len(self.identifiability.unidentifiable)} not identifiable"
         )
         if masses:
             text += f", {masses} of the estimated masses as far as their priors leave open"

@@ -42,7 +42,7 @@ class DesignProblem:
     circumstances : payloads, approaches and repeats of the poses
     noise : assumed noise of the instrument and the joints
     names : parameters that will be identified
-    held : the other requested parameters, each with its reason
+    unidentifiable : the other requested parameters, each with its reason
     measured : poses measured before, which count as well
     task : poses at which the robot is to be accurate
     pool : candidate poses
@@ -59,7 +59,7 @@ class DesignProblem:
     circumstances: Circumstances
     noise: Noise
     names: tuple[str, ...]
-    held: tuple[Unidentifiable, ...]
+    unidentifiable: tuple[Unidentifiable, ...]
     measured: Measurements | None
     task: Measurements
     pool: Candidates

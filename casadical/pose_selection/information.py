@@ -98,11 +98,11 @@ def independent(
     analysis = independent_parameters(problem)
     kept = list(analysis.independent)
     if prior is not None:
-        return tuple(kept), analysis.held
+        return tuple(kept), analysis.unidentifiable
     left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
-    return tuple(kept[k] for k in left), (*analysis.held, *poor)
+    return tuple(kept[k] for k in left), (*analysis.unidentifiable, *poor)
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:

@@ -121,7 +121,7 @@ def _errors(plan: Selection, of_effects: bool) -> list[Table]:
     """
     known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
     rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
-    rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.held]
+    rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.unidentifiable]
     rows = [row for row in rows if row[0] in plan.robot.shown and ("." in row[0]) == of_effects]
     title = f"Expected standard errors{' of effects' if of_effects else ''}"
     return [Table(title, ("parameter", "std error", "unit"), rows, frozenset({1}))] if rows else []

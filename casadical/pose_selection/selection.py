@@ -243,7 +243,7 @@ class Selection(DesignProblem, Shown):
             for name, error in zip(self.names, self.standard_errors, strict=True)
             for p in (self.robot.parameters[name],)
         ]
-        rows += [(u.name, self.robot.parameters[u.name].group, np.nan, "", u.reason) for u in self.held]
+        rows += [(u.name, self.robot.parameters[u.name].group, np.nan, "", u.reason) for u in self.unidentifiable]
         return pd.DataFrame(rows, columns=["name", "group", "expected_std_error", "unit", "not_identifiable"])
 
     @property

@@ -13,7 +13,7 @@ ARM = arms.six_axis()
 
 
 def held(result):
-    return {u.name: u for u in result.identifiability.held}
+    return {u.name: u for u in result.identifiability.unidentifiable}
 
 
 def test_hh800_as_in_the_paper():
@@ -83,7 +83,7 @@ def test_poorly_told_is_told_in_words_with_partners():
     built = arms.planted(ARM, 4, arms.TRACKER)
     near = 0.02 * arms.readings(built, 60, 5) + np.array([0.1, 0.4, -0.6, 0.3, 0.8, 0.2])
     result = identify(ARM, arms.positions(built, near, 6), ["kinematic"], priors=False)
-    poor = [u for u in result.identifiability.held if "worse than its prior" in u.reason]
+    poor = [u for u in result.identifiability.unidentifiable if "worse than its prior" in u.reason]
     assert poor
     assert any(u.confounded_with for u in poor)
     widths = np.array([result.start.parameters[n].prior for n in result.names])
@@ -109,7 +109,7 @@ def test_analyse_names_exact_combinations():
     a, b, d, f = rng.normal(size=(4, 30))
     found = analyse(np.column_stack([a, b, a + b, 0 * a, d, 2 * d, f]), list("abczdef"), 0, {"d": "because"})
     assert found.independent == ("a", "b", "e", "f")
-    reasons = {u.name: u for u in found.held}
+    reasons = {u.name: u for u in found.unidentifiable}
     assert set(reasons["c"].confounded_with) == {"a", "b"}
     assert reasons["z"].reason == "it has no effect on what was measured"
     assert reasons["d"].reason == "because; e carries it"
@@ -123,4 +123,4 @@ def test_analyse_lets_points_come_first():
     point, a = rng.normal(size=(2, 10))
     found = analyse(np.column_stack([point, 3 * point, a]), ["shift", "a"], 1, {})
     assert found.independent == ("a",)
-    assert found.held[0].reason == "the unknown points absorb it"
+    assert found.unidentifiable[0].reason == "the unknown points absorb it"

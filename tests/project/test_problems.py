@@ -131,8 +131,8 @@ def test_hh800_has_the_papers_identifiable_set() -> None:
     p = true.position.map(40)(q.T, true.parameters.values).full().T + rng.normal(0, 1e-5, (40, 3))
     columns = {f"q{i + 1}_rad": q[:, i] for i in range(6)} | dict(zip(("x_m", "y_m", "z_m"), p.T, strict=True))
     result = identify(robot, from_table(pd.DataFrame(columns), 6), method="SKCM")
-    assert {u.name for u in result.identifiability.held} == {"d2", "d6", "theta6", "L3"}
+    assert {u.name for u in result.identifiability.unidentifiable} == {"d2", "d6", "theta6", "L3"}
     groups = result.parameters[result.parameters.status == "identified"].group
     assert (groups != "compliance").sum() == 29
     assert (groups == "compliance").sum() == 4
-    assert all(u.reason for u in result.identifiability.held)
+    assert all(u.reason for u in result.identifiability.unidentifiable)

@@ -32,7 +32,7 @@ class Outlook:
 
     method : name of the method
     names : parameters that will be identified
-    held : parameters that will not be identified, each with its reason
+    unidentifiable : parameters that will not be identified, each with its reason
     numbers : number of observed values
     unknowns : number of independent parameters and coordinates of unknown points
     condition : condition number of the scaled Jacobian
@@ -46,7 +46,7 @@ class Outlook:
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("held", lambda view: {u.name: u.reason for u in view.held}),
+        Key("unidentifiable", lambda view: {u.name: u.reason for u in view.unidentifiable}),
         Key("scatter", lambda view: view.scatter if view.enough else None, "mm"),
         Key("expected_held_out_mean", "held_out", "mm"),
         Key("expected_accuracy", lambda view: view.accuracy if view.enough and view.names else None, "mm"),
@@ -55,7 +55,7 @@ class Outlook:
 
     method: str
     names: tuple[str, ...] = field(metadata=written("identifiable"))
-    held: tuple[Unidentifiable, ...]
+    unidentifiable: tuple[Unidentifiable, ...]
     numbers: int = field(metadata=WRITTEN)
     unknowns: int
     condition: float = field(metadata=WRITTEN)
@@ -68,8 +68,8 @@ class Outlook:
     @property
     def reasons(self) -> list[Table]:
         """Return a table of the reasons why parameters are not identified, if there are any."""
-        rows = [(u.name, u.reason) for u in self.held]
-        return [Table("", ("held", "why"), rows)] if rows else []
+        rows = [(u.name, u.reason) for u in self.unidentifiable]
+        return [Table("", ("not identifiable", "why"), rows)] if rows else []
 
     @property
     def held_out(self) -> float | None:
@@ -131,7 +131,7 @@ def outlook(
     return Outlook(
         method,
         identified,
-        (*independent.held, *poor),
+        (*independent.unidentifiable, *poor),
         problem.residual_count,
         problem.size,
         independent.condition,

@@ -58,7 +58,7 @@ def test_a_good_problem_is_ready_and_what_it_holds_is_what_calibration_holds(nam
     assert said(found, "error") == ""
     certified = tomllib.loads((ROOT / "problems" / name / "certified.toml").read_text())
     for view in found.outlooks:
-        assert sorted(u.name for u in view.held) == sorted(certified[view.method]["not_identifiable"])
+        assert sorted(u.name for u in view.unidentifiable) == sorted(certified[view.method]["not_identifiable"])
         assert len(view.names) == certified[view.method]["identified"]
 
 
@@ -275,7 +275,7 @@ def test_the_command_prints_keeps_and_exits(tmp_path: Path) -> None:
     good, wrong = json.loads(file.read_text())
     assert (good["ok"], wrong["ok"]) == (True, False)
     assert 0.005 < good["methods"]["KM"]["expected_accuracy_mm"] < 0.05
-    assert good["methods"]["KM"]["held"].keys() == {"d1", "d2", "theta2"}
+    assert good["methods"]["KM"]["unidentifiable"].keys() == {"d1", "d2", "theta2"}
     assert wrong["findings"][0]["topic"] == "units"
     done = run("check", "problems/planar", "-q")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
