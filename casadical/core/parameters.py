@@ -23,7 +23,7 @@ class Parameter:
     scale : size of one unit of the solver's variable, such as 1e-3 for 1 mm or 1 mrad [unit]
     lower, upper : bounds [unit]
     prior : prior standard deviation of the deviation from nominal [unit]
-    held : reason why it is fixed and never identified; empty if it can be identified
+    fixed_reason : reason why it is fixed and never identified; empty if it can be identified
     guess : whether its nominal value is a guess: its prior then applies in every fit
     """
 
@@ -35,7 +35,7 @@ class Parameter:
     lower: float
     upper: float
     prior: float
-    held: str = ""
+    fixed_reason: str = ""
     guess: bool = False
 
     @property

@@ -357,7 +357,9 @@ class Case:
         E = self.whole.E.plus(effects, m.conditions)
         # Learnt sizes are carried over.
         cause_prior = (
-            E.held if self.whole.cause_prior is None else np.append(self.whole.cause_prior, E.held[self.whole.width :])
+            E.prior_sigma
+            if self.whole.cause_prior is None
+            else np.append(self.whole.cause_prior, E.prior_sigma[self.whole.width :])
         )
         more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
@@ -448,7 +450,7 @@ def _problem(
         np.append(delta0, seen.mean),
         np.append(base_prior_sigmas(robot, free), np.ones(len(seen.mean))),
         E,
-        cause_prior=E.held,
+        cause_prior=E.prior_sigma,
         Jq=seen.Jq,
         noise_prior=NoisePrior(
             declared, sheet, again.sigma, min(again.freedom, 60), float(np.sqrt((seen.Jq**2).sum() / numbers.sum()))

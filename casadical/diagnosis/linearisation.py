@@ -208,10 +208,10 @@ class EffectColumns(Columns):
         return sizes
 
     @cached_property
-    def held(self) -> Array:
+    def prior_sigma(self) -> Array:
         """Return the prior sigma of each parameter of a cause, in typical sizes, (columns,)."""
-        earlier = np.zeros(0) if self.first is None else self.first.held
-        return np.concatenate([earlier, [e.held for e in self._own for _ in e.sizes()]])
+        earlier = np.zeros(0) if self.first is None else self.first.prior_sigma
+        return np.concatenate([earlier, [e.prior_sigma for e in self._own for _ in e.sizes()]])
 
     @property
     def _own(self) -> tuple[Effect, ...]:

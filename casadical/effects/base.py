@@ -360,7 +360,7 @@ class Effect:
 
     name: ClassVar[str] = "none"
     # Prior standard deviation of each parameter in a robot model, divided by its typical size.
-    held: ClassVar[float] = CAUSE_PRIOR_SIGMA
+    prior_sigma: ClassVar[float] = CAUSE_PRIOR_SIGMA
     # List of candidates: standard, extended, unknown (no named cause); empty: only on request.
     on_list: ClassVar[str] = ""
     # Name of the effect of which it is a variant and under whose name it is reported; empty: none.
@@ -474,10 +474,12 @@ class Effect:
     def parameters(self) -> tuple[Parameter, ...]:
         """Return the effect's parameters, named label.name, with nominal value zero.
 
-        Bounds are 1000 typical sizes to each side, prior standard deviations `held` typical sizes.
+        Bounds are 1000 typical sizes to each side, prior standard deviations `prior_sigma` typical sizes.
         """
         return tuple(
-            Parameter(f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.held * size)
+            Parameter(
+                f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.prior_sigma * size
+            )
             for name, (size, unit) in self.sizes().items()
         )
 

@@ -171,7 +171,7 @@ class Session(Effect):
     name = "session"
     on_list = "unknown"
     of_measurement = True
-    held = 1.0
+    prior_sigma = 1.0
     signature = "another session: instrument, pedestal and target were set up again"
 
     @classmethod

@@ -38,7 +38,7 @@ class JointErrorCurve(Effect):
     name = "joint_error_curve"
     on_list = "standard"
     signature = "each joint's own error as a periodic curve of its angle (wave generators, gear teeth, encoder discs)"
-    held = 1.0
+    prior_sigma = 1.0
     covers = frozenset({"gear_eccentricity", "transmission_ripple", "unknown_of_own_angle"})
     physics = (
         "A strain-wave gear gives lines at multiples of its ratio (Tuttle and Seering 1996; "

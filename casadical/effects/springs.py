@@ -131,7 +131,7 @@ class LinkMasses(Effect):
     on_list = "standard"
     signature = "gravity torque errors by the robot file's masses and mass centres"
     # The standard deviations are declared by the user and need no wider prior.
-    held = 1.0
+    prior_sigma = 1.0
     physics = "Gravity on the true links differs from that on the declared ones and acts through the joints' springs."
     confused_with = "nonlinear_stiffness and gravity_compensator; payload_error where the payload never changes"
 

@@ -467,7 +467,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
     own = [robot.parameters[n] for n in names]
-    held = {parameter.name: parameter.held for parameter in own if parameter.held}
+    held = {parameter.name: parameter.fixed_reason for parameter in own if parameter.fixed_reason}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
         held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE_REASON)
     of_effects = {e.label for e in robot.effects}

@@ -37,9 +37,9 @@ def parameters_of(
         for name, value in list(zip(PLACEMENT_PARAMETERS[which], (*start, 0.0, 0.0, 0.0), strict=True))[:count]:
             yield _length_or_angle(arm, name, which, "rad" if "_r" in name else "m", float(value))
     for target in arm.targets:
-        held = "" if arm.tool.unknown != "none" else "given as known in the robot file"
+        fixed_reason = "" if arm.tool.unknown != "none" else "given as known in the robot file"
         for name, value in zip(target.parameters, target.point, strict=True):
-            yield _length_or_angle(arm, name, "tool", "m", float(value), held)
+            yield _length_or_angle(arm, name, "tool", "m", float(value), fixed_reason)
     given = tuple(effects)
     # Base and tool of further sessions precede the rows, like those of the first session.
     sessions = tuple(e for e in given if isinstance(e, Session))
@@ -67,15 +67,15 @@ def _of_effects(arm: Arm, effects: Iterable[Effect], values: Mapping[str, float]
             yield replace(p, value=values.get(p.name, p.value), guess=guess)
 
 
-def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, held: str = "") -> Parameter:
+def _length_or_angle(arm: Arm, name: str, group: str, unit: str, value: float, fixed_reason: str = "") -> Parameter:
     """Return a length or angle parameter with bounds and prior of its group.
 
-    unit : "m" or "rad"; value : nominal [m or rad]; held : why it is fixed, empty if it is not
+    unit : "m" or "rad"; value : nominal [m or rad]; fixed_reason : why it is fixed, empty if it is not
     """
     width = arm.widths[group]
     bound = width.length_bound if unit == "m" else width.angle_bound
     prior = width.length_prior if unit == "m" else width.angle_prior
-    return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, held)
+    return Parameter(name, group, unit, value, 1e-3, value - bound, value + bound, prior, fixed_reason)
 
 
 def _row_parameters(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
@@ -88,12 +88,12 @@ def _row_parameters(arm: Arm, i: int, joint: Joint) -> Iterable[Parameter]:
         yield _length_or_angle(arm, f"beta{i - 1}", group, "rad", joint.beta)
     if joint.b is not None:
         yield _length_or_angle(arm, f"b{i - 1}", group, "m", joint.b)
-    held = ""
+    fixed_reason = ""
     if _parallel_axes(arm, i):
-        held = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
+        fixed_reason = f"axes {i} and {i + 1} are nearly parallel: d{i} moves the tool as d{i + 1} does"
     elif i > 1 and arm.base.unknown != "none" and all(_parallel_axes(arm, k) for k in range(1, i)):
-        held = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
-    yield _length_or_angle(arm, f"d{i}", group, "m", joint.d, held)
+        fixed_reason = f"axes 1 to {i} are nearly parallel: d{i} moves the tool as the base does"
+    yield _length_or_angle(arm, f"d{i}", group, "m", joint.d, fixed_reason)
     yield _length_or_angle(arm, f"theta{i}", group, "rad", joint.theta)
 
 
@@ -120,8 +120,8 @@ def _loop_parameters(arm: Arm, k: int, loop: FourBar) -> Iterable[Parameter]:
     )
     scale = f"only the difference {names['crank']} - {names['rocker']} turns the driven link of a parallelogram"
     for bar, name in names.items():
-        held = scale if bar == "rocker" and parallelogram else ""
-        yield _length_or_angle(arm, name, "loop", "m", getattr(loop, bar), held)
+        fixed_reason = scale if bar == "rocker" and parallelogram else ""
+        yield _length_or_angle(arm, name, "loop", "m", getattr(loop, bar), fixed_reason)
 
 
 def _compliance_parameter(arm: Arm, i: int, value: float) -> Parameter:

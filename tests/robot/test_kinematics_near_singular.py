@@ -63,7 +63,9 @@ def test_jacobian_of_nearly_parallel_rows_is_bounded_and_exact(twists, seed):
     arm = Robot("near", tuple(rows), tool=Placement(shift(0.1, 0.2, 0.3), "position"))
     names = arm.parameters.names
     assert [f"beta{i}" in names for i in range(1, arm.n)] == [True] * len(twists) + [False]
-    assert [bool(arm.parameters[f"d{i}"].held) for i in range(1, arm.n + 1)] == [True] * len(twists) + [False] * 2
+    assert [bool(arm.parameters[f"d{i}"].fixed_reason) for i in range(1, arm.n + 1)] == [True] * len(twists) + [
+        False
+    ] * 2
     agree(arm, rng.uniform(-3, 3, arm.n))
 
 
