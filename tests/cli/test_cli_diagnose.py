@@ -62,7 +62,7 @@ def test_isolability_needs_no_positions(tmp_path: Path) -> None:
     pd.read_csv(P03).drop(columns=["x_mm", "y_mm", "z_mm"]).to_csv(planned, index=False)
     done = run("plan", PROBLEM, planned, "--isolability", "--for", FEW, "--json", tmp_path / "design.json", width=40)
     assert done.returncode == 0, done.stderr
-    assert "; absorbed: the share that the base model takes up; " in done.stdout  # no line is broken
+    assert "; absorbed: the share that the base model absorbs; " in done.stdout  # no line is broken
     for part in ("absorbed", "looks like", "joint_scale@5", "hose_drag", "60 poses"):
         assert part in done.stdout
     assert "WHICH" not in done.stdout

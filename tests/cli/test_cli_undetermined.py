@@ -70,8 +70,8 @@ def problem(folder: Path, made: Callable[[Path], list[str]]) -> Path:
 
 
 CASES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
-    "known places in a line": (lambda f: wires(f, LINE, True), "distances to one place beside that line show it"),
-    "unknown places in a line": (lambda f: wires(f, LINE, False), "distances to one place beside that line show it"),
+    "known places in a line": (lambda f: wires(f, LINE, True), "distances to one place off that line show it"),
+    "unknown places in a line": (lambda f: wires(f, LINE, False), "distances to one place off that line show it"),
     "one wire": (lambda f: wires(f, LINE[:1], False), "distances to a second and a third place, not in line with it"),
     "sockets": (sockets, "one distance between two of them gives it ([[measurements.separation]])"),
     "sessions": (sessions, "shares no pose with 'May'; some poses of 'May' measured again would"),

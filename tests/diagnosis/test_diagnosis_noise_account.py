@@ -88,7 +88,7 @@ def test_a_data_sheet_tells_structure_from_noise() -> None:
     [
         (10, Rule.SHEET, "no larger than the data sheet allows"),
         (2, Rule.SHEET, "no larger than the data sheet allows"),
-        (0.5, Rule.FIT, "more than the data sheet allows, and in every way like noise"),
+        (0.5, Rule.FIT, "more than the data sheet allows, but like noise in every way"),
     ],
 )
 def test_a_data_sheet_is_an_upper_end_and_may_be_wrong(times: float, rule: Rule, said: str) -> None:

@@ -265,12 +265,12 @@ def test_so_few_poses_do_not_tell_the_noise_beside_a_prior(known) -> None:
     unsure = identify(robot, positions(robot, few, 0, SIGMA), prior=prior)
     assert unsure.noise_is_assumed
     assert unsure.sigmas[0][0] > 0.5 * SIGMA  # not what little the prior leaves
-    assert "an upper end: so few poses do not tell it beside the prior" in str(fit_quality(unsure))
+    assert "an upper bound: so few poses do not determine it beyond the prior" in str(fit_quality(unsure))
     declared = identify(robot, replace(positions(robot, few, 0, SIGMA), sigma=SIGMA), prior=prior)
     plenty = identify(robot, positions(robot, many, 0, SIGMA), prior=prior)
     for result in (declared, plenty):
         assert not result.noise_is_assumed
-        assert "an upper end" not in str(fit_quality(result))
+        assert "an upper bound" not in str(fit_quality(result))
     assert plenty.sigmas[0][0] == pytest.approx(SIGMA, rel=0.25)
 
 
