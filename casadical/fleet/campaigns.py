@@ -17,10 +17,12 @@ import numpy as np
 
 from casadical.core.basics import CasadicalError, InputError, Show, shown, silent
 from casadical.core.reading import missing, read_bytes
+from casadical.core.telling.result import plain_text
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file
 from casadical.identification.prior import refuse_another
+from casadical.project.acceptance.verification import promised_rms, verify
 from casadical.project.problem import read_campaign, read_campaign_robot, read_problem, tool_as_measured
 from casadical.project.problem_file import own_tables, result_in
 from casadical.project.targets import with_targets_of_rows
@@ -76,7 +78,7 @@ def compare_files(
     usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
-        raise errors[0][1]
+        raise _with_what_few_poses_tell(*errors[0], known)
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(usable) < 2:
         where = (
@@ -93,6 +95,22 @@ def compare_files(
     last = path_of[ordered[-1].label]
     own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()
     return replace(compared, name=name_of(files, begun or robot), sources=own)
+
+
+def _with_what_few_poses_tell(path: Path, error: CasadicalError, robot: str | Path | None) -> CasadicalError:
+    """Return the error of a table that is too small to be compared, with what it can tell.
+
+    robot : problem folder or robot file by which the table is understood
+    """
+    if robot is None or Path(robot).suffix != ".toml" or "numbers were measured" not in str(error):
+        return error
+    with suppress(CasadicalError):
+        found = verify(robot, [path])
+        return InputError(
+            f"{shown(path)}: too few poses to tell what changed; they tell how accurate the robot is "
+            f"(casadical verify {shown(robot)} {shown(path)}): {plain_text(found.blocks()[:1]).strip()}"
+        )
+    return error
 
 
 def _understood_by(files: Sequence[Path]) -> Path | None:
@@ -172,7 +190,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
     label, day = path.name.removesuffix(".robot.toml").removesuffix(".csv"), day_of(path)
     if path.suffix == ".toml":
         label = path.parent.name if label in ("KM", "SKCM", "diagnosed", "discovered") else label
-        return estimate_of_file(read_robot(path), label or path.name, day)
+        return _estimate_of_file(path, label or path.name, day)
     if (path / "problem.toml").exists():
         problem = read_problem(path, campaign=True)
         if fault := problem.unnamed_targets:
@@ -181,7 +199,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
         day = day_of(problem.folder.resolve()) if own is None else own
         return estimate((problem.robot, [m for _, m in problem.parts()]), label, day)
     if path.is_dir():
-        return estimate_of_file(read_robot(result_in(path)), label, day)
+        return _estimate_of_file(result_in(path), label, day)
     if robot is None:
         raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
     arm = read_campaign_robot(robot)
@@ -191,6 +209,15 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
     arm, sets, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
     estimated = estimate((arm, sets), label, day)
     return replace(estimated, notes=(*estimated.notes, *notes))
+
+
+def _estimate_of_file(path: Path, label: str, day: float | None) -> Estimate:
+    """Return the estimate of a robot file, with the error of held-out poses that is beside it."""
+    found = estimate_of_file(read_robot(path), label, day)
+    with suppress(InputError):
+        rms, poses = promised_rms(path)
+        return replace(found, held_out=(float(rms / np.sqrt(3)), poses or found.poses // 3))
+    return found
 
 
 def other_regions(campaigns: Sequence[Estimate]) -> list[str]:

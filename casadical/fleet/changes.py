@@ -14,7 +14,7 @@ from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Wor
 from casadical.core.telling.figure import Axis, Figure, Series, Span
 from casadical.core.telling.plain import WRITTEN, Key, plain, written
 from casadical.core.telling.result import Result
-from casadical.fleet.estimates import Estimate
+from casadical.fleet.estimates import MIN_FREEDOM, Estimate
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
 
@@ -201,8 +201,7 @@ class Comparison(Result):
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {no_known_cause}")
             elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(left)):
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {no_known_cause}")
-            # Smallest number of degrees of freedom with which a campaign determines its own noise.
-            elif freedom < 6 and not others:
+            elif freedom < MIN_FREEDOM and not others:
                 said.append(
                     f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem "
                     "folder of the calibration, or measure more poses"

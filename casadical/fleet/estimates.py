@@ -58,6 +58,8 @@ class Estimate(Shown):
     fit : fit by which noise is pooled over campaigns; None for a robot file, and for more than
         1000 poses
     freedom : degrees of freedom of sigma; None for a robot file
+    held_out : of a robot file, the standard deviation of a coordinate of the held-out poses [m] and
+        their number; None where it is not known, and for measurements
     """
 
     line: ClassVar[str] = (
@@ -80,6 +82,7 @@ class Estimate(Shown):
     readings: Array | None = None
     fit: WideFit | None = None
     freedom: float | None = None
+    held_out: tuple[float, int] | None = None
 
     @property
     def date(self) -> str:
@@ -260,22 +263,52 @@ def readings_of(robot: Robot, n: int) -> Array:
 # Largest ratio of the residual sigmas of two campaigns that may have been measured by one
 # instrument; an F test decides whether it is exceeded.
 MAX_SIGMA_RATIO = 3.0
+# Smallest number of degrees of freedom with which a campaign determines its own noise.
+MIN_FREEDOM = 6
 
 
 def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
     """Return the campaigns with noise and prior spreads pooled over those of one instrument.
 
     Campaigns of one instrument are recognised by their residuals. Estimates without a fit, as of
-    robot files, are returned unchanged.
+    robot files, are returned unchanged. A single campaign that is too small to determine its own
+    noise has it from the held-out poses of a robot file, too.
     """
     estimates = list(campaigns)
     left = [k for k, c in enumerate(campaigns) if c.fit is not None]
+    if len(left) == 1:
+        held_out = next((c.held_out for c in campaigns if c.held_out), None)
+        estimates[left[0]] = _with_noise_of_file(campaigns[left[0]], held_out)
+        return estimates
     while left:
         group = [k for k in left if _may_share_instrument(campaigns[left[0]], campaigns[k])]
         left = [k for k in left if k not in group]
         for k, own in zip(group, _with_pooled_noise([campaigns[k] for k in group]), strict=True):
             estimates[k] = own
     return estimates
+
+
+def _with_noise_of_file(c: Estimate, held_out: tuple[float, int] | None) -> Estimate:
+    """Return a campaign with its noise pooled with that of a robot file, if it cannot tell its own.
+
+    held_out : standard deviation of a coordinate of the file's held-out poses [m], and their number
+    """
+    sigma, freedom = c.sigma or 0.0, c.freedom or 0.0
+    # A campaign of six degrees of freedom or more determines its own noise; a much larger noise is
+    # that of another instrument, or of an error that the robot file lacks.
+    if held_out is None or freedom >= MIN_FREEDOM or sigma > MAX_SIGMA_RATIO * held_out[0]:
+        return c
+    more = 3.0 * held_out[1]
+    pooled = np.average(np.array([sigma, held_out[0]]) ** 2, weights=[freedom, more])
+    ratio = sigma**2 / float(pooled)
+    note = f"too few poses for its own noise: that of the calibration, {1e3 * held_out[0]:.2g} mm per coordinate"
+    return replace(
+        c,
+        information=ratio * c.information,
+        score=ratio * c.score,
+        freedom=freedom + more,
+        notes=(*c.notes, note),
+    )
 
 
 def _may_share_instrument(a: Estimate, b: Estimate) -> bool:
