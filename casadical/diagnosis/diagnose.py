@@ -8,15 +8,17 @@ from typing import Literal
 import numpy as np
 
 from casadical.core.basics import InputError, Show, silent
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
 from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
+from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
 from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
-from casadical.diagnosis.noise_forms import noisy_joint
+from casadical.diagnosis.noise_forms import likely_lag, noisy_joint
 from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
@@ -166,6 +168,8 @@ class _Question:
         case = replace(case, assumed=_assumed(case, self.base, self.prepared.sets))
         state, end, p_nothing = search_with_forms(case, self.seed, self.bootstrap, self.show)
         found = conclude(self.base, state, end, self.seed, p_nothing)
+        if share := likely_lag(found.case, found.rankings[-1], found.columns):
+            return self.lagging(case, share)
         joint = noisy_joint(case, found.rankings[-1]) if found.verdict == "unknown" else None
         if joint is None:
             return found
@@ -177,6 +181,24 @@ class _Question:
         plain = replace(plain, rankings=plain.rankings[: len(plain.steps)]).ranked()
         more = conclude(self.base, plain, next_cause(plain, plain.rankings[-1])[0], self.seed, p_nothing)
         return more if more.verdict == "unknown" and len(more.effects()) > len(found.effects()) else found
+
+    def lagging(self, case: Case, share: float) -> Diagnosis:
+        """Return the diagnosis of a case with a random lag of the readings in its noise.
+
+        share : of `LAG_SHARES`
+        """
+        self.show("causes given readings that lag behind the last motion")
+        case = case.with_lag(share)
+        # Poses that a great lag displaced are no outliers.
+        noise = likely_noise(case.evidence.log_base(), case.whole.sigmas)
+        _, distance = errors_and_distances(case.whole, NO_COLUMNS, noise, case.inliers)
+        found = self.searched(case.screened(distance < SETTINGS.outlier_distance))
+        lag = f"{1e3 * share * found.noise.repeatability:.2g} mrad per rad"
+        said = (
+            f"{case.m.source}: the readings of each pose lag behind its last motion by a random share of it, {lag} "
+            "(one sigma), which is taken as noise; give the commanded angles, or wait until the joints have settled"
+        )
+        return replace(found, case=replace(found.case, assumed=(*found.case.assumed, said)))
 
     def answer(self) -> Diagnosis:
         """Return the diagnosis; the search is repeated if the noise differs from that assumed.

@@ -159,6 +159,29 @@ class Case:
         own = np.where(np.arange(self.whole.Jq.shape[2]) == joint - 1, times, 1.0)
         return replace(self, whole=replace(self.whole, Jq=self.whole.Jq * own))
 
+    @cached_property
+    def lags(self) -> Array | None:
+        """Return the displacement of each pose by its last motion, shape (n, numbers) [m].
+
+        Readings that lag behind the joints displace a pose by a random share of it. None if the
+        order of the poses is unknown, if a row depends on two poses, and if the lag is in the noise
+        already.
+        """
+        m, missing = derive(self.m, names := [f"move{j}" for j in self.robot.numbers])
+        if missing or not self.one_end or self.whole.Jq.shape[2] > self.robot.n:
+            return None
+        return np.einsum("nij,nj->ni", self.whole.Jq, np.column_stack([m.conditions[name] for name in names]))
+
+    def with_lag(self, share: float) -> Case:
+        """Return the case with a random lag of each pose along its last motion in its noise.
+
+        share : standard deviation of the lag, as a share of the motion, by that of the joints'
+            repeatability [1/rad]
+        """
+        assert self.lags is not None
+        Jq = np.concatenate([self.whole.Jq, share * self.lags[:, :, None]], axis=2)
+        return replace(self, whole=replace(self.whole, Jq=Jq))
+
     def _with_evidence(self, known: Evidence) -> Case:
         """Store `known` as the linear model of the inlier poses, and return the case itself."""
         self.selected[:] = [known]

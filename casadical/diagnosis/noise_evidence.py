@@ -25,6 +25,8 @@ class Form:
     ar_coefficient : AR(1) coefficient: correlation of a pose's noise with that of the previous pose
     joint : index (0-based) of a joint with larger repeatability error, or None
     repeatability_factor : its repeatability error divided by that of the other joints
+    lags : displacement of each pose per unit of the joints' repeatability along its last motion, in
+        the order of measuring, shape (n, numbers); None for none
     scale : factor on the noise of each pose, in the order of measuring, shape (n,), or on the
         instrument's noise of each number, shape (n, 3); None for ones
     log_weight : term that is added to the log likelihood: log prior of the form and log determinant
@@ -34,6 +36,7 @@ class Form:
     ar_coefficient: float = 0.0
     joint: int | None = None
     repeatability_factor: float = 1.0
+    lags: Array | None = None
     scale: Array | None = None
     log_weight: float = 0.0
 
@@ -52,6 +55,8 @@ class Form:
         if self.ar_coefficient:
             both = np.sqrt((1 + self.ar_coefficient**2) / (1 - self.ar_coefficient**2))
             return np.asarray(Jq * np.append(1.0, np.full(len(Jq) - 1, both))[:, None, None])
+        if self.lags is not None:
+            return np.concatenate([Jq, self.lags[:, :, None]], axis=2)
         if self.scale is not None and self.scale.ndim == 2:
             return np.asarray(Jq / self.scale[:, :, None])
         return (

@@ -28,6 +28,10 @@ from casadical.measurements.measurements import Noise
 AR_NOISE = "autocorrelated noise"
 # Label of heavy-tailed noise of the instrument in rankings and reports.
 HEAVY_TAILS = "noise with heavy tails"
+# Label of readings that lag behind the joints, by a random share of each pose's last motion.
+RANDOM_LAG = "readings that lag behind the last motion"
+# Shares of the motion by which readings lag, in units of the joints' repeatability [1/rad].
+LAG_SHARES = (5.0, 20.0, 80.0)
 # Label of noise of the instrument that is larger along some axes of its frame than along others.
 UNEQUAL_AXES = "noise that is unequal along x, y and z"
 
@@ -92,14 +96,14 @@ def noisy_joint_label(joint: int) -> str:
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:
     """Return each form of noise as a rival, with its log evidence over white noise.
 
-    The evidence is averaged over the form's settings; each of the four kinds has a quarter of the
+    The evidence is averaged over the form's settings; each of the five kinds has a fifth of the
     prior.
     chosen : indices of the columns of causes in the model
     of_instrument : whether autocorrelated and heavy-tailed noise of the instrument is included
     """
     e = case.evidence
     problem = Problem(e, chosen, case.order)
-    plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(e.Jq.shape[2])
+    plain, joints = float(np.logaddexp.reduce(e.log_base(chosen), axis=None)), range(case.robot.n)
     kinds: list[tuple[str, Sequence[Form], int]] = []
     if of_instrument:
         numbers = e.count / len(e.r)
@@ -107,6 +111,8 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
         kinds += [(HEAVY_TAILS, [tails], 1) for tails in (heavy_tailed_form(problem),) if tails]
     if case.vectors is not None and (axes := unequal_form(problem)):
         kinds.append((UNEQUAL_AXES, [axes], 1))
+    if case.lags is not None:
+        kinds.append((RANDOM_LAG, lag_forms(case), 1))
     kinds += [
         (noisy_joint_label(j + 1), [Form(joint=j, repeatability_factor=SETTINGS.noisy_joint_factor)], len(joints))
         for j in joints
@@ -121,13 +127,31 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             # Likelihood falls with the coefficient from here on.
             if logs[-1] < max(plain, logs.max()) - POINT_LOG_EVIDENCE_WINDOW:
                 break
-        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 4) - plain
+        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 5) - plain
         best = first_of_best(logs, logs=True)
         noise, times = likely_noise(grids[best], e.sigmas), forms[best].scale
         if times is not None and times.ndim == 2:  # the mean over the axes
             noise = replace(noise, sigma=noise.sigma * float(np.sqrt((times**2).mean())))
         rivals.append(Rival(label, float(factor), noise))
     return rivals
+
+
+def lag_forms(case: Case) -> list[Form]:
+    """Return the forms of a random lag along the last motion, by `LAG_SHARES`; [] without motions."""
+    lags = None if case.lags is None else case.lags[case.inliers][case.order]
+    return [] if lags is None else [Form(lags=share * lags) for share in LAG_SHARES]
+
+
+def likely_lag(case: Case, ranking: Ranking, chosen: Array) -> float | None:
+    """Return the share of `LAG_SHARES` of a random lag, if it is a ranking's most probable cause.
+
+    chosen : indices of the columns of causes in the model
+    """
+    if ranking.order[0] != RANDOM_LAG or ranking.none > SETTINGS.max_p_nothing_further:
+        return None
+    problem = Problem(case.evidence, chosen, case.order)
+    logs = [float(np.logaddexp.reduce(problem.log_likelihood(form), axis=None)) for form in lag_forms(case)]
+    return LAG_SHARES[first_of_best(logs, logs=True)]
 
 
 def ar_form(ar_coefficient: float, poses: int, numbers: float = 3.0) -> Form:

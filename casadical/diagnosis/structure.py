@@ -112,7 +112,10 @@ def joint_of_outliers(case: Case, columns: Array, noise: Noise) -> int | None:
     out = ~case.inliers
     if out.sum() < 2 or case.vectors is None:
         return None
-    residuals, motions = residual_of_fit_without(case.whole, columns, noise, out)[out, :3], case.whole.Jq[out, :3]
+    residuals, motions = (
+        residual_of_fit_without(case.whole, columns, noise, out)[out, :3],
+        case.whole.Jq[out, :3, : case.robot.n],
+    )
     lengths = np.linalg.norm(residuals, axis=1)[:, None] * np.linalg.norm(motions, axis=1)
     cosine = np.abs(np.einsum("ki,kij->kj", residuals, motions)) / np.maximum(lengths, 1e-300)
     total = -np.log(np.clip(1 - cosine, 1e-300, 1.0)).sum(axis=0)
@@ -391,8 +394,8 @@ class _WhitenedResidual:
         """Yield the name and the vectors at the poses, shape (n, numbers), of each direction."""
         for name, axes in self._frames.items():
             yield from zip(name.split(", "), axes.transpose(2, 0, 1), strict=True)
-        for j in range(self.e.Jq.shape[2]):
-            yield f"joint {j + 1}", self.e.Jq[:, :, j]
+        for j in self.case.robot.numbers:
+            yield f"joint {j}", self.e.Jq[:, :, j - 1]
 
     @cached_property
     def _frames(self) -> Mapping[str, Array]:

@@ -1,5 +1,6 @@
 """Autocorrelated noise, has heavy tails, or comes from one joint: evidence by brute force, and campaigns."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,6 +25,7 @@ from casadical.diagnosis.noise_forms import (
 )
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.text import page_of
+from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import Measurements
 
 NONE = np.zeros(0, dtype=np.int64)
@@ -226,3 +228,21 @@ def test_a_curve_of_many_harmonics_does_not_take_what_is_a_line_and_such_noise()
     d = diagnose(robot("ur10e"), path(1e-4), ["transmission_ripple", "joint_error_curve"])
     assert [c.label for c in d.causes] == ["transmission_ripple@2"]
     assert d.case.form.ar_coefficient == pytest.approx(0.75, abs=0.2)
+
+
+@pytest.mark.parametrize("lag", [8e-4, 0.0])
+def test_readings_that_lag_by_one_random_size_a_stop_are_noise_along_the_last_move(lag: float) -> None:
+    """The model that is identified from them is right at the true angles, which no reading had."""
+    r, rng = robot("ur10e"), np.random.default_rng(3)
+    q = np.array([0, -1.6, 0, 0, 0, 0]) + np.array([2.3, 1.2, 2.3, 2.3, 2.3, 2.3]) * rng.uniform(-1, 1, (150, 6))
+    read = q + lag * rng.standard_normal((150, 1)) * np.diff(q, axis=0, prepend=q[:1])
+    true = r.with_values({"theta2": r.parameters["theta2"].value + 1e-3, "a3": r.parameters["a3"].value + 5e-4})
+    p, _ = predicted(true, Measurements(q, "position", position=np.zeros((150, 3))))
+    position = p + rng.normal(0, 2e-5, p.shape)
+    found = diagnose(r, Measurements(read, "position", position=position), ["backlash", "settling_lag"])
+    said = [text for text in found.case.assumed if "lag behind its last motion" in text]
+    assert (len(said), len(found.causes)) == (lag > 0, 0)
+    at_true_angles, _ = predicted(found.apply(), Measurements(q, "position", position=p))
+    assert np.linalg.norm(at_true_angles - p, axis=1).mean() < 3e-5
+    for text in said:
+        assert float(re.search(r"it, ([\d.]+) mrad per rad", text)[1]) == pytest.approx(1e3 * lag, rel=0.2)  # type: ignore[index]
