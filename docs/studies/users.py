@@ -337,7 +337,7 @@ def tried(number: int) -> tuple[str, bool, list[str], float]:
         calibrated = read_robot(folder / "results" / f"{_method(folder)}.robot.toml")
         error = _true_error(folder, user, calibrated, truth)
     words = " ".join(said.split())
-    promised = re.findall(r"without them the mean is ([\d.]+) mm", words) or re.findall(r"to ([\d.]+) mm with", words)
+    promised = re.findall(r"(?:to|is) ([\d.]+) mm with", words)
     if promised and user.instrument != "wires":
         read = float(np.hypot(error, user.noise * np.sqrt(3)))  # the promise is of what the instrument reads
         ratio = read / (1e-3 * float(promised[-1]))

@@ -1,6 +1,7 @@
 """How a controller counts its joints (`readings` of a robot file) holds in every command."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -8,12 +9,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import tomlkit
-from command_line import main, own_planar
+from command_line import ROOT, main, own_planar
 
 from casadical import calibrate, read_problem, read_robot, read_urdf, write_robot
+from casadical.core.parts import Coupling, Placement
+from casadical.export.controller.inverse import Postures
+from casadical.export.controller.programs.target import Posture
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.measurements.logs.reading import read_log
-from casadical.project.problem import read_campaign_robot
+from casadical.project.problem import read_campaign_robot, read_problem_robot
 from casadical.robot.robot_file import to_toml
 from casadical.robot.urdf import new_urdf
 
@@ -107,6 +111,27 @@ def test_a_plan_is_in_readings_and_the_file_keeps_them(tmp_path, monkeypatch):
     )
     nominal = planned[["nominal_x_mm", "nominal_y_mm", "nominal_z_mm"]].to_numpy()[0]
     assert 1e3 * np.array(model).ravel() == pytest.approx(nominal, abs=1e-3)
+
+
+def test_a_configuration_is_that_of_the_controllers_readings() -> None:
+    """Axes 1 and 5 are reversed: the sign of axis 5 is the controller's, where the arm stands is not changed."""
+    plain = replace(read_problem_robot(ROOT / "problems" / "kr210").rigid, tool=Placement(np.eye(4)))
+    reversed_ = [i in (0, 4) for i in range(6)]
+    joints = zip(plain.joints, reversed_, strict=True)
+    turned = replace(
+        plain,
+        joints=tuple(replace(j, readings=Coupling(((i, -1.0),))) if r else j for i, (j, r) in enumerate(joints, 1)),
+    )
+    q = np.random.default_rng(0).uniform(*plain.limits, (50, 6))
+    J = q * np.where(reversed_, -1, 1)
+    before, after = (Postures(robot, np.eye(4)).sides(at) for robot, at in ((plain, q), (turned, J)))
+    assert (after[:, :2] == before[:, :2]).all()
+    assert (after[:, 2] == (J[:, 4] < 0)).all()
+    T = np.eye(4)
+    p, T[:3, :3] = plain.pose(q[0], plain.parameters.values)
+    T[:3, 3] = np.array(p).ravel()
+    found = Postures(turned, np.eye(4)).solutions(T, Posture(*after[0].tolist()), lambda _: (), ())
+    assert np.abs(found - J[0]).max(axis=1).min() < 1e-6
 
 
 PALLETISER = """<robot name="p"><link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/>

@@ -346,7 +346,10 @@ class Postures:
         return [q for q, fine in zip(turned, np.all(fits, axis=1).tolist(), strict=True) if fine]
 
     def _with_turns(self, q: Array, turns: Turns, wanted: tuple[int, ...]) -> list[Array]:
-        """Return all joints q with whole turns added that are within limits and count as `wanted`.
+        """Return joints q with whole turns added that are within limits and count as `wanted`, or [].
+
+        Of several, which differ by whole turns of joints that are not counted, it is the one nearest
+        to zero: no arm has them where its range is less than a turn, as a file without limits says.
 
         q : shape (n,) [rad]; turns, wanted : as of `solutions`
         """
@@ -361,7 +364,7 @@ class Postures:
             counts = zip(turns(q - 1e-4), turns(q), turns(q + 1e-4), strict=True)
             return all(turn in count for turn, count in zip(wanted, counts, strict=True))
 
-        return [c for c in map(np.array, product(*choices)) if fits(c)]
+        return sorted(filter(fits, map(np.array, product(*choices))), key=lambda c: float(np.abs(c).sum()))[:1]
 
 
 def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:
