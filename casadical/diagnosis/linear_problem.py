@@ -170,7 +170,8 @@ class Case:
         m, missing = derive(self.m, names := [f"move{j}" for j in self.robot.numbers])
         if missing or not self.one_end or self.whole.Jq.shape[2] > self.robot.n:
             return None
-        return np.asarray(np.einsum("nij,nj->ni", self.whole.Jq, np.column_stack([m.conditions[name] for name in names]))
+        behind = np.column_stack([m.conditions[name] for name in names])
+        return np.asarray(np.einsum("nij,nj->ni", self.whole.Jq, behind))
 
     def with_lag(self, share: float) -> Case:
         """Return the case with a random lag of each pose along its last motion in its noise.
