@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from casadical.core.basics import InputError, Show, silent
+from casadical.identification.accuracy import errors
 from casadical.identification.identification import (
     METHODS,
+    calibrate_base_model,
     lacks_declared_compliance,
+    prepare,
     with_all_joints_compliant,
     with_method,
 )
@@ -205,9 +208,29 @@ def _data_findings(
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
             findings += far_rows(robot, table or m)
+            findings += _reading_findings(robot, m)
         known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
         findings += data_findings(robot, m, table or m, known_readings=known_readings)
     return findings, single
+
+
+def _reading_findings(robot: Robot, m: Measurements) -> list[Finding]:
+    """Return a finding on each second set of joint readings in a table, by what it leaves.
+
+    Angles that a controller reads back may lag behind the joints, and commanded ones may not be
+    reached: those are better that the calibrated robot explains better.
+    """
+    findings = []
+    for name, other in facts.other_readings(robot, m):
+        q1, first = next(iter(robot.reading_units)), f"{m.source}: columns {name!r} and on are readings, too"
+        left = [float(np.median(errors(calibrate_base_model(prepare(robot, [by])).robot, by))) for by in (m, other)]
+        figures = f"calibrated by them {1e3 * left[1]:.3g} mm are left (median), by {q1} and on {1e3 * left[0]:.3g} mm"
+        if left[1] < left[0]:
+            line = f'columns = {{ {q1} = "{name}", ... }} for every joint'
+            findings.append(Finding("warning", "readings", f"{first}: {figures}; take them: {line}, in problem.toml"))
+        else:
+            findings.append(Finding("note", "readings", f"{first}: {figures}, which are taken"))
+    return findings
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:

@@ -5,6 +5,7 @@ are tried one by one (see `slips`), and one that explains the data far better is
 that of joint ranges and repeated readings, with the margin of four-bars.
 """
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -106,6 +107,31 @@ def other_conventions(path: Path) -> list[Robot]:
 def convention_of(path: Path) -> str:
     """Return a robot file's DH convention, modified for a URDF. Raises InputError."""
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
+
+
+def other_readings(robot: Robot, m: Measurements) -> list[tuple[str, Measurements]]:
+    """Return each second set of joint readings in a table: its first column, and the poses by it.
+
+    They are logged columns that are numbered like the joints and close to the readings, as angles
+    that were commanded beside those that the controller read back.
+    """
+    groups: dict[str, dict[int, str]] = {}
+    for name in m.conditions:
+        numbers = re.findall(r"\d+", name)
+        if len(numbers) == 1:
+            groups.setdefault(re.sub(r"\d+", "#", name), {})[int(numbers[0])] = name
+    found = []
+    for columns in groups.values():
+        if sorted(columns) != [*robot.numbers]:
+            continue
+        given = np.column_stack([m.conditions[columns[j]] for j in robot.numbers])
+        for factor in (np.pi / 180, 1.0, 1e-3):
+            off = np.abs(factor * given - m.q)
+            # Two sets of readings of one pose differ by less than a degree or a centimetre.
+            if off.max() > 0 and np.quantile(off, 0.9) < 0.01:
+                found.append((columns[1], replace(m, q=factor * given)))
+                break
+    return found
 
 
 @dataclass(frozen=True)

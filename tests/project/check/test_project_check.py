@@ -316,3 +316,21 @@ def test_no_accuracy_is_promised_from_too_few_numbers() -> None:
     told = replace(found, outlooks=(view, few, none)).to_json()["methods"]
     assert told["KM"]["expected_accuracy_mm"] == pytest.approx(1e3 * view.accuracy)
     assert told["few"]["expected_accuracy_mm"] is told["none"]["expected_accuracy_mm"] is None
+
+
+@pytest.mark.parametrize("lags", ["q{}_meas_deg", "q{}_cmd_deg"])
+def test_two_sets_of_readings_side_by_side_are_compared_and_the_worse_is_never_taken_in_silence(
+    tmp_path: Path, lags: str
+) -> None:
+    """The measured angles are taken by their heading; the set that lags by 0.1 % of each move explains less."""
+    shutil.copytree(ROOT / "problems" / "planar", made := tmp_path / "problems" / "planar")
+    table, rng = pd.read_csv(ROOT / "data" / "planar" / "planar.csv"), np.random.default_rng(0)
+    for j in (1, 2):
+        q = table.pop(f"q{j}_deg")
+        table[f"q{j}_meas_deg"] = table[f"q{j}_cmd_deg"] = q
+        table[lags.format(j)] = q + 1e-3 * rng.standard_normal(len(q)) * q.diff().fillna(0.0)
+    (tmp_path / "data" / "planar").mkdir(parents=True)
+    table.to_csv(tmp_path / "data" / "planar" / "planar.csv", index=False)
+    told = [f for f in precheck(made).findings if f.topic == "readings"]
+    assert [f.level for f in told] == ["warning" if "meas" in lags else "note"]
+    assert ('q1_deg = "q1_cmd_deg"' in told[0].text) == ("meas" in lags)
