@@ -42,6 +42,7 @@ MODE_OPTIONS = {
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
     "--touches": ("out", "room", "touches", "noise_mm", "seed"),
+    "--camera": ("n", "out", "room", "seed", "json_file"),
 }
 
 
@@ -139,6 +140,13 @@ def plan(
         help="Plan N touches a day instead, that tell most about zeros, tool and foot of a "
         "calibrated robot; written to --out (default: touches.csv).",
     ),
+    camera: bool = Option(
+        False,
+        "--camera",
+        help="Choose stations (default: 25) at which a camera sees its board, from those measured "
+        "so far, and say what 10, 15, 25 and 40 would give; written to --out (default: "
+        "stations.csv).",
+    ),
     seed: o.Seed = 0,
     details: o.Details = False,
     json_file: o.Json = None,
@@ -156,7 +164,7 @@ def plan(
     """
     from casadical.project.planning import circumstances_of, plan_problem
 
-    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches}
+    given = {"--isolability": isolability, "--iso9283": iso9283, "--touches": touches, "--camera": camera}
     o.refuse_of_others(context, next((mode for mode, asked in given.items() if asked), CALIBRATION_MODE), MODE_OPTIONS)
     if isolability:
         _isolability(problem, poses, effects, json_file, quiet)
@@ -166,6 +174,9 @@ def plan(
         return
     if touches:
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
+        return
+    if camera:
+        _camera(problem, n or 25, out or Path("stations.csv"), room, json_file, seed, quiet)
         return
     chosen = partial(
         plan_problem,
@@ -275,6 +286,27 @@ def _touches(
     )
     keep({out: table.to_csv(index=False)}, console)
     suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches")
+
+
+def _camera(
+    problem: Path, n: int, out: Path, room: Path | None, json_file: Path | None, seed: int, quiet: bool
+) -> None:
+    """Choose n stations at which a camera sees its board, and write their table to `out`.
+
+    room : file of a workspace
+    """
+    from casadical.pose_selection.camera_stations import camera_stations
+    from casadical.pose_selection.workspace import read_workspace
+    from casadical.project.calibration import calibrate
+
+    console = wrapped(quiet)
+    with working(quiet, "choosing stations"):
+        found = calibrate(problem).identification
+        workspace = read_workspace(room, found.robot) if room else None
+        planned = camera_stations(found, n, workspace, seed)
+    tell(console, *planned.blocks())
+    keep(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
+    suggest(console, "when the poses of the board stand beside these readings", "calibrate", problem, out)
 
 
 def _isolability(

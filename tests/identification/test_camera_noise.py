@@ -71,9 +71,9 @@ def test_planted_components_growth_and_point_are_found(camera: str) -> None:
     np.testing.assert_allclose(noise.growth, PLANTED.growth, atol=0.5)
 
 
-def seen_by_hand(poses: int) -> tuple[Robot, Measurements, np.ndarray]:
+def seen_by_hand(poses: int, seed: int = 5) -> tuple[Robot, Measurements, np.ndarray]:
     """An arm with a camera in its hand, noisy poses, and its hand-eye transform."""
-    rng, right = np.random.default_rng(5), np.pi / 2
+    rng, right = np.random.default_rng(seed), np.pi / 2
     rows = [(0, 0, 0.1625), (right, 0, 0), (0, -0.425, 0), (0, -0.3922, 0.1333), (right, 0, 0.0997), (-right, 0, 0.1)]
     joints = tuple(Joint(alpha=alpha, a=a, d=d, lower=-2.9, upper=2.9) for alpha, a, d in rows)
     robot = Robot("arm", joints, base=Placement(np.eye(4), "pose"), tool=Placement(np.eye(4), "pose"))
