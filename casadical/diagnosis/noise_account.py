@@ -189,9 +189,9 @@ def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
     if found.rules in (Rule.REPEATS, Rule.DECLARED):
         return ""
     if form:
-        return f"what is taken as noise is more like {form} than independent and alike everywhere"
+        return f"the noise is more like {form} than like independent noise of one size"
     if not found.like_noise:
-        return "what is taken as noise has heavier tails than noise has, or is larger in some directions than in others"
+        return "the noise has heavier tails than Gaussian noise, or its size depends on the direction"
     if lever * found.repeatability > MAX_REPEATABILITY_M:
         return f"joints that repeat to {1e6 * found.repeatability:.3g} urad scatter the tool by more than 0.1 mm"
     if found.declared and found.sigma > found.declared:

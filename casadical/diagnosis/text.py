@@ -83,7 +83,7 @@ def _errors(d: Diagnosis, more: Details | None) -> Table:
     rows += [("before: calibrated, without causes", mm(d.gap.without_outliers))]
     rows += [("after: with the causes in the model", mm(d.gap.after))] if d.effects() else []
     rows += [("noise alone would leave", mm(floor_of(d, more)))]
-    title = f"Mean error on poses held out, of {int(d.case.inliers.sum())}{readings_of(d)} [mm]"
+    title = f"Mean error on {int(d.case.inliers.sum())} held-out poses{readings_of(d)} [mm]"
     return Table(title, ("model", "mean"), rows, frozenset({1}))
 
 
@@ -91,7 +91,7 @@ def _causes(d: Diagnosis) -> Iterator[Table | Words]:
     """Yield the table of the first six causes, and the number of further ones if there are any."""
     rows = [(r.cause.label, f"{r.cause.confidence:.2f}", r.shrinks, r.shown) for r in cause_rows(d)]
     if rows:
-        columns = ("cause", "probability", "error less, 95 %", "what the data show")
+        columns = ("cause", "probability", "reduction, 95 %", "what the data show")
         yield Table("", columns, rows[:6], frozenset({1, 2}))
     if len(rows) > 6:
         yield Words(f"and {len(rows) - 6} more")

@@ -130,7 +130,7 @@ class Discovery(Result):
         if not self.laws:
             why = _why_not(self.rounds[0])
             return f"no law is claimed: {why[0].lower()}{why[1:]}"
-        errors = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on poses held out"
+        errors = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on held-out poses"
         return f"{'; '.join(self.lines)}; {errors} (casadical diagnose --laws --out DIR has it in a robot file)"
 
     def blocks(self) -> list[Block]:
