@@ -201,7 +201,7 @@ def loose_cycles(d: Diagnosis) -> Iterator[tuple[str, float, float, float]]:
     for c in d.causes:
         for e in (e for e in c.effects if isinstance(e, TransmissionRipple)):
             span = float(np.ptp(d.case.m.q[d.case.inliers, (e.joint or 1) - 1]))
-            # Two sines are told apart where their phases part by half a turn over the span.
+            # Two sines are distinguished where their phases part by half a turn over the span.
             if span < np.pi:
                 yield c.label, e.cycles, np.pi / span, float(np.rad2deg(span))
 

@@ -203,7 +203,7 @@ class Comparison(Result):
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {no_known_cause}")
             elif freedom < MIN_FREEDOM and not others:
                 said.append(
-                    f"{c.label} has {c.poses} poses, too few beside a robot file; give the problem "
+                    f"{c.label} has {c.poses} poses, too few to compare with a robot file; give the problem "
                     "folder of the calibration, or measure more poses"
                 )
         return tuple(said)

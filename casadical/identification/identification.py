@@ -430,14 +430,14 @@ def calibrated(
     )
     if by_departure:
         found = problem.cache.once("independent", lambda: independent_parameters(problem)).independent
-        told = [name for name in problem.names if name in found or name in result.names]
+        named = [name for name in problem.names if name in found or name in result.names]
         departure = departure_of(result.problem, solution.v, result.variance, result.names)
         if departure and departure.prior is not None:  # then with the parameters that the free fit left out
-            departure = departure_of(result.problem, solution.v, result.variance, told)
+            departure = departure_of(result.problem, solution.v, result.variance, named)
         result = replace(result, departure=departure)
         if departure and (given := departure.priors(start)):
             result = _with_priors(
-                prepared, result, told, given, weighed=weighed, in_camera=in_camera, progress=progress
+                prepared, result, named, given, weighed=weighed, in_camera=in_camera, progress=progress
             )
     if not robot.effects:
         return result

@@ -131,14 +131,15 @@ def _missing_data(robot: Robot, log: JointLog) -> Iterator[str]:
     if lacks_masses(robot) or robot.masses == "estimated":
         yield (
             f"{robot.name!r} states no masses: estimates from its reach stand in their place, so friction, delay and "
-            "play are told, payload and mass errors are not. Give its URDF with <inertial>, or a body of each [[joint]]"
+            "play are identified, payload and mass errors are not. Give its URDF with "
+            "<inertial>, or a body of each [[joint]]"
         )
     elif bare := [str(i) for i, j in enumerate(robot.joints, 1) if j.body and j.body.inertia is None]:
         yield f"inertias of links {', '.join(bare)} are unknown: usual ones are taken with wide priors"
     if log.torque is None and signed and (robot.drive is None or robot.drive.torque_per_ampere(robot.n) is None):
         yield (
             "currents stand at the motors, and no gear ratio or torque constant is known: friction and its causes are "
-            "told in ampere; masses and the scale of torque are one unknown. Give gear_ratio and "
+            "identified in ampere; masses and the scale of torque are one unknown. Give gear_ratio and "
             "torque_constant_Nm_per_A in [drive], or log one run with a known payload"
         )
     for k, joint in enumerate(robot.joints):
@@ -160,8 +161,9 @@ def _torque_scale_faults(robot: Robot, log: JointLog, states: States) -> Iterato
     ratio = float(np.median(sizes[0][strong] / sizes[1][strong])) if strong.any() else 1.0
     if not 1 / MAX_TORQUE_RATIO < ratio < MAX_TORQUE_RATIO:
         yield (
-            f"torques are {1 / ratio:.2g} times the model's: at the motor's side of the gears, or in another unit, and "
-            "no ratio is known; friction and its causes are told in the log's own unit, payload and masses are not. "
+            f"torques are {1 / ratio:.2g} times the model's: at the motor's side of the gears, "
+            "or in another unit, and no ratio is known; "
+            "friction and its causes are identified in the log's own unit, payload and masses are not. "
             "Multiply the columns by the gear ratio, or log currents and give gear_ratio in [drive]"
         )
 
@@ -194,7 +196,7 @@ def _column_faults(robot: Robot, log: JointLog, states: States) -> Iterator[str]
         if share > 0.2 and words != against.format(name):
             yield (
                 f"{against.format(name)}: its friction would drive it ({100 * share:.0f} % of what it moves by). Turn "
-                "the sign of the column; until then its friction and load are not told"
+                "the sign of the column; until then its friction and load are not identified"
             )
 
 

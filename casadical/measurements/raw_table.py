@@ -242,7 +242,7 @@ def _table_of(path: Path, records: list[table_form.Record], encoding: str, separ
     width = max(len(cells) for _, cells in body) if body else 0
     given = [f"column {k}" for k in range(1, width + 1)] if header is None else header[1]
     names = tuple(name.replace("\ufeff", "").strip() for name in given)  # pandas drops a mark of the byte order, too
-    names = _told_apart(names)
+    names = _made_unique(names)
     _refuse_header(names, path)
     refuse_repeated_names(names, str(path))
     skipped = [r for r in [*comments, *rest[:place]] if r is not header and not (units and r[1] is units[1])]
@@ -348,7 +348,7 @@ def _grouped(lines: Sequence[Sequence[str]], names: Sequence[str]) -> list[str]:
     return [f"{g} {name.strip()}".strip() if name.strip() and g in twice else name for g, name in whole]
 
 
-def _told_apart(names: tuple[str, ...]) -> tuple[str, ...]:
+def _made_unique(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return headings of which three or more occur equally often, the second ones with a "2 " before.
 
     Several targets side by side may all be headed X, Y, Z; other repeated headings stay.

@@ -148,7 +148,7 @@ def noise_declared(path: Path, robot: Robot, places: Places | None) -> float:
     if places is None and kinds and not any("position" in find_kind(kind).arrays for kind in kinds):
         raise InputError(
             f"{path}: its tables are of kind {', '.join(kinds)}, and a plan is for positions "
-            "unless it is told more; give --wires N for N draw wires, --sockets N for touched "
+            "unless more is given; give --wires N for N draw wires, --sockets N for touched "
             "points, or --noise-mm for positions all the same"
         )
     return TRACKER_SIGMA_MM if noise is None else noise

@@ -128,7 +128,7 @@ def test_joints_in_each_others_columns() -> None:
 def test_what_a_robot_file_lacks_is_said_with_what_is_told_all_the_same() -> None:
     log = log_of(ARM, "current")
     (said,) = contradictions(replace(ARM, drive=None), log)
-    assert "no gear ratio or torque constant is known: friction and its causes are told in ampere" in said
+    assert "no gear ratio or torque constant is known: friction and its causes are identified in ampere" in said
     bare = replace(ARM, joints=tuple(replace(joint, body=None) for joint in ARM.joints))
     (said,) = contradictions(bare, log)
     assert "'four' states no masses: estimates from its reach stand in their place, so friction, delay and play" in said

@@ -63,7 +63,7 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
     laws are searched given the causes or the law.
     poses : largest number of poses on which laws are searched, evenly taken from the campaign
     """
-    show("laws beside nothing")
+    show("laws alone")
     case = thinned(found.case, poses)
     cached = found.law if found.law and len(found.law.best.columns) == case.inliers.sum() else None
     first = cached or laws_before_causes(found, poses)
@@ -80,7 +80,7 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
         return _concluded(found, rounds, case, [], (), NO_COLUMNS)
     # Each of at most four rounds adds a law or a cause to the model.
     for _ in range(4):
-        show("laws beside what was found")
+        show("laws given what was found")
         other = better_ar_form(case, columns) if case.observations.plain else None
         if other:
             case = case.with_form(other[0])

@@ -262,10 +262,10 @@ def arbitration_tables(joints: Sequence[str], after: Array, found: Sequence[Arbi
     parameters = []
     for j, joint in enumerate(joints):
         for k, name in enumerate(RATIOS):
-            told = [f"{a.values[j, k]:.3g}{marks[a.verdicts[j][k]]}" if a.verdicts[j][k] else "" for a in found]
+            verdicts = [f"{a.values[j, k]:.3g}{marks[a.verdicts[j][k]]}" if a.verdicts[j][k] else "" for a in found]
             open_ = any(a.verdicts[j][k] == "not determined" for a in found)
             own = "not determined" if open_ else f"{found[0].low[j, k]:.3g} to {found[0].high[j, k]:.3g}"
-            if any(told):
-                parameters.append((joint, name, own, *told))
+            if any(verdicts):
+                parameters.append((joint, name, own, *verdicts))
     columns = ("joint", "parameter", "these logs, 95 %", *(Path(a.source).name for a in found))
     yield Table("What these logs say of each parameter", columns, parameters, frozenset({2}))

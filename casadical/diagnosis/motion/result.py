@@ -259,7 +259,8 @@ def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
     """
     if not compared:
         yield (
-            "Friction of this arm alone has no usual value: that it has grown is told with a healthy log of the same "
+            "Friction of this arm alone has no usual value: that it has grown is recognised "
+            "with a healthy log of the same "
             "arm (--reference LOG)."
         )
     if log.torque is None and (log.current is None or log.current_unsigned):
@@ -274,7 +275,7 @@ def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
         yield "A zero that jumps between runs needs two runs or more in one table (column run)."
     speed = np.abs(np.diff(log.position, axis=0)).max(axis=0) if len(log) > 1 else np.zeros(1)
     if still := [name for name, v in zip(log.joints, speed, strict=True) if not v > 0]:
-        yield f"{', '.join(still)} never moved: of such a joint only the load at rest is told."
+        yield f"{', '.join(still)} never moved: of such a joint only the load at rest is identified."
 
 
 def diagnose_log(

@@ -399,7 +399,7 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
         yield Fault(
             "unsigned_current",
             f"the {log.signs_lost} is logged without its sign",
-            "Until it has one, friction and load are told by the response to commands.",
+            "Until it has one, friction and load are identified by the response to commands.",
         )
 
 

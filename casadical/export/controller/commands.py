@@ -462,10 +462,10 @@ def poses_of(robot: Robot) -> str:
         return "position and orientation are corrected, by the least change of the joints"
     position = "the position" if moved == 3 else f"the position in {moved} of 3 directions"
     if not turned:
-        return f"--correct pose: {robot.n} joints cannot turn the tool beside moving it; {position} alone is corrected"
+        return f"--correct pose: {robot.n} joints cannot turn the tool and move it; {position} alone is corrected"
     return (
-        f"--correct pose: {robot.n} joints reach {position} and, beside it, the orientation in "
-        f"{turned} of 3 directions; what is left of it stays"
+        f"--correct pose: {robot.n} joints reach {position} and, in addition, the orientation in "
+        f"{turned} of 3 directions; its remainder stays"
     )
 
 

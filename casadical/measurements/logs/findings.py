@@ -58,13 +58,13 @@ def _understood(log: JointLog) -> Iterator[str]:
     yield f"{len(log)} rows of {len(log.joints)} joints{kinds}, {', '.join(log.joints)}: {', '.join(known)}; SI units"
     if log.torque is None and (log.current is None or log.current_unsigned):
         yield (
-            "no torque and no signed current: causes are told from the response to commands alone; "
+            "no torque and no signed current: causes are identified from the response to commands alone; "
             "torque scale, masses and rotor inertias are not. Log the motors' currents with their "
             "signs"
         )
     elif log.command is None:
         yield (
-            "no commands: friction, load and inertia are told from the torque; delay, lag, servo "
+            "no commands: friction, load and inertia are identified from the torque; delay, lag, servo "
             "gains and limits are not. Log the commanded positions beside the readings"
         )
 
@@ -137,7 +137,7 @@ def _readings(log: JointLog) -> Iterator[str]:
         if covered <= max(3.0 * steps[k], MIN_MOVEMENT):
             yield (
                 f"{name} never moves ({1e3 * covered:.2g} {unit}): of it only the load that it "
-                "holds is told, no friction, inertia, play or delay. Move it to and fro, fast and "
+                "holds is identified, no friction, inertia, play or delay. Move it to and fro, fast and "
                 "slowly"
             )
         elif covered < min_quanta_covered * steps[k]:
@@ -149,7 +149,7 @@ def _readings(log: JointLog) -> Iterator[str]:
         elif (fastest := _fastest(log, k)) < min_speed:
             yield (
                 f"{name} moves at {1e3 * fastest:.2g} {unit}/s at most: too slow to tell viscous "
-                "friction, lag or inertia; dry friction and load are told. Move it at "
+                "friction, lag or inertia; dry friction and load are identified. Move it at "
                 f"{1e3 * 10 * min_speed:.0f} {unit}/s or more"
             )
         for channel in ("torque", "current"):
@@ -159,7 +159,7 @@ def _readings(log: JointLog) -> Iterator[str]:
     first = {re.split(r"[_\W]", name)[0].casefold() for name in log.joints}
     if {"left", "right"} <= first or {"l", "r"} <= first:
         yield (
-            "joints of two arms stand in one log: each is told as if the other were not there. "
+            "joints of two arms stand in one log: each is judged as if the other were not there. "
             "Name the robot's own joints by its model, and give one log to each arm"
         )
 
@@ -195,7 +195,7 @@ def _between(log: JointLog) -> Iterator[str]:
     if np.array_equal(log.command, log.position, equal_nan=True):
         yield (
             "commands are the readings to the last digit: the log holds one of them twice, so the "
-            "response is not told. Log what was sent to the drives"
+            "response is not identified. Log what was sent to the drives"
         )
         return
     alike = _alike(log)
@@ -206,7 +206,7 @@ def _between(log: JointLog) -> Iterator[str]:
             yield (
                 f"{name}: command and reading count in opposite directions (correlation "
                 f"{alike[k, k]:.2f}): turn the sign of one of the columns; until then its response "
-                "is not told"
+                "is not identified"
             )
             continue
         best = int(np.nanargmax(np.abs(alike[k])))

@@ -267,7 +267,7 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
         said.append(
             f"row {log.row[k]}: time jumps back from {log.time[k - 1]:.6g} to {log.time[k]:.6g} s"
             f"{f' ({back.sum()} such)' if back.sum() > 1 else ''}: read as a new run from there; "
-            "nothing that goes over the jump (delay, warm-up) is told from it. Log one monotonic "
+            "nothing that goes over the jump (delay, warm-up) is identified from it. Log one monotonic "
             "clock, or number runs in column run"
         )
     if stands.any():

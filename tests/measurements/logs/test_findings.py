@@ -104,7 +104,7 @@ def test_delay_of_logged_speeds(tmp_path, delay) -> None:
         ),
         (
             {"command1_rad": None, "command2_rad": None},
-            "no commands: friction, load and inertia are told from the torque",
+            "no commands: friction, load and inertia are identified from the torque",
         ),
         (
             {"current1_A": None, "current2_A": None},
