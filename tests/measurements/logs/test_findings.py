@@ -90,7 +90,7 @@ def test_delay_of_logged_speeds(tmp_path, delay) -> None:
     [
         (
             {"q2_rad": np.full(len(T), 0.3), "command2_rad": np.full(len(T), 0.3)},
-            "joint 2 never moves (0 mrad): of it only the load that it holds is told",
+            "joint 2 never moves (0 mrad): of it only the load that it holds is identified",
         ),
         (
             {"q2_rad": np.round(0.1 * np.sin(0.1 * T) / 1e-4) * 1e-4},
@@ -108,7 +108,7 @@ def test_delay_of_logged_speeds(tmp_path, delay) -> None:
         ),
         (
             {"current1_A": None, "current2_A": None},
-            "no torque and no signed current: causes are told from the response",
+            "no torque and no signed current: causes are identified from the response",
         ),
         (
             {"current1_A": np.abs(T % 2), "current2_A": np.abs(T % 3)},
