@@ -263,8 +263,8 @@ class Fleet(Result):
     @property
     def _listed(self) -> list[dict[str, Any]]:
         """The rows of all robots as dictionaries by column for the JSON file, without lists."""
-        words = "robot folder status error type type_name method verdict causes changes at_bounds notes"
-        words = [*words.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
+        columns = "robot folder status error type type_name method verdict causes changes at_bounds notes"
+        words = [*columns.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
 
     @property

@@ -293,7 +293,7 @@ MOTORS = {f"current{k}_A": f"torque{k}_Nm" for k in (1, 2, 3)}
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "sentence"), [
     (lambda t: t.filter(regex="time|run|q|current"), "no commands: friction, load and inertia are identified from"),
-    (lambda t: t.filter(regex="time|run|q|command"), "no torque and no signed current: causes are identified from the resp"),
+    (lambda t: t.filter(regex="time|run|q|command"), "no torque and no signed current: causes are identified from"),
     (lambda t: t.rename(columns=ORDER), "the command of joint 1 moves as the reading of joint 2 does"),
     (lambda t: t.assign(**t.filter(like="current").abs()), "current is never negative"),
     (lambda t: t.assign(q3_rad=0.1, command3_rad=0.1), "joint 3 never moves (0 mrad): of it only the load that"),
