@@ -12,6 +12,7 @@ from typer import Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
+from casadical.core.telling.result import shortened
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,7 +25,7 @@ MODE_OPTIONS = {
     "joint logs": ("reference", "drive", "against"),
     "measured poses": (
         *("together", "laws", "nuisance_masses", "prior", "prior_effects", "frozen"),
-        *("measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted", "details"),
+        *("measure_next", "next_n", "room", "network", "bootstrap", "seed", "unlisted"),
     ),
 }
 
@@ -125,7 +126,7 @@ def diagnose(
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)
     if logs:
-        _diagnose_logs(logs, against or [], out, report_file, json_file, quiet)
+        _diagnose_logs(logs, against or [], out, report_file, json_file, quiet, details)
         return
     o.need(room, measure_next, "--room says where the poses of --next may lie; give --next FILE, too")
     o.need(unlisted, out, "--unlisted says what --out writes; give --out DIR, too")
@@ -205,28 +206,36 @@ def _diagnose_logs(
     report_file: Path | None,
     json_file: Path | None,
     quiet: bool,
+    details: bool,
 ) -> None:
     """Diagnose joint logs together, replay them from their commands, and write requested files.
 
     against : files of drive parameters that are replayed, too
+    details : whether all results are printed
     """
     console = wrapped(quiet)
     texts: dict[Path, str | bytes] = {}
     with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
         answer = campaign.diagnosed(show)
-    tell(console, *answer.blocks())
+    blocks = answer.blocks()
+    tell(console, *(blocks if details else shortened(blocks, 10)))
     console.print()
     if out:
         texts |= answer.files(out)
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show, against)
     if replay:
-        tell(console, *replay.blocks())
+        blocks = replay.blocks()
+        tell(console, *(blocks if details else shortened(blocks, 10)))
         console.print()
         if out:
             texts |= replay.files(out)
     if report_file:
         texts[report_file] = html([campaign.page(answer, replay)])
+    if not details:
+        console.print(
+            "residuals, causes and what the log lacks: --details, --out DIR or --report FILE.html", style="dim"
+        )
     more = {"replay": replay.to_json()} if replay else {}
     figures = [answer.to_json() | more] if json_file else []
     keep(with_json(texts, json_file, figures), console)

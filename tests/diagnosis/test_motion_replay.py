@@ -153,7 +153,7 @@ def test_the_command_replays_and_keeps_the_drives_in_a_robot_file(arm, tmp_path)
         columns |= {f"q{k}_rad": log.position[:, k - 1] for k in (1, 2)}
         pd.DataFrame(columns).to_csv(tmp_path / f"log{seed}.csv", index=False)
     write_robot(arm, tmp_path / "arm.toml")
-    asked = ["diagnose", *(str(tmp_path / name) for name in ("arm.toml", "log1.csv", "log2.csv"))]
+    asked = ["diagnose", *(str(tmp_path / name) for name in ("arm.toml", "log1.csv", "log2.csv")), "--details"]
     told = CliRunner().invoke(app, [*asked, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "found.json")])
     assert told.exit_code == 0, told.output
     assert "Open-loop replay" in told.output
