@@ -120,9 +120,8 @@ def _pair(a: RawTable, b: RawTable) -> RawTable:
     if {*a.header} == {*b.header} and a.form.header_line:
         return _made(a, pd.concat([a.frame, b.frame]), f"{names} have the same headings: the rows of both are taken.")
     if not (a.form.header_line and b.form.header_line):
-        for raw in (a, b):  # columns without headings stay apart
-            own = {n: f"{raw.path.stem} {n}" for n in raw.header} if not raw.form.header_line else {}
-            a, b = (_renamed(a, own), b) if raw is a else (a, _renamed(b, own))
+        together = _pair(*(_with_file_names(raw) for raw in (a, b)))
+        return replace(together, form=replace(together.form, header_line=0))
     keys = _keys(a, b)
     if keys:
         left, right = keys[0]
@@ -145,9 +144,13 @@ def _apart(a: RawTable, b: RawTable) -> dict[str, str]:
     return {name: f"{b.path.stem} {name}" for name in b.header if name in a.header}
 
 
-def _renamed(raw: RawTable, names: dict[str, str]) -> RawTable:
-    header = tuple(names.get(n, n) for n in raw.header)
-    return replace(raw, header=header, frame=raw.frame.set_axis(header, axis=1))
+def _with_file_names(raw: RawTable) -> RawTable:
+    """Return a table without headings with its columns named for the file; others are unchanged."""
+    if raw.form.header_line:
+        return raw
+    header = tuple(f"{raw.path.stem} {n}" for n in raw.header)
+    frame = raw.frame.set_axis(header, axis=1)
+    return replace(raw, header=header, frame=frame, form=replace(raw.form, header_line=1))
 
 
 def _keys(a: RawTable, b: RawTable) -> list[tuple[str, str]]:
@@ -190,7 +193,8 @@ def _merged(a: RawTable, b: RawTable, left: str, right: str) -> pd.DataFrame:
 
 def _time(raw: RawTable) -> str:
     """Return the only column of increasing times; empty if there is none."""
-    named = [n for n in raw.header if {*words_of(n)[0]} & WORDS["time"] and not {*words_of(n)[0]} & WORDS["about"]]
+    words = {n: words_of(n)[0] for n in raw.header}
+    named = [n for n, w in words.items() if w == ["t"] or ({*w} & WORDS["time"] and not {*w} & WORDS["about"])]
     some = [n for n in named if (np.diff(in_seconds(raw.frame[n])) >= 0).all()]
     return some[0] if some else ""
 

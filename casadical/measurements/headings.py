@@ -194,6 +194,9 @@ def understand(
         readings = [columns, *(way for q in questions for way in q.choices.values())]
         used = {c.source.name for c in readings[-1]} if len(readings) < 3 else set()
         frames = _frames(raw, used) if kind in (None, "position", "pose") else []
+        if not (positions or frames or lengths):
+            triples = _numbered(raw, 3, {*given, *(c.source.name for way in readings for c in way)})
+            positions = [g for g in triples if {*words_of(g[0].name)[0]} & WORDS["translation"]]
         options, about = _observations(positions, lengths, frames)
         decide(options, "What was measured?", about)
     turned = any(re.fullmatch(FIRST_ORIENTATION_COLUMN, name) for name in ours) or kind not in (
@@ -311,7 +314,8 @@ def _headings(raw: RawTable, chain: Sequence[Joint]) -> list[Heading]:
         cells = raw.frame.iloc[:, k]
         values = in_seconds(cells) if quantity == "time" else numbers_of(cells)
         if quantity and (np.isfinite(values).mean() > 0.5 or quantity in _CONDITIONS):
-            qualifier = next((q for q in ("measured", "nominal") if set(words) & WORDS[q]), "")
+            qualifier = next((q for q in ("measured", "nominal", "instrument") if set(words) & WORDS[q]), "")
+            qualifier = "measured" if qualifier == "instrument" else qualifier
             unit = unit or (below[k] if below[k] in UNITS else "")
             headings.append(Heading(name, quantity, slot, qualifier, unit, frozenset(rest), values, led))
     return headings
@@ -400,13 +404,13 @@ def position_groups(raw: RawTable) -> list[list[Heading]]:
         else:
             words, unit = words_of(name)
             stem = re.sub(unit, "", name, flags=re.IGNORECASE) if unit else name
-            match = re.fullmatch(r"(\W*[^xyz]{0,12})([xyz])(\W*)", stem, re.IGNORECASE)
+            match = re.fullmatch(r"([^xyz]{0,12})([xyz])([^xyz]{0,8})", stem, re.IGNORECASE)
             values = numbers_of(raw.frame[name]) if match else np.zeros(0)
             if not match or {*words} & WORDS["about"] or not np.isfinite(values).mean() > 0.5:
                 continue
-            if match[1].casefold() in ("r", "q", "o", "w", "n"):
+            if match[1].casefold() in ("r", "q", "o", "w", "n", "d"):
                 continue
-            rest = frozenset({match[1].casefold().strip("_ .")})
+            rest = frozenset({f"{match[1]}{match[3]}".casefold().strip("_ .")})
             h = Heading(name, "position", match[2].casefold(), "", unit, rest, values)
             key = ("", rest)
         groups.setdefault(key, {}).setdefault(h.slot, replace(h, numbers=numbers))
@@ -415,6 +419,16 @@ def position_groups(raw: RawTable) -> list[list[Heading]]:
     # Only beside other points is a "target" a commanded one; else it is a reflector.
     targets = [g for g in whole if not {*words_of(g[0].name)[0]} & (WORDS["nominal"] - WORDS["target"])]
     return measured or targets or ([] if _frames(raw) else _grid_points(raw))
+
+
+def points(raw: RawTable, taken: Collection[str]) -> Question | None:
+    """Return the question which columns are the measured point; None where there are no candidates.
+
+    taken : columns that are no candidates
+    """
+    groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*taken}]
+    choices = _choices([(_listed(g), [(g, _XYZ, "length")]) for g in groups], {}, "points")
+    return Question("Which columns are the measured point?", choices, "observation") if choices else None
 
 
 def _grid_points(raw: RawTable) -> list[list[Heading]]:
@@ -828,7 +842,7 @@ def orientations_in_order(raw: RawTable, taken: Collection[str]) -> Iterator[Que
     forms = (
         (9, ("a matrix, row by row",), _is_rotation),
         (4, ("a quaternion, w first", "a quaternion, w last"), _is_unit),
-        (3, _ANGLES, bool),
+        (3, tuple(_ORIENTATION_FORMS)[:4], bool),
     )
     for width, words, fits in forms:
         for k in range(len(columns) - width + 1 if not options else 0):

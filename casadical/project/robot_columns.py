@@ -17,7 +17,7 @@ from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import frame_error, orientation_error
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.columns import ORIENTATION, Columns, Source
-from casadical.measurements.headings import Understanding, layout, orientations_in_order, understand
+from casadical.measurements.headings import Understanding, layout, orientations_in_order, points, understand
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.reading import from_columns
@@ -46,7 +46,26 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
         if not meaning.questions or not usual.columns:
             return meaning if meaning.questions else _with_orientation(raw, robot, meaning, kind)
     meaning = _by_model(raw, robot, given, understand(raw, robot.joints, given, kind=kind))
-    return _without_other_frame(raw, robot, given, meaning)
+    return _without_other_frame(raw, robot, given, _measured_instead(raw, robot, given, meaning))
+
+
+def _measured_instead(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:
+    """Return the meaning with measured coordinates in place of computed ones, if the table has both.
+
+    given : casadical's column name -> declared source; found : meaning of all columns
+    """
+    computed_ones = [c for c in found.columns if re.fullmatch("[xyz]_mm?", c.ours)]
+    question = points(raw, [c.source.name for c in computed_ones]) if computed_ones and not found.questions else None
+    if question is None:
+        return found
+    with suppress(InputError, np.linalg.LinAlgError):
+        if not computed(robot, _measurements_of(raw, robot, {**found.sources, **given})):
+            return found
+        others = replace(found, columns=tuple(c for c in found.columns if c not in computed_ones))
+        tried = _by_model(raw, robot, given, replace(others, questions=(question,)))
+        if not tried.questions:
+            return tried
+    return found
 
 
 def _with_orientation(raw: RawTable, robot: Robot, found: Understanding, kind: str | None) -> Understanding:

@@ -80,6 +80,10 @@ FORMS: dict[str, Callable[[], str]] = {
     "bare: positions in m, readings": lambda: bare(P / 1e3, Q, sep=" "),
     "bare: positions, quaternions, readings": lambda: bare(P, QUATERNION, Q),
     "bare: readings, positions, rotation vectors": lambda: bare(Q, P / 1e3, Rotation.from_matrix(R).as_rotvec()),
+    "bare: readings, positions, angles about z, y, x": lambda: bare(
+        Q, P, Rotation.from_matrix(R).as_euler("ZYX", degrees=True)
+    ),
+    "r11 and t1": lambda: grid([*indices("r{}{}", 3, 3, 1), "t1", "t2", "t3"], np.hstack([R.reshape(-1, 9), P])),
     "bare: readings, positions, a deviation": lambda: bare(Q, P, NUMBERS / 7.0),
     "Motive, two lines": lambda: motive("," + GROUPS),
     "Motive, a heading a group": lambda: motive(",Rotation,,,,Position,,,Mean Marker Error,"),
@@ -184,6 +188,7 @@ FILES: dict[str, tuple[list[pd.DataFrame], str]] = {
         "columns 'name' and 'pt'",
     ),
     "by order": ([READINGS, SEEN], "by the order of their rows"),
+    "without headings": ([READINGS, SEEN.set_axis(range(3), axis=1)], "by the order of their rows"),
     "by time": (
         [
             pd.DataFrame(np.repeat(Q, 10, axis=0), columns=J).assign(
@@ -211,7 +216,7 @@ def test_several_files_are_one_table(form: str, tmp_path: Path) -> None:
     tables, words = FILES[form]
     paths = [tmp_path / f"table{k}.csv" for k in range(len(tables))]
     for path, frame in zip(paths, tables, strict=True):
-        frame.to_csv(path, index=False)
+        frame.to_csv(path, index=False, header=bool(frame.columns.dtype.kind == "O"))
     said: list[object] = []
     problem = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=paths, show=said.append)
     assert words in str(said[0])
@@ -364,3 +369,26 @@ def test_rounded_coordinates_of_the_robot_give_way_to_a_measured_length(tmp_path
     (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv", show=said.append).whole
     assert m.kind == "distance"
     assert "the coordinates are computed" in str(said)
+
+
+NOMINAL = first_hour.positions(Q, first_hour.ROWS, first_hour.TOOL)
+CONTROLLERS = NOMINAL + np.random.default_rng(0).normal(0, 0.3, P.shape)
+
+
+@pytest.mark.parametrize(
+    ("names", "beside"),
+    [
+        (["x", "y", "z", "xm", "ym", "zm"], NOMINAL),
+        (["TCP X", "TCP Y", "TCP Z", "Leica X", "Leica Y", "Leica Z"], CONTROLLERS),
+        (["x_nom", "y_nom", "z_nom", "x_act", "y_act", "z_act"], NOMINAL),
+    ],
+)
+def test_measured_coordinates_go_before_those_of_the_controller(
+    names: list[str], beside: np.ndarray, tmp_path: Path
+) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    table = pd.DataFrame(np.hstack([Q, beside, P]), columns=[*J, *names])
+    table.to_csv(tmp_path / "table.csv", index=False)
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
+    assert m.position is not None
+    np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
