@@ -19,6 +19,7 @@ from casadical.core.telling.blocks import Table, Words
 from casadical.core.telling.result import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification import errors, residual_mm
+from casadical.identification.accuracy import Accuracy
 from casadical.project.calibration import accuracy_without_prior
 from casadical.project.calibration_page import residual_localisation
 from casadical.project.new import new_problem
@@ -167,6 +168,35 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result() -> None:
     assert "q5 = 0.5 x 'Achse 5' - 2 x 'Achse 2', 1 row above. " in words.text
     assert "Achse 3" not in words.text
     assert changed_readings(problem) == []
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "n", "words"),
+    [
+        (
+            1.228,
+            1.484,
+            11,
+            "is 1.484 mm with KM, 1.228 mm before: these poses cannot tell which is better, some 49",
+        ),
+        (
+            1.484,
+            1.228,
+            11,
+            "is 1.228 mm with KM, 1.484 mm before: these poses cannot tell which is better, some 49",
+        ),
+        (1.228, 1.484, 80, "grows from 1.228 mm to 1.484 mm with KM (21 % more)"),
+        (1.484, 1.228, 80, "falls from 1.484 mm to 1.228 mm with KM (17 % less)"),
+        (1.0, 1.0, 80, "is 1.000 mm with KM, 1.000 mm before: these poses cannot tell which is better."),
+    ],
+)
+def test_a_difference_within_its_uncertainty_is_none(calibrated, before, after, n, words) -> None:
+    """Errors scatter by 0.7 mm: 0.256 mm are twice their standard error at 2 (2 0.7 / 0.256)^2 poses."""
+    problem = calibrated("planar").problem
+    placed, found = (Accuracy(n, 1e-3 * mean, 3e-3, 0.7e-3, 2e-3, 3e-3) for mean in (before, after))
+    states = {"KM": {"report": {"nominal": placed, "placed": placed, "calibrated": found}}}
+    said = " ".join(plain_text(report_blocks(problem, states, block="verdict")).split())
+    assert f"the mean position error {words}" in said
 
 
 def test_an_error_is_localised_in_positions_of_one_set_only(calibrated) -> None:
