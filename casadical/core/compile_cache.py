@@ -21,7 +21,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.cache_folder import private_folder
-from casadical.core.subprocesses import COMPILE_SECONDS, finished, tried
+from casadical.core.subprocesses import COMPILE_SECONDS, run_within, tried
 from casadical.core.sx_instructions import OPERATIONS, SxInstructions
 
 # C text before each function: type of two numbers, and CasADi's operations that C lacks.
@@ -195,7 +195,7 @@ def _built_library(folder: Path, stem: str, cc: str, text: str, function: ca.Fun
         with tempfile.TemporaryDirectory(dir=folder, prefix=".casadical-") as scratch:
             code, made = Path(scratch) / "kernel.c", Path(scratch) / "kernel.so"
             code.write_text(text, encoding="utf-8")
-            done = finished([cc, *COMPILER_FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)
+            done = run_within([cc, *COMPILER_FLAGS, "-o", str(made), str(code), "-lm"], COMPILE_SECONDS)
             if done is None or done.returncode or not made.is_file() or not _computes_correctly(function, made):
                 return None
             return made.replace(folder / _library_name(stem, made))

@@ -16,7 +16,7 @@ COMPILE_SECONDS = 300.0
 TRIAL_SECONDS = 60.0
 
 
-def finished(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
+def run_within(command: Sequence[str], seconds: float) -> subprocess.CompletedProcess[str] | None:
     """Run a program and return its exit code and output; None if it fails to start or times out.
 
     It has no input. When the time is over, it is killed with all processes that it started.
@@ -55,7 +55,7 @@ def tried(code: str, *arguments: str) -> str | None:
 
     arguments : `sys.argv[1:]` of the code
     """
-    done = finished([sys.executable, "-I", "-S", "-c", code, *arguments], TRIAL_SECONDS)
+    done = run_within([sys.executable, "-I", "-S", "-c", code, *arguments], TRIAL_SECONDS)
     return done.stdout if done is not None and done.returncode == 0 else None
 
 

@@ -126,14 +126,14 @@ def test_a_compiler_that_does_not_start_gives_nothing(cache: Path, monkeypatch, 
 
 def test_a_program_that_does_not_end_is_stopped_with_what_it_started(tmp_path) -> None:
     began = time.monotonic()
-    assert subprocesses.finished(["sh", "-c", f"(sleep 1; touch {tmp_path / 'survived'}) & wait"], 0.3) is None
+    assert subprocesses.run_within(["sh", "-c", f"(sleep 1; touch {tmp_path / 'survived'}) & wait"], 0.3) is None
     assert time.monotonic() - began < 1
     time.sleep(1)
     assert not (tmp_path / "survived").exists()
 
 
 def test_a_program_that_does_not_start_or_aborts_gives_nothing() -> None:
-    assert subprocesses.finished(["/no/such/program"], 1) is None
+    assert subprocesses.run_within(["/no/such/program"], 1) is None
     assert subprocesses.tried("import os; os.abort()") is None
     assert subprocesses.tried("print(6 * 7)") == "42\n"
 

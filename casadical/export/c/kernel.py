@@ -17,7 +17,7 @@ from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.cache_folder import private_folder
 from casadical.core.files import write_whole
 from casadical.core.reading import read_bytes
-from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, finished, tried
+from casadical.core.subprocesses import COMPILE_SECONDS, TRIAL_SECONDS, run_within, tried
 from casadical.export.c.coefficients import NUMPY_TYPE, Real
 from casadical.export.c.emit import filled, template
 
@@ -45,7 +45,7 @@ def _version(command: str) -> str:
     """Return the first line of a compiler's `--version`; "" where the command fails."""
     if shutil.which(command) is None:
         return ""
-    run = finished([command, "--version"], TRIAL_SECONDS)
+    run = run_within([command, "--version"], TRIAL_SECONDS)
     return run.stdout.splitlines()[0] if run and run.returncode == 0 and run.stdout else ""
 
 
@@ -209,7 +209,7 @@ def build(shape: Shape, sources: list[Path], folder: Path, compiler: Compiler, f
     wrapper.write_text(rows_source(shape), encoding="utf-8")
     usual = ["-std=c99", "-fPIC", "-shared", "-O2", f"-I{sources[0].parent}"]
     files = map(str, (*sources, wrapper))
-    run = finished([compiler.command, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)
+    run = run_within([compiler.command, *usual, *flags, *files, "-o", str(library)], COMPILE_SECONDS)
     if run is None:
         raise CasadicalError(f"{compiler.version} was stopped after {COMPILE_SECONDS:g} s with {sources[0].name}")
     if run.returncode != 0:
