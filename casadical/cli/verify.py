@@ -179,11 +179,11 @@ def _touched(
 
     asked : further arguments of `touched`; update, chart, report : paths of such files, or None
     """
-    from casadical.fleet.touches import touched
+    from casadical.fleet.touches import judge_touches
 
     console = wrapped(quiet)
     with working(quiet, "what changed", tables[-1].name):
-        touches = replace(touched(robot, tables, **asked), update=update)
+        touches = replace(judge_touches(robot, tables, **asked), update=update)
     tell(console, *touches.blocks())
     texts: dict[Path, str] = {chart: touches.chart_csv()} if chart else {}
     if update and touches.better:

@@ -450,7 +450,7 @@ def plan_touches(
     return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
 
 
-def touched(
+def judge_touches(
     robot: str | Path,
     tables: Sequence[str | Path],
     *,

@@ -108,7 +108,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
-    from casadical.fleet.touches import changes_in_fleet, touched
+    from casadical.fleet.touches import changes_in_fleet, judge_touches
     from casadical.measurements.logs.reading import is_log, read_log
     from casadical.pose_selection.workspace import read_workspace
     from casadical.project.acceptance.certificate import certificate
@@ -168,7 +168,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         path.write_bytes(kept)
 
     def touches(path: Path) -> None:
-        touched(place / "in/results", [path], noise_mm=0.05, tolerance_mm=1)
+        judge_touches(place / "in/results", [path], noise_mm=0.05, tolerance_mm=1)
 
     def iso(path: Path) -> None:
         evaluated_table(path, arm).table()

@@ -14,7 +14,7 @@ from command_line import main
 from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
 from casadical.core.telling.figure import Figure
 from casadical.core.transforms import frame, from_rpy
-from casadical.fleet.touches import plan_touches, touched
+from casadical.fleet.touches import plan_touches, judge_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
@@ -65,12 +65,12 @@ def error(model: Robot, real: Robot) -> float:
 def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_path):
     file, true, q = place
     same = [day(tmp_path, k, true, q) for k in (1, 2)]
-    found = touched(file, same)
+    found = judge_touches(file, same)
     assert found.verdict == "valid"
     assert not found.better
     assert found.next == ()
     hit = moved(true, {"theta3": 4e-4})
-    found = touched(file, [*same, day(tmp_path, 3, hit, q)])
+    found = judge_touches(file, [*same, day(tmp_path, 3, hit, q)])
     assert found.verdict == "changed"
     assert (found.label, found.draws.probability("joint_zero@3") > 0.95) == ("joint_zero@3", True)
     (name, amount, std_error, unit), *_ = found.moved
@@ -86,7 +86,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
     (tmp_path / "new.robot.toml").write_text(found.updated_text())
     new = read_robot(tmp_path / "new.robot.toml")
     assert error(new, hit) < 0.25 * error(read_robot(file), hit)
-    assert touched(tmp_path / "new.robot.toml", [tmp_path / "2026-03-03.csv"]).verdict == "valid"
+    assert judge_touches(tmp_path / "new.robot.toml", [tmp_path / "2026-03-03.csv"]).verdict == "valid"
     assert new.remaining is not None
     assert new.knowledge is not None
     before = read_robot(file).knowledge.std_errors["theta3"]
@@ -101,7 +101,7 @@ def test_the_same_robot_is_valid_and_a_crash_is_found_and_corrected(place, tmp_p
 def test_another_tool_and_a_moved_foot_are_told_apart(place, tmp_path, by, label):
     file, true, q = place
     days = [day(tmp_path, k, true, q) for k in (1, 2)]
-    found = touched(file, [*days, day(tmp_path, 3, moved(true, by), q)])
+    found = judge_touches(file, [*days, day(tmp_path, 3, moved(true, by), q)])
     assert found.label == label
     assert found.verdict == "changed"
     sure = [abs(amount) / error for _, amount, error, _ in found.moved]
@@ -112,12 +112,12 @@ def test_a_logged_temperature_explains_growth(place, tmp_path):
     file, true, q = place
     days = [day(tmp_path, k, true, q, temperature_degC=20.0) for k in (1, 2)]
     days.append(day(tmp_path, 3, grown(true, 1.2e-4), q, temperature_degC=30.0))
-    told = touched(file, days)
+    told = judge_touches(file, days)
     assert told.draws.probability("") > 0.5
     assert "temperature is logged" in " ".join(told.notes)
     assert told.rows()[-1][-1] == "yes"
     days = [day(tmp_path, k, true if k < 3 else grown(true, 1.2e-4), q) for k in (1, 2, 3)]
-    silent = touched(file, days)
+    silent = judge_touches(file, days)
     assert silent.label == "lengths"
     assert abs(silent.moved[0][1] - 120) < 4 * silent.moved[0][2]
     assert silent.rows()[-1][4] > 2 * told.rows()[-1][4]
@@ -125,14 +125,14 @@ def test_a_logged_temperature_explains_growth(place, tmp_path):
 
 def test_where_touches_do_not_decide_two_more_are_named(place, tmp_path):
     file, true, q = place
-    tolerance = 1.4 * touched(file, [day(tmp_path, 1, true, q)]).model.stated
-    found = touched(file, [day(tmp_path, 1, true, q[:2])], tolerance_mm=tolerance)
+    tolerance = 1.4 * judge_touches(file, [day(tmp_path, 1, true, q)]).model.stated
+    found = judge_touches(file, [day(tmp_path, 1, true, q[:2])], tolerance_mm=tolerance)
     assert found.verdict == "open"
     assert found.more is not None
     assert len(found.more) == 2
     assert "touch 2 more" in found.blocks()[-2 if found.notes else -1].title
     more = np.deg2rad(found.more[[f"q{j}_deg" for j in range(1, 7)]].to_numpy(dtype=float))
-    again = touched(file, [day(tmp_path, 1, true, np.vstack([q, more]))], tolerance_mm=tolerance)
+    again = judge_touches(file, [day(tmp_path, 1, true, np.vstack([q, more]))], tolerance_mm=tolerance)
     assert again.probability > found.probability
     assert again.page().tiles[0].value == f"{100 * again.probability:.1f}" > "50"
 
@@ -142,11 +142,11 @@ def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_pat
     robots = [{"changes": "tool"}] * 30
     (tmp_path / "fleet.json").write_text(json.dumps({"robots": robots}))
     table = day(tmp_path, 1, moved(true, {"tool_z": 2e-4}), q[:3])
-    plain, known = (touched(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
+    plain, known = (judge_touches(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
     assert known.draws.probability("tool") > plain.draws.probability("tool")
     (tmp_path / "fleet.json").write_text("{}")
     with pytest.raises(InputError, match="holds no robots"):
-        touched(file, [table], fleet=tmp_path / "fleet.json")
+        judge_touches(file, [table], fleet=tmp_path / "fleet.json")
 
 
 def test_a_day_that_changed_does_not_widen_its_own_limit(place, tmp_path) -> None:
@@ -157,7 +157,7 @@ def test_a_day_that_changed_does_not_widen_its_own_limit(place, tmp_path) -> Non
     write_robot(replace(arm, remaining=replace(arm.remaining, rest=4e-4)), rough)
     robots = [true, true, true, moved(true, {"theta3": 1e-3})]
     tables = [day(tmp_path, number, robot, q) for number, robot in enumerate(robots, 1)]
-    assert [row[-1] for row in touched(rough, tables).rows()] == ["yes", "yes", "yes", "no"]
+    assert [row[-1] for row in judge_touches(rough, tables).rows()] == ["yes", "yes", "yes", "no"]
 
 
 def test_the_command_plans_judges_charts_and_corrects(place, tmp_path, monkeypatch, capfd):
@@ -194,19 +194,19 @@ def test_bad_touches_are_refused_or_said(place, tmp_path):
     first = day(tmp_path, 1, true, q)
     copy = tmp_path / "2026-03-02.csv"
     copy.write_bytes(first.read_bytes())
-    assert "same readings as 2026-03-01.csv" in " ".join(touched(file, [first, copy]).notes)
+    assert "same readings as 2026-03-01.csv" in " ".join(judge_touches(file, [first, copy]).notes)
     late = day(tmp_path, 3, true, q)
-    notes = touched(file, [late, first]).notes
+    notes = judge_touches(file, [late, first]).notes
     assert "by its date 2026-03-03.csv is the last day" in " ".join(notes)
     with pytest.raises(InputError, match="2 or more"):
-        touched(file, [day(tmp_path, 4, true, q[:1])])
+        judge_touches(file, [day(tmp_path, 4, true, q[:1])])
     elsewhere = replace(true, base=replace(true.base, T=frame(np.eye(3), np.array([0.0, 2.0, 0.0])) @ true.base.T))
     with pytest.raises(InputError, match=re.escape("the instrument stands elsewhere, or it is another robot")):
-        touched(file, [day(tmp_path, 5, elsewhere, q)])
+        judge_touches(file, [day(tmp_path, 5, elsewhere, q)])
     bare = tmp_path / "bare.robot.toml"
     write_robot(ARM, bare)
     with pytest.raises(InputError, match="does not say how far it may be off"):
-        touched(bare, [first])
+        judge_touches(bare, [first])
     broken = tmp_path / "2026-03-06.csv"
     broken.write_text(re.sub(r",[^,\n]*\n(?=[^\n]*\n?$)", ",\n", first.read_text()))
-    assert "left out, a cell is no number" in " ".join(touched(file, [broken]).notes)
+    assert "left out, a cell is no number" in " ".join(judge_touches(file, [broken]).notes)
