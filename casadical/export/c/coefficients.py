@@ -157,7 +157,7 @@ def literal(value: float, real: Real) -> str:
 MAX_TABLE_ERROR = 5e-8
 # Largest absolute angle of a table lookup [rad]: up to it the angle is reduced exactly, by
 # multiples of the sample spacing in two parts.
-TABLE_LIMIT = 128.0
+MAX_TABLE_ANGLE_RAD = 128.0
 # Number of turns that are added to an angle so that its index is positive: the conversion to an
 # integer, which truncates, then rounds down.
 ADDED_TURNS = 32

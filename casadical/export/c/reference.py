@@ -53,7 +53,7 @@ class NumpyFunctions:
     def periodic(self, x: Array, table: tuple[float, ...]) -> Array:
         """Return the value of a spline table, see `spline_table`, at angles x [rad].
 
-        |x| is up to `TABLE_LIMIT`.
+        |x| is up to `MAX_TABLE_ANGLE_RAD`.
         """
         T, points = self.T, len(table) - 3
         c, offset = np.array(table).astype(T), T(coefficients.ADDED_TURNS * points)

@@ -16,7 +16,7 @@ import casadi
 
 from casadical.core.basics import InputError
 from casadical.core.sx_instructions import SxInstructions
-from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, TABLE_LIMIT, periodic_tables
+from casadical.export.c.coefficients import ANGLE_LIMIT, EXP_LIMIT, MAX_TABLE_ANGLE_RAD, periodic_tables
 
 # Name on the tape of each CasADi operation that the tape has as well.
 _EQUAL_OPERATIONS = {
@@ -101,7 +101,7 @@ class _Builder:
         """
         if len(table) == 1:
             return self.constant(table[0])
-        return self.add("periodic", self.within(angle, TABLE_LIMIT), value=bound, table=table)
+        return self.add("periodic", self.within(angle, MAX_TABLE_ANGLE_RAD), value=bound, table=table)
 
     def other_side(self, x: int) -> int:
         """Return the node index of sqrt(1 - x^2), from which atan2 gives asin and acos.
