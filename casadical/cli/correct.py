@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import answer, keep, suggest, suggest_later, with_json, wrapped
+from casadical.cli.terminal import print_result, keep, suggest, suggest_later, with_json, wrapped
 
 Frames = Annotated[
     list[str] | None,
@@ -135,7 +135,7 @@ def correct(
         accuracy_off=accuracy_off,
     )
     console = wrapped(quiet)
-    answer(console, made.blocks(), details)
+    print_result(console, made.blocks(), details)
     keep(with_json(made.texts, json_file, made.to_json()), console)
     if model.is_file():
         suggest_later(console, model)

@@ -6,7 +6,7 @@ from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import (
-    answer,
+    print_result,
     keep,
     print_written,
     suggest,
@@ -109,7 +109,7 @@ def export_c(
         also=lambda written: with_json({}, json_file, written.to_json()),
     )
     console = wrapped(quiet)
-    answer(console, written.blocks(), details)
+    print_result(console, written.blocks(), details)
     print_written(json_file, console)
     if what == "command":
         suggest(
@@ -204,7 +204,7 @@ def export_model(
             show=show,
         )
     console = wrapped(quiet)
-    answer(console, made.blocks(), details)
+    print_result(console, made.blocks(), details)
     keep(
         with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
         console,

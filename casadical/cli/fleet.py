@@ -6,7 +6,7 @@ from pathlib import Path
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Quiet, Report
-from casadical.cli.terminal import NOT_VALID, answer, html, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import NOT_VALID, print_result, html, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 
 
@@ -55,7 +55,7 @@ def compare(
     console = wrapped(quiet)
     with working(quiet, "reading") as show:
         comparison = compare_files(campaigns, robot, same_tool=same_tool, same_frame=same_frame, show=show)
-    answer(console, comparison.blocks(), details)
+    print_result(console, comparison.blocks(), details)
     texts: dict[Path, str] = {}
     if report_file:
         texts[report_file] = html([comparison.page(campaigns)])

@@ -14,7 +14,7 @@ from casadical.cli import options as o
 from casadical.cli.terminal import (
     PLAN,
     TABLE_WIDTH_WITHOUT_TERMINAL,
-    answer,
+    print_result,
     keep,
     suggest,
     tell,
@@ -229,7 +229,7 @@ def _poses(
     console = wrapped(quiet)
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = chosen(show=show)
-    answer(console, [*planned.blocks(), Words(planned_with(problem, measured, prior), "note")], details)
+    print_result(console, [*planned.blocks(), Words(planned_with(problem, measured, prior), "note")], details)
     keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
     if to:
         tables = (*([measured] if measured else []), to)

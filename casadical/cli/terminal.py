@@ -134,7 +134,7 @@ def tell(console: Console, *blocks: Block) -> None:
     console.print(terminal(blocks))
 
 
-def answer(console: Console, blocks: Sequence[Block], details: bool) -> None:
+def print_result(console: Console, blocks: Sequence[Block], details: bool) -> None:
     """Print the blocks of a result: all with --details, else those that fit (see `shortened`)."""
     shown = [*blocks] if details else shortened(blocks)
     tell(console, *shown)

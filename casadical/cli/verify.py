@@ -11,7 +11,7 @@ from casadical.cli.options import Details, Effects, Json, Quiet, Report, refuse_
 from casadical.cli.terminal import (
     DIAGNOSIS,
     NOT_VALID,
-    answer,
+    print_result,
     html,
     keep,
     plain,
@@ -156,7 +156,7 @@ def verify(
         checked: Acceptance = (
             verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
         )
-    answer(console, checked.blocks(), details)
+    print_result(console, checked.blocks(), details)
     keep(with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
