@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import print_result, keep, suggest, suggest_later, with_json, wrapped
+from casadical.cli.terminal import keep, print_result, suggest, suggest_later, with_json, wrapped
 
 Frames = Annotated[
     list[str] | None,

@@ -6,8 +6,8 @@ from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import (
-    print_result,
     keep,
+    print_result,
     print_written,
     suggest,
     suggest_later,

@@ -6,7 +6,7 @@ from pathlib import Path
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Quiet, Report
-from casadical.cli.terminal import NOT_VALID, print_result, html, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import NOT_VALID, html, keep, print_result, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 
 

@@ -14,8 +14,8 @@ from casadical.cli import options as o
 from casadical.cli.terminal import (
     PLAN,
     TABLE_WIDTH_WITHOUT_TERMINAL,
-    print_result,
     keep,
+    print_result,
     suggest,
     tell,
     with_json,

@@ -11,10 +11,10 @@ from casadical.cli.options import Details, Effects, Json, Quiet, Report, refuse_
 from casadical.cli.terminal import (
     DIAGNOSIS,
     NOT_VALID,
-    print_result,
     html,
     keep,
     plain,
+    print_result,
     suggest,
     tell,
     with_json,

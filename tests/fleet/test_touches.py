@@ -14,7 +14,7 @@ from command_line import main
 from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
 from casadical.core.telling.figure import Figure
 from casadical.core.transforms import frame, from_rpy
-from casadical.fleet.touches import plan_touches, judge_touches
+from casadical.fleet.touches import judge_touches, plan_touches
 from casadical.identification.accuracy import predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.calibration import with_knowledge
