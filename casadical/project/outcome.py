@@ -253,6 +253,13 @@ def poses_to_tell(before: Accuracy, after: Accuracy) -> int:
     return int(min(np.ceil(after.n * (chance_of(before, after) / max(off, 1e-12)) ** 2), 1e9))
 
 
+def open_error(last: Identification) -> float:
+    """Return the rms uncertainty of the model's position at the fitted poses [m]."""
+    some = [m[:: -(-len(m) // 200)] for m in last.used]
+    covariances = np.concatenate([last.predict(m.q, m.conditions)[1] for m in some])
+    return float(np.sqrt(np.trace(covariances, axis1=1, axis2=2).mean()))
+
+
 def worse_methods(accuracies: Accuracies) -> Iterator[tuple[str, Accuracy, Accuracy]]:
     """Yield (method, errors before, errors after) of methods that worsen held-out poses.
 
@@ -335,6 +342,7 @@ _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "judged_on": judged_on,
     "chance_of": chance_of,
     "poses_to_tell": poses_to_tell,
+    "open_error": open_error,
     "with_own_effects": _with_own_effects,
     "weighs_nothing": _payload_is_ignored,
     "changed_readings": changed_readings,
