@@ -183,8 +183,8 @@ def meaning(heading: str, names: Sequence[str]) -> tuple[str, str, str]:
     words, unit = words_of(heading)
     joint, rest = _joint(words, names)
     channel = _channel(rest)
-    if not channel and {*rest} <= WORDS["joint"] and len(rest) < 2 and is_number(joint):
-        channel = "position"  # J1 or joint_1 alone
+    if not channel and {*rest} <= WORDS["joint"] and len(rest) < 2 and (is_number(joint) or joint in names):
+        channel = "position"  # J1 or joint_1 alone, or the name of a joint
     return (channel, joint, _si_name(unit)) if channel and joint else ("", "", "")
 
 

@@ -324,6 +324,7 @@ def test_arrays_records_and_lists_are_tables(form: str, tmp_path: Path) -> None:
         ("a.yaml", b"just words", "holds no table: str"),
         ("a.mat", b"MATLAB 7.3 MAT-file" + bytes(200), "not a readable .mat file"),
         ("a.npy", b"\x93NUMPY", "not a readable .npy file"),
+        ("a.h5", b"\x89HDF\r\n\x1a\n\0\0\xd8\xd8\0", "not a readable CSV table: a .h5 file; save it as CSV"),
     ],
 )
 def test_files_that_hold_no_table_say_so(name: str, content: bytes, words: str, tmp_path: Path) -> None:
