@@ -120,9 +120,9 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
         records = table_form.records_of(text, separator)
     except UnicodeDecodeError as error:
         if b"\0" in data[:1000] and error.encoding.startswith("utf-16"):
-            form = f"a {path.suffix} file" if path.suffix.lower() not in ("", ".csv", ".txt") else "a binary file"
+            what = f"a {path.suffix} file" if path.suffix.lower() not in ("", ".csv", ".txt") else "a binary file"
             raise InputError(
-                f"{path}: not a readable CSV table: {form}; save it as CSV, .xlsx, .mat, .npy or Parquet"
+                f"{path}: not a readable CSV table: {what}; save it as CSV, .xlsx, .mat, .npy or Parquet"
             ) from None
         row = error.object.count(b"\n", 0, error.start) + 1
         why = f"row {row} is no text in {error.encoding}; save it as UTF-8"
