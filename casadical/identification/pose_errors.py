@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,10 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.telling.drawing import CAMERA_EYE
 from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series
+from casadical.identification.accuracy import predicted
 from casadical.identification.result import LeftOut
+from casadical.measurements.camera_noise import target_in_camera
+from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
 from casadical.robot.robot import Robot
@@ -271,6 +274,40 @@ def workspace(poses: PoseErrors, robot: Robot | None = None, caption: str = "") 
         points = skeleton(robot, some.q[from_the_side])
         series.append(Series("linked", **_xyz(points), name="robot, at one pose", colour="grey", width=9, size=4.5))
     return Figure("workspace", f"{poses.words}: error vectors", series, height=560, caption=caption)
+
+
+def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "") -> Figure:
+    """Return the figure of where a camera saw its target, with each robot's residuals in the image.
+
+    Coordinates are x/z and y/z in the camera's frame, y downwards as in an image; a line runs from
+    the measured place of the target in the direction of the error (measured less computed).
+
+    m : full poses of a camera; robots : model -> robot
+    """
+    t, _ = target_in_camera(m)
+    at = t[:, :2] / t[:, 2:]
+    extent, series = float(np.linalg.norm(np.ptp(at, axis=0))), list[Series]()
+    for model, robot in robots.items():
+        p, R = predicted(robot, m)
+        off = t - target_in_camera(replace(m, position=p, orientation=R))[0]
+        image = off[:, :2] / t[:, 2:]
+        length = np.linalg.norm(image, axis=1)
+        factor = round_factor(0.16 * extent / max(float(np.quantile(length, 0.95)), 1e-12))
+        tip, colour = at + factor * image, MODEL_STYLES.get(model, MODEL_STYLES["SKCM"])[0]
+        lines = np.stack([at, tip, np.full_like(at, np.nan)], axis=1).reshape(-1, 2)
+        alike: dict[str, Any] = {"name": f"{model}, drawn {factor:g} × longer", "colour": colour, "group": model}
+        facts = np.column_stack([m.row, 1e3 * np.linalg.norm(off[:, :2], axis=1), 1e3 * off[:, 2], t[:, 2]]).round(4)
+        words = "across %{customdata[1]:.3f} mm, depth %{customdata[2]:+.3f} mm, at %{customdata[3]:.2f} m"
+        series += [
+            Series("line", lines[:, 0].round(6), lines[:, 1].round(6), width=1.6, **alike),
+            Series(
+                "points", tip[:, 0].round(6), tip[:, 1].round(6), size=4, listed=False, facts=facts,
+                tip=f"<b>{model}</b>, row %{{customdata[0]:d}}<br>{words}", **alike,
+            ),
+        ]  # fmt: skip
+    low, top = at.min(axis=0) - 0.1 * extent, at.max(axis=0) + 0.1 * extent
+    axes = Axis("x/z in the camera", (low[0], top[0])), Axis("y/z in the camera, downwards", (top[1], low[1]))
+    return Figure("image", "Stations in the image, with residuals", series, *axes, 460, caption)
 
 
 def round_factor(factor: float) -> float:

@@ -236,7 +236,10 @@ class Calibration(Result):
 
     def page(self) -> Page:
         """Return the report's page as `casadical calibrate --report` writes it."""
-        return calibration_page(self.problem, self.identifications, self.accuracies, self.networks, self.figures())
+        found = (self.hand_eye, self.hand_eye_nominal, self.arm_or_camera)
+        camera = [Words(each.in_words()) for each in found if each]
+        of = (self.problem, self.identifications, self.accuracies, self.networks)
+        return calibration_page(*of, self.figures(), camera)
 
     def _method(self, method: str) -> dict[str, Any]:
         """Return a method's results for JSON: the keys of its identification, and `sets`.

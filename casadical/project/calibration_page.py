@@ -1,6 +1,6 @@
 """The HTML report of a calibration: sentences, tables and figures, as a reader asks for them."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +27,7 @@ from casadical.identification.pose_errors import (
     Style,
     error_distribution,
     errors_by_pose,
+    image_plane,
     workspace,
 )
 from casadical.identification.result import Identification, LeftOut, without_poses
@@ -147,7 +148,8 @@ def calibration_figures(
 
     where : localisation of the residual, as of `residual_localisation`
 
-    The figures are errors/SET and distribution/SET for each set of poses; workspace; where/TABLE as
+    The figures are errors/SET and distribution/SET for each set of poses; workspace;
+    image, of a camera's poses; where/TABLE as
     `where_figures` names them (of measured positions); parameters/lengths, /angles, /compliance;
     fit/residuals, /coverage, /pairs; training.
     """
@@ -179,6 +181,9 @@ def calibration_figures(
     )
     if spatial is not None:
         yield workspace(spatial, last.robot, workspace_caption)
+    if (seen := last.problem.sets[0]).noise:
+        robots = {"before": last.placed, **{method: r.robot for method, r in results.items()}}
+        yield image_plane(seen, robots, "Of the poses that identified. Errors of depth are in the tooltips.")
     if where:
         yield from where_figures(where)
     yield from parameter_figures(last)
@@ -230,12 +235,13 @@ def calibration_page(
     accuracies: Accuracies,
     networks: Networks | None,
     figures: Mapping[str, Figure],
+    camera: Sequence[Words] = (),
 ) -> Page:
     """Return the report page of one calibrated problem.
 
     results : identifications by method
     accuracies : accuracies by method, set and state
-    figures : figures by name
+    figures : figures by name; camera : sentences on the camera, where one measured the poses
     """
     last = list(results.values())[-1]
     errors = [*left_out_table(problem, results), *error_tables(problem, accuracies, networks)]
@@ -253,6 +259,7 @@ def calibration_page(
         Section("Errors before and after", [*errors, *paper_tables(problem.paper, accuracies, networks)]),
         Section("Error of each pose", each),
         Section("In the workspace", figures_named(figures, "workspace") or [Words(no_map, "note")]),
+        Section("Arm or camera", [*camera, *figures_named(figures, "image")]),
         Section("Where the gap lies", [*_where(figures_named(figures, "where"), last)]),
         Section(
             "Which causes", [Words(diagnosis_note, code=f"casadical diagnose {problem.folder} {diagnosis_arguments}")]

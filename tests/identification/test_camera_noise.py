@@ -13,6 +13,7 @@ from casadical import Measurements, identify
 from casadical.core.parts import Joint, Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted
+from casadical.identification.pose_errors import image_plane
 from casadical.measurements.camera_noise import CameraNoise, lines_of_sight, refined, whitening
 from casadical.robot.robot import Robot
 
@@ -101,3 +102,17 @@ def test_the_hand_eye_transform_is_several_times_better_with_the_cameras_noise()
     assert 3 * off["in hand"] < off[""]
     assert off["in hand"] < 3e-4
     assert found.problem.sets[0].noise is None
+
+
+def test_arrows_in_the_image_are_the_errors_across_the_view() -> None:
+    robot, m, _X = seen_by_hand(25)
+    found = identify(robot, m, ["placement"]).robot
+    p, R = predicted(found, m)
+    t = -np.einsum("nji,nj->ni", R, p) + [2e-3, -1e-3, 0]  # the board's first corner in the camera, and 2 mm aside
+    moved = replace(m, position=-np.einsum("nij,nj->ni", R, t), orientation=R)
+    line, ends = image_plane(moved, {"KM": found}).series
+    factor = float(line.name.split()[2])
+    at = t[:, :2] / t[:, 2:]
+    np.testing.assert_allclose(np.column_stack([line.x, line.y])[::3], at, atol=1e-6)
+    arrows = np.array([2e-3, -1e-3]) / t[:, 2:]
+    np.testing.assert_allclose(np.column_stack([ends.x, ends.y]), at + factor * arrows, atol=1e-5)
