@@ -280,16 +280,22 @@ def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "")
     """Return the figure of where a camera saw its target, with each robot's residuals in the image.
 
     Coordinates are x/z and y/z in the camera's frame, y downwards as in an image; a line runs from
-    the measured place of the target in the direction of the error (measured less computed).
+    the measured place of the target's middle in the direction of the error (measured less computed).
 
     m : full poses of a camera; robots : model -> robot
     """
-    t, _ = target_in_camera(m)
+    middle = np.array(m.noise.point if m.noise else (0.0, 0.0, 0.0))
+
+    def places(m: Measurements) -> Array:
+        t, R = target_in_camera(m)
+        return np.asarray(t + R @ middle)
+
+    t = places(m)
     at = t[:, :2] / t[:, 2:]
     extent, series = float(np.linalg.norm(np.ptp(at, axis=0))), list[Series]()
     for model, robot in robots.items():
         p, R = predicted(robot, m)
-        off = t - target_in_camera(replace(m, position=p, orientation=R))[0]
+        off = t - places(replace(m, position=p, orientation=R))
         image = off[:, :2] / t[:, 2:]
         length = np.linalg.norm(image, axis=1)
         factor = round_factor(0.16 * extent / max(float(np.quantile(length, 0.95)), 1e-12))
