@@ -180,9 +180,9 @@ def campaign_of(subject: Subject, plan: Plan) -> Campaign:
     """
     rng = np.random.default_rng([plan.seed, 2])
     # Unseen poses lie between measured ones, so that no time or temperature is extrapolated.
-    kept = np.ones(plan.poses + UNSEEN_POSES, dtype=bool)
-    kept[1 + rng.choice(len(kept) - 2, UNSEEN_POSES, replace=False)] = False
-    poses = None if subject.poses is None else with_poses_between(subject.poses, kept)
+    is_seen = np.ones(plan.poses + UNSEEN_POSES, dtype=bool)
+    is_seen[1 + rng.choice(len(is_seen) - 2, UNSEEN_POSES, replace=False)] = False
+    poses = None if subject.poses is None else with_poses_between(subject.poses, is_seen)
     # If a session finds no equilibrium, everything but the plan is drawn again, up to five times.
     for retry in range(6):
         plan = replace(plan, seed=plan.seed + min(retry, 1))
@@ -194,26 +194,26 @@ def campaign_of(subject: Subject, plan: Plan) -> Campaign:
                 raise
     struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMN_PREFIXES[word])]
     shown = recorded.session.drop(columns=[*struck, *TRUE_COLUMNS])
-    unseen = recorded.session[~kept]
+    unseen = recorded.session[~is_seen]
     return Campaign(
         name=plan.name,
-        seen=shown[kept].to_csv(index=False),
-        unseen=shown[~kept].drop(columns=MEASURED_COLUMNS).to_csv(index=False),
-        secret=_secret(plan, recorded, kept, subject.model, unseen),
+        seen=shown[is_seen].to_csv(index=False),
+        unseen=shown[~is_seen].drop(columns=MEASURED_COLUMNS).to_csv(index=False),
+        secret=_secret(plan, recorded, is_seen, subject.model, unseen),
     )
 
 
-def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
+def with_poses_between(poses: pd.DataFrame, is_seen: Array) -> pd.DataFrame:
     """Return a table with the given poses where the mask is true, and intermediate poses elsewhere.
 
     The latter are between the pose before and the next one, with the payload of the former and the
     approach directions of the latter.
 
     poses : table with a row for each true entry of the mask
-    kept : mask of the rows of the result, shape (rows,); the first is true
+    is_seen : mask of the rows of the result, shape (rows,); the first is true
     """
-    place = np.cumsum(kept) - 1.0
-    for k in np.flatnonzero(~kept):
+    place = np.cumsum(is_seen) - 1.0
+    for k in np.flatnonzero(~is_seen):
         place[k] = (place[k - 1] + np.floor(place[k - 1]) + 1) / 2
     before = np.floor(place).astype(int)
     after = np.minimum(before + 1, len(poses) - 1)
@@ -229,20 +229,20 @@ def with_poses_between(poses: pd.DataFrame, kept: Array) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def _secret(plan: Plan, recorded: Record, kept: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
+def _secret(plan: Plan, recorded: Record, is_seen: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
     """Return what a campaign hides, with the visible size of each effect.
 
-    kept : mask of the measured poses; model : text of the nominal robot's file
+    is_seen : mask of the measured poses; model : text of the nominal robot's file
     unseen : table of the unseen poses, with positions
     """
     robot = nominal(model)
-    clean = from_table(recorded.clean[kept].drop(columns=TRUE_COLUMNS), [j.kind for j in robot.joints], "position")
+    clean = from_table(recorded.clean[is_seen].drop(columns=TRUE_COLUMNS), [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
         """Return the visible size [m] of the effects in a table; see `unabsorbed_rms`."""
         shift = table[MEASURED_COLUMNS].to_numpy(float) - recorded.clean[MEASURED_COLUMNS].to_numpy(float)
-        return round(unabsorbed_rms(J, 1e-3 * shift[kept]), 9)
+        return round(unabsorbed_rms(J, 1e-3 * shift[is_seen]), 9)
 
     together = seen(recorded.session)
     alone = [seen(t) for t in recorded.alone] or [together] * len(recorded.hidden)

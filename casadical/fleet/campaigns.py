@@ -330,12 +330,12 @@ def without_copies(
 
     same : function that returns whether two items are equal
     """
-    kept: list[Item] = []
+    distinct: list[Item] = []
     copies: list[tuple[Item, Item]] = []
     for item in items:
-        first = next((k for k in kept if same(k, item)), None)
+        first = next((k for k in distinct if same(k, item)), None)
         if first is None:
-            kept.append(item)
+            distinct.append(item)
         else:
             copies.append((item, first))
-    return kept, copies
+    return distinct, copies

@@ -102,19 +102,19 @@ class Estimate(Shown):
         names : the p parameters
         values : values of these parameters at which the score is taken, shape (p,) [SI]
         """
-        kept, _, inverse = self.refitted_given(names)
-        own, score = marginalised(self.information, self.score, kept, inverse)
-        return own, score + own @ ((self.values[kept] - values) / self.scale[kept])
+        chosen, _, inverse = self.refitted_given(names)
+        own, score = marginalised(self.information, self.score, chosen, inverse)
+        return own, score + own @ ((self.values[chosen] - values) / self.scale[chosen])
 
     def refitted_given(self, names: Sequence[str]) -> tuple[Array, Array, Array]:
         """Return the indices of p parameters, (p,), of the r others, and the others' covariance.
 
         The covariance, (r, r), is conditional on the p parameters and in units of scale.
         """
-        kept = np.array([self.names.index(n) for n in names], dtype=int)
-        rest = np.setdiff1d(np.arange(len(self.names)), kept)
+        chosen = np.array([self.names.index(n) for n in names], dtype=int)
+        rest = np.setdiff1d(np.arange(len(self.names)), chosen)
         H = self.information[np.ix_(rest, rest)]
-        return kept, rest, scaled_inverse(H + np.diag(self.spread[rest] ** -2.0))
+        return chosen, rest, scaled_inverse(H + np.diag(self.spread[rest] ** -2.0))
 
 
 def date_text(day: float | None) -> str:
@@ -175,8 +175,8 @@ def _outliers(found: Identification) -> Iterator[str]:
         return
     said = f"{len(out)} pose{'s' * (len(out) > 1)} left out as outliers"
     rows = sorted(o.row for o in out)
-    (kept, *more) = found.used
-    between = kept.row[(kept.row > rows[0]) & (kept.row < rows[-1])]
+    (used, *more) = found.used
+    between = used.row[(used.row > rows[0]) & (used.row < rows[-1])]
     # Five or more consecutive outliers show a change of the set-up, not single mistakes.
     if len(rows) >= 5 and not more and not len(between):
         said += f", rows {rows[0]} to {rows[-1]} one after another: units, tool or set-up changed there"

@@ -161,11 +161,11 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
             f"{len(H)} robots of one type; {MIN_ROBOTS_PER_TYPE} are needed to learn what they have in common"
         )
     # Parameters that few robots identified keep the drawing's value: others include their effect.
-    kept = [k for k, n in enumerate(first["names"]) if "." in n or identified[n] > len(H) / 2]
-    own = tuple(str(first["names"][k]) for k in kept)
-    spread, scale = (np.asarray(first[column])[kept] for column in ("spread", "scale"))
-    at = _packed_places(len(first["names"]))[np.ix_(kept, kept)]
-    mean, C, tau = population_of(H, np.array(b)[:, kept], np.minimum(spread, 3.0), at, [_spread_group(n) for n in own])
+    used = [k for k, n in enumerate(first["names"]) if "." in n or identified[n] > len(H) / 2]
+    own = tuple(str(first["names"][k]) for k in used)
+    spread, scale = (np.asarray(first[column])[used] for column in ("spread", "scale"))
+    at = _packed_places(len(first["names"]))[np.ix_(used, used)]
+    mean, C, tau = population_of(H, np.array(b)[:, used], np.minimum(spread, 3.0), at, [_spread_group(n) for n in own])
     return Common(str(first["type"]), str(first["type_name"]), len(H), own, mean, np.sqrt(np.diag(C)), tau, scale, C)
 
 

@@ -385,8 +385,8 @@ def _widened_remaining(
     if remaining is None:
         return None
     values, V = np.linalg.eigh(C)
-    kept = values > 1e-9 * max(values.max(), 1e-300)
-    own = V[:, kept] * np.sqrt(values[kept])
+    relevant = values > 1e-9 * max(values.max(), 1e-300)
+    own = V[:, relevant] * np.sqrt(values[relevant])
     wide = np.zeros((len(remaining.names), own.shape[1]))
     for n, row in zip(names, scale[:, None] * own, strict=True):
         if n in remaining.names:
@@ -495,31 +495,31 @@ def judge_touches(
         a, b = first[1], other[1]
         return np.array_equal(a.q, b.q) and all(np.array_equal(v, a.arrays[name]) for name, v in b.arrays.items())
 
-    kept, copies = without_copies([(p, m.positions_alone()) for p, m in days], same)
+    distinct, copies = without_copies([(p, m.positions_alone()) for p, m in days], same)
     notes += [
         f"{p.name} is left out: the same readings as {first.name}, to the last digit" for (p, _), (first, _) in copies
     ]
-    if all(day_of(p) is not None for p, _ in kept):
-        kept.sort(key=lambda day: day_of(day[0]) or 0.0)
-        if kept[-1][0] != paths[-1]:
-            notes.append(f"by its date {kept[-1][0].name} is the last day, which is judged")
+    if all(day_of(p) is not None for p, _ in distinct):
+        distinct.sort(key=lambda day: day_of(day[0]) or 0.0)
+        if distinct[-1][0] != paths[-1]:
+            notes.append(f"by its date {distinct[-1][0].name} is the last day, which is judged")
     else:
         notes.append("no date in every table's name: the days are in the order given")
-    kept = kept[-30:]  # older days are not used
+    distinct = distinct[-30:]  # older days are not used
     weights = CHANGE_FREQUENCY if fleet is None else changes_in_fleet(Path(fleet))
     model = TouchModel.of_robot(
         arm,
-        [m for _, m in kept],
+        [m for _, m in distinct],
         None if noise_mm is None else 1e-3 * noise_mm,
         weights=weights,
-        dates=tuple(day_of(p) for p, _ in kept),
+        dates=tuple(day_of(p) for p, _ in distinct),
     )
     left = 1e-3 * np.linalg.norm(model.residual_mm, axis=1)
-    today = left[(model.day == len(kept))[::3]]
+    today = left[(model.day == len(distinct))[::3]]
     # A greater median distance from the predictions shows another frame or another robot [m].
     if (far := float(np.median(today))) > 0.03:
         raise InputError(
-            f"{kept[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has "
+            f"{distinct[-1][0]}: the touches are {mm(far)} mm (median) from where {place.name} has "
             "them: the instrument stands elsewhere, or it is another robot; touch in the frame of "
             "the calibration, or measure ten poses anywhere and leave --touches out"
         )
@@ -527,11 +527,11 @@ def judge_touches(
         today = f"{1e6 * GROWTH_PER_K * model.warming[-1]:+.0f} um/m today, which goes as it cools and is not corrected"
         notes.append(f"temperature is logged: lengths are taken to grow by 12 +- 6 um/m a kelvin, by {today}")
     tolerance = 1e-3 * tolerance_mm if tolerance_mm else 2.0 * model.stated / MM_PER_M
-    sources = (place, *(p for p, _ in kept))
+    sources = (place, *(p for p, _ in distinct))
     touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
     named = not touches.label or touches.draws.probability(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
         # Number of additional touches that are proposed where those of the last day do not decide.
-        more = plan_touches(place, 2, noise_mm=noise_mm, touched=kept[-1][1], seed=seed)
+        more = plan_touches(place, 2, noise_mm=noise_mm, touched=distinct[-1][1], seed=seed)
         return replace(touches, more=more)
     return touches

@@ -72,8 +72,8 @@ class _Poses:
     count : number of measured values minus the coordinates of unknown points
     """
 
-    def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], kept: int) -> None:
-        """Prepare the poses of an identification, evaluated at once if they are at most `kept`.
+    def __init__(self, found: Identification, robot: Robot, names: tuple[str, ...], max_cached: int) -> None:
+        """Prepare the poses of an identification, evaluated at once if they are at most `max_cached`.
 
         robot : calibrated, with joint harmonics; names : parameters by which Jacobians are taken
         """
@@ -81,13 +81,13 @@ class _Poses:
         self.joints = sum(name.startswith("theta") for name in names)
         self.count = sum(m.q.shape[0] * find_kind(m.kind).numbers for m in found.used) - 3 * len(found.unknown_points)
         self._made = partial(_rows, found, robot, names)
-        self._kept = list(self._made()) if len(self) <= kept else []
+        self._cached = list(self._made()) if len(self) <= max_cached else []
 
     def __len__(self) -> int:
         return len(self.q)
 
     def __iter__(self) -> Iterator[_Rows]:
-        return iter(self._kept or self._made())
+        return iter(self._cached or self._made())
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,17 +157,17 @@ class WideFit:
         return self._tried[rhos]
 
 
-def wide_fit(found: Identification, kept: int = MAX_CACHED_POSES) -> WideFit:
+def wide_fit(found: Identification, max_cached: int = MAX_CACHED_POSES) -> WideFit:
     """Return the fit of all uncertain parameters and harmonics to an identification's used poses.
 
-    kept : maximum number of poses whose residuals and Jacobians are cached
+    max_cached : maximum number of poses whose residuals and Jacobians are cached
     Raises InputError for known distances between touched points.
     """
     robot = with_joint_harmonics(found.robot, MAX_FITTED_HARMONIC)
     doubts = uncertain_parameters_of(robot, found.names)
     low = [joint[: 2 * MAX_COMPARED_HARMONIC] for joint in doubts.joints]
     doubts = replace(doubts, joints=(*low, *(joint[2 * MAX_COMPARED_HARMONIC :] for joint in doubts.joints)))
-    poses = _Poses(found, robot, doubts.names, kept)
+    poses = _Poses(found, robot, doubts.names, max_cached)
     rhos, best, mean = _most_probable(poses, doubts)
     n = len(poses)
     # Correlation is sought among consecutive poses (twelve parts) and among poses of one region of

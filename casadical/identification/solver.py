@@ -269,14 +269,14 @@ def minimise(
     Raises ConvergenceError with a sentence and a remedy if Ipopt does not stop at an optimum.
     """
     # Solvers of up to 100 variables are cached: one of a thousand takes 100 MB, and is built fast.
-    kept = len(lower) <= 100
-    ipopt = (_solvers.of if kept else _Solver)(len(lower), 200, settled is not None)
+    cached = len(lower) <= 100
+    ipopt = (_solvers.of if cached else _Solver)(len(lower), 200, settled is not None)
     ipopt.cost, ipopt.gradient, ipopt.scale, ipopt.progress, ipopt.history = cost, gradient, scale, progress, []
     ipopt.settled = settled
     try:
         v, status = ipopt.solve(np.zeros(len(lower)) if start is None else start, lower, upper)
     finally:
-        if not kept:
+        if not cached:
             ipopt.let_go()
     message = _MESSAGE_OF_STATUS.get(status, f"Ipopt stopped with {status}; see its documentation for this status.")
     if status not in ("Solve_Succeeded", ACCEPTABLE_STATUS, STOPPED_STATUS, "Search_Direction_Becomes_Too_Small"):

@@ -135,18 +135,18 @@ def draw(robot: Robot, count: int, workspace: Workspace, rng: np.random.Generato
     Raises InputError where fewer than `count` of 100 times as many are allowed.
     """
     lower, upper = workspace.ranges(robot)
-    kept = np.empty((0, robot.n))
+    allowed = np.empty((0, robot.n))
     for _ in range(100):
         share = rng.uniform(size=(count, robot.n))
         if to_ends:
             share[::2] = 0.5 - 0.5 * np.cos(np.pi * share[::2])
         q = robot.coupled(lower + (upper - lower) * share)
-        kept = np.concatenate([kept, q[workspace.allows(robot, q)]])[:count]
-        if len(kept) == count:
-            return kept
+        allowed = np.concatenate([allowed, q[workspace.allows(robot, q)]])[:count]
+        if len(allowed) == count:
+            return allowed
     refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
     raise InputError(
-        f"only {len(kept)} of {100 * count} readings drawn are allowed; of the last {count} were "
+        f"only {len(allowed)} of {100 * count} readings drawn are allowed; of the last {count} were "
         f"refused: {', '.join(f'{reason} {number}' for reason, number in refused.items())}; widen "
         "the tightest of these"
     )
@@ -228,7 +228,7 @@ class LaterPoses:
 def later_poses(
     robot: Robot,
     campaign: Measurements,
-    kept: Array,
+    inliers: Array,
     columns: Iterable[str],
     count: int,
     seed: int,
@@ -239,7 +239,7 @@ def later_poses(
 
     Half of the random ones are within the campaign's joint ranges.
 
-    kept : mask of the campaign's inliers, shape (n,)
+    inliers : mask of the campaign's inliers, shape (n,)
     columns : names of the columns of conditions that are needed
     count : number of random poses at most
     workspace : allowed poses, by default within the robot's joint limits; four-bars stay as open as
@@ -248,7 +248,7 @@ def later_poses(
     """
     rng = np.random.default_rng(seed)
     room = (workspace or Workspace()).as_open_as(robot, campaign.q)
-    own = campaign.q[kept]
+    own = campaign.q[inliers]
     lower, upper = room.ranges(robot)
 
     def drawn(wanted: int, low: Array, high: Array) -> Array:
@@ -262,7 +262,7 @@ def later_poses(
         near = drawn(count // 2, *narrow)
     wide = drawn(count - len(near), lower, upper)
     q = np.concatenate([near, wide, own])
-    repeated = np.concatenate([np.full(len(near) + len(wide), -1), np.flatnonzero(kept)])
+    repeated = np.concatenate([np.full(len(near) + len(wide), -1), np.flatnonzero(inliers)])
     declared = robot.payload.mass if robot.payload else 0.0
     usual = np.unique([*campaign_payloads(robot, campaign), 0.0, declared])
     states = np.array(sorted(payloads)) if payloads else usual

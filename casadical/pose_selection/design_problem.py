@@ -141,17 +141,17 @@ def prepare(
     some = m[np.arange(min(MAX_POSES_PER_PART, len(m)))]
     extra, numbers = (instrument.extra, instrument.numbers) if instrument else (0, 3)
 
-    def before(kept: Sequence[str]) -> Array:
+    def before(identified: Sequence[str]) -> Array:
         """Return the information matrix of some parameters and the unknown places without poses."""
-        size = len(kept) + extra
-        known = known_before(robot, kept, prior, size)
+        size = len(identified) + extra
+        known = known_before(robot, identified, prior, size)
         return known + (instrument.before(size, noise) if instrument else 0.0)
 
-    def information(kept: Sequence[str]) -> Array:
+    def information(identified: Sequence[str]) -> Array:
         """Return the information matrix of as many random poses as are planned, priors included."""
-        A = _rows(robot, kept, m, noise, instrument)
+        A = _rows(robot, identified, m, noise, instrument)
         A = A.reshape(-1, A.shape[2])
-        return A.T @ A * (total / len(m)) + before(kept)
+        return A.T @ A * (total / len(m)) + before(identified)
 
     names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
     if prior is None and numbers * total < (unknowns := len(names) + extra):
@@ -276,11 +276,11 @@ def _allowed(robot: Robot, q: Array, workspace: Workspace) -> Array:
     q = np.atleast_2d(np.asarray(q, dtype=float))
     if q.ndim != 2 or q.shape[1] != robot.n or not np.isfinite(q).all():
         raise InputError(f"candidates of shape {q.shape}; allowed: (poses, {robot.n}) finite readings [rad or m]")
-    kept = q[workspace.allows(robot, q)]
-    if not len(kept):
+    allowed = q[workspace.allows(robot, q)]
+    if not len(allowed):
         refused = {reason: int(mask.sum()) for reason, mask in workspace.refusals(robot, q).items()}
         raise InputError(f"none of the {len(q)} candidates is allowed: {refused}; widen the workspace")
-    return np.asarray(kept)
+    return np.asarray(allowed)
 
 
 def _with_columns(robot: Robot, measured: Measurements) -> Measurements:

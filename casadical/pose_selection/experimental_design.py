@@ -93,9 +93,9 @@ class Design:
         """Return the whole state for `restore`; arrays are replaced, never changed in place."""
         return vars(self) | {"chosen": list(self.chosen)}
 
-    def restore(self, kept: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any]) -> None:
         """Restore a state that `snapshot` returned."""
-        vars(self).update(kept, chosen=list(kept["chosen"]))
+        vars(self).update(state, chosen=list(state["chosen"]))
 
     @property
     def regular(self) -> bool:

@@ -96,13 +96,13 @@ def independent(
     """
     problem = LeastSquares(robot, tuple(sets), tuple(names), "linear", False, ((MM, MM),) * len(sets))
     analysis = independent_parameters(problem)
-    kept = list(analysis.independent)
+    identifiable = list(analysis.independent)
     if prior is not None:
-        return tuple(kept), analysis.unidentifiable
-    left, poor, _ = drop_poor([robot.parameters[n] for n in kept], information(kept))
+        return tuple(identifiable), analysis.unidentifiable
+    left, poor, _ = drop_poor([robot.parameters[n] for n in identifiable], information(identifiable))
     if not left:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
-    return tuple(kept[k] for k in left), (*analysis.unidentifiable, *poor)
+    return tuple(identifiable[k] for k in left), (*analysis.unidentifiable, *poor)
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:

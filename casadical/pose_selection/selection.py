@@ -114,11 +114,11 @@ def in_measuring_order(robot: Robot, chosen: Candidates, circumstances: Circumst
     # Columns of conditions that are chosen with a pose and do not depend on the order of
     # measurement.
     pose_columns = ("payload_kg", SOCKET_COLUMN, *GRAVITY_COLUMNS)
-    kept = {n: v[order] for n, v in rows.items() if n in pose_columns or n.startswith(("approach", SESSION_PREFIX))}
+    given = {n: v[order] for n, v in rows.items() if n in pose_columns or n.startswith(("approach", SESSION_PREFIX))}
     timed = [n for n in robot.conditions if n not in pose_columns and not n.startswith(("approach", SESSION_PREFIX))]
     if timed:
-        kept |= timeline(timed, np.arange(len(q)) / max(1, len(q) - 1), len(q), circumstances)
-    return expected(robot, q[order], kept, "plan")
+        given |= timeline(timed, np.arange(len(q)) / max(1, len(q) - 1), len(q), circumstances)
+    return expected(robot, q[order], given, "plan")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

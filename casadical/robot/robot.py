@@ -401,12 +401,12 @@ class Robot(Shown, Arm):
 
         Values, covariances and remaining errors of the removed ones are dropped.
         """
-        kept = tuple(effects)
-        gone = {p.name for e in self.effects if e not in kept for p in e.parameters()}
+        chosen = tuple(effects)
+        gone = {p.name for e in self.effects if e not in chosen for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
         known = self.knowledge and self.knowledge.without(gone)
         remaining = None if gone else self.remaining
-        return replace(self, effects=kept, effect_values=values, knowledge=known, remaining=remaining)
+        return replace(self, effects=chosen, effect_values=values, knowledge=known, remaining=remaining)
 
     @property
     def rigid(self) -> Robot:

@@ -156,8 +156,8 @@ class Mechanism:
     def with_joints(self, name: str, *joints: Joint) -> Self:
         """Return the mechanism with these joints in place of the one of that name."""
         body = self.holder(name)
-        kept = [[j] if j.name != name else joints for j in body.joints]
-        return self.with_body(replace(body, joints=tuple(j for some in kept for j in some)))
+        by_joint = [[j] if j.name != name else joints for j in body.joints]
+        return self.with_body(replace(body, joints=tuple(j for some in by_joint for j in some)))
 
     def with_body_after(self, name: str, new: Body) -> Self:
         """Return the mechanism with a new body between a body and all its children.

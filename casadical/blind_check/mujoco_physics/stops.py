@@ -79,17 +79,17 @@ def draw_poses(
     crank_distance_m : limits of the four-bar's `crank_distance` [m]; None: none
     Raises InputError when hardly any pose in the ranges keeps the limits.
     """
-    kept = np.empty((0, plant.n))
+    allowed = np.empty((0, plant.n))
     for _ in range(200):
         q = rng.uniform(ranges[:, 0], ranges[:, 1], (max(2 * n, 64), plant.n))
         if plant.four_bar is not None and crank_distance_m is not None:
             distance = crank_distance(plant, q)
             q = q[(distance >= crank_distance_m[0]) & (distance <= crank_distance_m[1])]
-        kept = np.vstack([kept, q])[:n]
-        if len(kept) == n:
-            return kept
+        allowed = np.vstack([allowed, q])[:n]
+        if len(allowed) == n:
+            return allowed
     raise InputError(
-        f"only {len(kept)} of {n} poses keep the four-bar within {crank_distance_m} m; widen it or the joint ranges"
+        f"only {len(allowed)} of {n} poses keep the four-bar within {crank_distance_m} m; widen it or the joint ranges"
     )
 
 
