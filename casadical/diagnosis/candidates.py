@@ -9,7 +9,7 @@ from casadical.core.basics import InputError
 from casadical.effects import Effect
 from casadical.effects.plugins import known_effects
 from casadical.measurements.derived_columns import Loads, derive
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, same_readings
 from casadical.robot.robot import Robot
 
 
@@ -93,6 +93,7 @@ def choose(
     Raises InputError where columns are missing for every listed candidate.
     """
     _, missing = derive(m, [c for k in candidates for v in k.variants for e in v for c in e.conditions], loads)
+    distinct = [int(same_readings(q[:, None]).max()) + 1 for q in m.q.T]
     possible, without = [], {}
     for candidate in candidates:
         lacking = [tuple(c for e in v for c in e.conditions if c in missing) for v in candidate.variants]
@@ -100,10 +101,11 @@ def choose(
         if not any(allowed):
             continue
         usable = (v for v, lack, yes in zip(candidate.variants, lacking, allowed, strict=True) if yes and not lack)
-        variants = tuple(tuple(e.for_poses(len(m)) for e in v) for v in usable)
+        resolved = (tuple(e.for_poses(len(m), distinct) for e in v) for v in usable)
+        variants = tuple(v for v in resolved if all(e.sizes() for e in v))
         if variants:
             possible.append(Candidate(candidate.label, candidate.name, candidate.joint, variants, candidate.listed))
-        elif candidate.listed and not candidate.variants[0][0].from_kind:
+        elif candidate.listed and not candidate.variants[0][0].from_kind and any(lacking):
             without[candidate.label] = tuple(dict.fromkeys(c for lack in lacking for c in lack))
     if without and not any(c.listed for c in possible):
         words = "; ".join(f"{label} needs {', '.join(lack)}" for label, lack in without.items())

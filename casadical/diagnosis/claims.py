@@ -129,7 +129,7 @@ def _shrinks(state: State, k: int, seed: int) -> bool:
 
     def shrinks(before: Array, after: Array) -> bool:
         """Return whether the mean error shrinks significantly."""
-        return shrink_interval(before, after, seed)[0] > 0
+        return shrink_interval(before, after, seed, state.case.judged.stop)[0] > 0
 
     if shrinks(errors((), state.rankings[0].noise[""]), errors((own,), own.ranking.noise[own.labels[0]])):
         return True

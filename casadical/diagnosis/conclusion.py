@@ -153,7 +153,7 @@ def _cause(state: State, step: Step, before: Array, seed: int) -> Cause:
         joint=candidate.joint,
         confidence=ranking.probability[label],
         shrink=float(1 - alone.mean() / before.mean()),
-        shrink_interval=shrink_interval(before, alone, seed),
+        shrink_interval=shrink_interval(before, alone, seed, state.case.evidence.stop),
         indistinguishable=rivals_of(step, state.listed(ranking)),
         effects=step.effects,
         estimates={name if candidate.joint == e.joint else f"{name}@{e.joint}": v for (e, name), v in values.items()},

@@ -91,11 +91,14 @@ def fold_errors(e: Evidence, fit: Fit, folds: Array) -> Array:
 def partitions(e: Evidence, seed: int) -> list[Array]:
     """Return random partitions, each the fold of every pose, shape (n,).
 
-    There are `Settings.partitions` of them, and one from 400 poses on.
+    There are `Settings.partitions` of them, and one from 400 poses on. Where several targets share
+    stops, each stop is a fold: a fifth of few stops is too many to predict from the others.
     """
     n = len(e.r)
+    if e.stop is not None:
+        return [e.stop]
     # From 400 poses on the mean hardly depends on the partition, and one is enough.
-    return [random_folds(n, seed + k, alike=e.alike) for k in range(SETTINGS.partitions if n < 400 else 1)]
+    return [random_folds(n, seed + k, alike=e.alike, stop=e.stop) for k in range(SETTINGS.partitions if n < 400 else 1)]
 
 
 def partitioned_errors(e: Evidence, columns: Array, noise: Noise, seed: int) -> Array:
@@ -131,13 +134,17 @@ def errors_and_distances(e: Evidence, columns: Array, noise: Noise, inliers: Arr
     return lengths(e, fit.residual(x)), fit.mahalanobis_squared(x, spread)
 
 
-def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
+def random_folds(n: int, seed: int, alike: Array | None = None, stop: Array | None = None) -> Array:
     """Return the index of a random fold for each of n poses, shape (n,).
 
     There are `Settings.folds` folds, whose sizes differ by at most one.
     alike : index of the unknown point of each pose, shape (n,); poses with the same point are
         distributed over the folds
+    stop : index of the stop of each pose; poses of one stop are in one fold
     """
+    if stop is not None:
+        _, first, of_pose = np.unique(stop, return_index=True, return_inverse=True)
+        return random_folds(len(first), seed, None if alike is None else alike[first])[of_pose]
     folds = np.random.default_rng(seed).permutation(np.arange(n) % SETTINGS.folds)
     if alike is None:
         return folds
@@ -146,27 +153,32 @@ def random_folds(n: int, seed: int, alike: Array | None = None) -> Array:
     return spread
 
 
-def shrink_interval(before: Array, after: Array, seed: int, draws: int = 2000) -> tuple[float, float]:
+def shrink_interval(before: Array, after: Array, seed: int, stop: Array | None = None) -> tuple[float, float]:
     """Return (low, high), the 95 % interval of 1 - mean(after) / mean(before), by bootstrap.
 
     before, after : errors at the same poses, shape (n,); poses are drawn together
-    draws : number of bootstrap samples
+    stop : as of `resampled_means`
     """
-    means = resampled_means(np.stack([before, after]), seed, draws)
+    means = resampled_means(np.stack([before, after]), seed, 2000, stop)
     low, high = np.quantile(1 - means[1] / means[0], [0.025, 0.975])
     return float(low), float(high)
 
 
-def resampled_means(values: Array, seed: int, draws: int) -> Array:
+def resampled_means(values: Array, seed: int, draws: int, stop: Array | None = None) -> Array:
     """Return the means over bootstrap samples of poses of each row of values, shape (k, draws).
 
     values : shape (k, n) for n poses; every row uses the same samples
+    stop : index of the stop of each pose, shape (n,); whole stops are drawn. None: poses are
     """
+    count: Array = np.ones(values.shape[1])
+    if stop is not None:
+        places = np.unique(stop, return_inverse=True)[1]
+        count, values = np.bincount(places, count), np.stack([np.bincount(places, own) for own in values])
     rng, n, means = np.random.default_rng(seed), values.shape[1], np.empty((len(values), draws))
     # Indices are drawn in blocks of about a million, which bounds memory.
     step = max(1, 1_000_000 // n)
     for start in range(0, draws, step):
         pick = rng.integers(0, n, (min(step, draws - start), n))
         for own, some in zip(means, values, strict=True):
-            own[start : start + len(pick)] = some[pick].mean(axis=1)
+            own[start : start + len(pick)] = some[pick].sum(axis=1) / count[pick].sum(axis=1)
     return means

@@ -83,6 +83,8 @@ class Evidence(LinearModel):
     sigmas : grid of the instrument's standard deviation [m]
     size : factors from the residuals' units to the reported error, shape (n, 3), zero for angles;
         None: one
+    stop : index of the robot's stop at which each pose was measured, shape (n,), where several
+        targets were measured at one; None where each pose has a stop of its own
     alike : index of the unknown points at which each pose was measured, shape (n,); None without
         such points
     unsure : masks, shape (n, 3), of the numbers of small tables (two at most) whose noise relative
@@ -100,16 +102,25 @@ class Evidence(LinearModel):
     noise_prior: NoisePrior = field(kw_only=True, default_factory=lambda: NoisePrior())
     sigmas: Array = field(kw_only=True, default_factory=lambda: SIGMA_GRID_M)
     size: Array | None = field(kw_only=True, default=None)
+    stop: Array | None = field(kw_only=True, default=None)
     alike: Array | None = field(kw_only=True, default=None)
     unsure: tuple[Array, ...] = field(kw_only=True, default=())
 
-    BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "Jq", "measured", "size", "alike")
+    BY_BLOCK: ClassVar[tuple[str, ...]] = ("r", "J", "Jq", "measured", "size", "stop", "alike")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "noise", joint_noise(self.Jq))
         object.__setattr__(self, "grid", Grid(self.sigmas, {REPEATABILITY: RHO_GRID}, KAPPA_GRID))
         object.__setattr__(self, "log_noise", log_noise_prior(self, self.Jq))
+
+    @property
+    def poses_per_stop(self) -> float:
+        """Return the mean number of poses that share a stop of the robot, 1 without such stops.
+
+        They share the joints' errors there, so that their evidence is that of so many times fewer.
+        """
+        return 1.0 if self.stop is None else len(self.stop) / len(np.unique(self.stop))
 
     def covariance(self, noise: Noise) -> Array:
         """Return the noise covariance of each pose's numbers, shape (n, 3, 3) [m^2].

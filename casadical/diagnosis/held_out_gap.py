@@ -63,14 +63,14 @@ def course(
     folds : partitions into folds, shape (n_inliers,) each; noise : noise that is subtracted
     """
     e = case.evidence
-    alone, blocks = np.arange(len(e.r)), time_blocks(case)
+    alone, blocks = np.arange(len(e.r)) if e.stop is None else e.stop, time_blocks(case)
     floor = noise_mean_square(e, noise)
     rows = []
     for added, columns, own in stages:
         runs = np.stack([held_out_errors(e, columns, own, f) for f in folds])
         error, square = runs.mean(axis=0), (runs**2).mean(axis=0) - floor
         loo, block = (held_out_errors(e, columns, own, f).mean() for f in (alone, blocks))
-        resampled = resampled_means(np.stack([error, square]), seed, 1000)
+        resampled = resampled_means(np.stack([error, square]), seed, 1000, e.stop)
         of_error, of_square = np.quantile(resampled, [0.025, 0.975], axis=1).T
         rooted = 1e3 * np.sqrt(np.maximum([square.mean(), *of_square], 0.0))
         rows.append((added, *(1e3 * np.array([error.mean(), *of_error, loo, block])).tolist(), *rooted.tolist()))
@@ -128,7 +128,7 @@ def check_refit(found: Diagnosis, show: Show = silent) -> Check:
     Raises ConvergenceError: Ipopt finds no optimum.
     """
     case, effects = found.case, found.effects()
-    folds = random_folds(int(case.inliers.sum()), found.seed, alike=case.evidence.alike)
+    folds = random_folds(int(case.inliers.sum()), found.seed, case.evidence.alike, case.evidence.stop)
     sets = refit_measurements(case, effects, found.noise)
     # For positions the estimated noise is the weight in the fit only.
     if case.observations.plain:
@@ -185,7 +185,7 @@ def network_gap(
     from casadical.compensator import Compensator
 
     e, q = case.evidence, case.m.q[case.inliers]
-    folds = random_folds(len(e.r), seed)
+    folds = random_folds(len(e.r), seed, stop=e.stop)
     before, used = np.empty(len(e.r)), np.empty(len(e.r))
     ratios, refused = [], 0
     for fold in range(SETTINGS.folds):

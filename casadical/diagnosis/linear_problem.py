@@ -28,7 +28,7 @@ from casadical.identification.result import Identification
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.position import PositionCovariance
 from casadical.measurements.kinds.registry import find_kind
-from casadical.measurements.measurements import Measurements, Noise
+from casadical.measurements.measurements import Measurements, Noise, same_readings
 from casadical.robot.robot import Robot
 
 
@@ -481,12 +481,23 @@ def _problem(
         ),
         measured=seen.measured,
         size=seen.size,
+        stop=_shared_stops(seen.m),
         alike=seen.alike,
         unsure=unsure_tables(seen),
     )
     if not seen.plain:
         whole = replace(whole, reference=max(residual_sd, float(SIGMA_GRID_M[0])))
     return inliers, *BaseParameters.restricted(whole)
+
+
+def _shared_stops(m: Measurements) -> Array | None:
+    """Return the index of each pose's stop, shape (n,), where several targets share stops, else None.
+
+    Poses at equal readings are one stop.
+    """
+    stop = same_readings(m.q)
+    several = sum(name.startswith("tool_") for name in m.conditions) > 1
+    return stop if several and stop.max() + 1 < len(stop) else None
 
 
 def unsure_tables(seen: Observations) -> tuple[Array, ...]:

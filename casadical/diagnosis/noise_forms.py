@@ -127,7 +127,8 @@ def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Seq
             # Likelihood falls with the coefficient from here on.
             if logs[-1] < max(plain, logs.max()) - POINT_LOG_EVIDENCE_WINDOW:
                 break
-        factor = float(np.logaddexp.reduce(logs, axis=None)) - np.log(len(forms) * alike * 5) - plain
+        gain = (float(np.logaddexp.reduce(logs, axis=None)) - plain) / e.poses_per_stop
+        factor = gain - float(np.log(len(forms) * alike * 5))
         best = first_of_best(logs, logs=True)
         noise, times = likely_noise(grids[best], e.sigmas), forms[best].scale
         if times is not None and times.ndim == 2:  # the mean over the axes

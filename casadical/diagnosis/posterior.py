@@ -106,7 +106,7 @@ def rank(
     grids = case.judged.log_grids([case.groups[k] for k in judged], chosen) + np.log(KAPPA_WEIGHTS)
     base_grid = case.judged.log_base(chosen)
     base = float(np.logaddexp.reduce(base_grid, axis=None))
-    log_variant = np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - base
+    log_variant = (np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - base) / case.judged.poses_per_stop
     owner = np.array([case.variants[k][0] for k in judged])
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
     weights = prior_weights(case, prior, skip, covered)

@@ -60,6 +60,6 @@ def describe_unlisted(found: Diagnosis) -> Unlisted | None:
     last = ranked()
     after = partitioned_errors(case.evidence, columns, last.noise[""], seed)
     means = float(before.mean()), float(after.mean())
-    interval = shrink_interval(before, after, seed)
+    interval = shrink_interval(before, after, seed, case.evidence.stop)
     effects = tuple(e for variant in forms.values() for e in variant)
     return Unlisted(tuple(forms), effects, *means, 1 - means[1] / means[0], interval, last)

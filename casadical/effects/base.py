@@ -490,8 +490,11 @@ class Effect:
         """
         return {name: values.get(f"{self.label}.{name}", 0.0) for name in self.sizes()}
 
-    def for_poses(self, count: int) -> Self:
-        """Return the effect in the resolution that `count` poses allow; by default unchanged."""
+    def for_poses(self, count: int, distinct: Sequence[int] = ()) -> Self:
+        """Return the effect in the resolution that `count` poses allow; by default unchanged.
+
+        distinct : number of distinct readings of each joint
+        """
         return self
 
     @property

@@ -70,10 +70,18 @@ class JointErrorCurve(Effect):
             for wave in "sc"
         }
 
-    def for_poses(self, count: int) -> "JointErrorCurve":
-        """Return the effect with `EXTENDED_ORDERS` harmonics if there are 400 poses or more."""
+    def for_poses(self, count: int, distinct: Sequence[int] = ()) -> "JointErrorCurve":
+        """Return the effect with `EXTENDED_ORDERS` harmonics if there are 400 poses or more.
+
+        A joint that returns to few angles has no curve there: k distinct angles determine
+        (k - 1) / 2 harmonics, and the values of higher ones between them are arbitrary.
+        distinct : number of distinct readings of each joint
+        """
         # The readings of so many poses determine more harmonics.
-        return replace(self, orders=EXTENDED_ORDERS) if count >= 400 and self.orders == DEFAULT_ORDERS else self
+        orders = EXTENDED_ORDERS if count >= 400 and self.orders == DEFAULT_ORDERS else self.orders
+        few = [2 * k < count and (k - 1) // 2 < orders for k in distinct] or [False] * len(self.spread)
+        spread = tuple(0.0 if repeats else s for s, repeats in zip(self.spread, few, strict=True))
+        return self if (spread, orders) == (self.spread, self.orders) else replace(self, spread=spread, orders=orders)
 
     @property
     def parts(self) -> dict[int, Array]:

@@ -98,12 +98,20 @@ def test_most_likely_noise_is_the_grids_top() -> None:
     assert WIDE_SIGMA_GRID_M[0] < 1e-6 < 1e-2 < WIDE_SIGMA_GRID_M[-1]
 
 
-def test_shrink_interval_covers() -> None:
-    """Of 200 campaigns of 60 poses, 95 % hold the true ratio of means."""
-    rng, hits = np.random.default_rng(0), 0
+def test_poses_of_one_stop_are_held_out_together() -> None:
+    stop = np.random.default_rng(1).permutation(np.repeat(np.arange(20), 3))
+    folds = random_folds(60, 0, stop=stop)
+    assert [len({*folds[stop == k]}) for k in range(20)] == [1] * 20
+    assert [len({*stop[folds == fold]}) for fold in range(5)] == [4] * 5
+
+
+@pytest.mark.parametrize("targets", [1, 3])
+def test_shrink_interval_covers(targets: int) -> None:
+    """Of 200 campaigns of 60 stops, whose targets share an error, 95 % hold the true ratio of means."""
+    rng, hits, stop = np.random.default_rng(0), 0, np.repeat(np.arange(60), targets)
     for seed in range(200):
-        before = rng.gamma(3.0, 1.0, 60)
-        after = 0.5 * before * rng.gamma(8.0, 1 / 8.0, 60)
-        low, high = shrink_interval(before, after, seed, draws=500)
+        before = np.repeat(rng.gamma(3.0, 1.0, 60), targets)
+        after = 0.5 * before * np.repeat(rng.gamma(8.0, 1 / 8.0, 60), targets)
+        low, high = shrink_interval(before, after, seed, stop if targets > 1 else None)
         hits += low <= 0.5 <= high
     assert 182 <= hits <= 198

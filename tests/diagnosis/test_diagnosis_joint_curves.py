@@ -186,6 +186,8 @@ def test_many_poses_have_more_harmonics() -> None:
     curve = JointErrorCurve(None, (TYPICAL_HARMONIC_RAD, 0.0, TYPICAL_HARMONIC_RAD))
     assert curve.for_poses(100) is curve
     assert curve.for_poses(1000).orders == EXTENDED_ORDERS
+    # Seven angles of joint 1 in 36 poses determine three of its harmonics; 30 of 36 are no repeated ones.
+    assert [*curve.for_poses(36, [7, 36, 30]).parts] == [3]
     assert len(curve.sizes()) == 2 * 2 * DEFAULT_ORDERS
     assert [*curve.parts] == [1, 3]
     assert {name.split("_")[1] for k, name in enumerate(curve.sizes()) if k in curve.parts[3]} == {"q3"}

@@ -8,7 +8,7 @@ import pytest
 from cases import diagnose, identified, practice, robot, simulated
 
 from casadical.core.basics import InputError
-from casadical.core.parts import Sessions
+from casadical.core.parts import Sessions, Target
 from casadical.core.transforms import frame, from_rpy
 from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.cause_table import wires_at_fault
@@ -22,7 +22,7 @@ from casadical.diagnosis.observations import stops_in
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.diagnosis.text import page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
-from casadical.identification.accuracy import predicted
+from casadical.identification.accuracy import errors, predicted
 from casadical.identification.identification import calibrate_base_model, identify, prepare
 from casadical.identification.residuals import make_block
 from casadical.measurements.measurements import Measurements
@@ -307,6 +307,30 @@ def test_poses_that_hold_one_point_are_spread_over_the_folds() -> None:
     case = make_case(identify(robot("hh800"), touched, ("geometry",), priors=True), [])
     assert case.evidence.alike is not None
     assert len(np.unique(case.evidence.alike)) == 4
+
+
+def test_targets_that_share_few_stops_promise_what_other_stops_show() -> None:
+    """Joints that repeat badly err alike for all targets of a stop, and a curve through seven angles is no cause."""
+    tip = robot("kr210").tool.T[:3, 3]
+    more = tuple(Target(name, tip + 0.1 * np.eye(3)[k]) for k, name in enumerate("BC"))
+    arm = replace(robot("kr210"), tool_name="A", targets=more)
+    low, high, rng = *arm.limits, np.random.default_rng(4)
+    levels = np.linspace(0.9 * low + 0.1 * high, 0.1 * low + 0.9 * high, 7)
+
+    def measured(stops: int) -> Measurements:
+        """Three targets at each of some stops, whose joints repeat to 40 urad, with noise of 30 um."""
+        q = np.repeat(np.column_stack([rng.choice(levels[:, j], stops) for j in range(6)]), 3, axis=0)
+        flags = {f"tool_{name}": np.tile(np.eye(3)[k], stops) for k, name in enumerate("ABC")}
+        flags |= {c: np.full(len(q), v) for c, v in zip(arm.conditions, arm.declared, strict=True) if c not in flags}
+        off = np.repeat(rng.normal(0, 4e-5, (stops, 6)), 3, axis=0)
+        blank = Measurements(q + off, "position", position=np.zeros((len(q), 3)), conditions=flags)
+        p = predicted(arm, blank)[0]
+        return replace(blank, q=q, position=p + rng.normal(0, 3e-5, p.shape))
+
+    found, others = diagnose(arm, measured(36), ["joint_error_curve", "transmission_ripple"]), measured(300)
+    assert found.causes == ()
+    assert found.case.evidence.poses_per_stop == pytest.approx(3, abs=0.2)
+    assert found.gap.after == pytest.approx(errors(found.identification.robot, others).mean(), rel=0.25)
 
 
 def test_a_wire_that_slips_twice_has_two_steps_at_their_rows() -> None:

@@ -271,7 +271,7 @@ def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise
     noise : noise of the fits; seed : seed of the folds
     """
     base = case.evidence.with_base(columns)
-    folds = random_folds(len(base.r), seed, alike=base.alike)
+    folds = random_folds(len(base.r), seed, alike=base.alike, stop=base.stop)
     errors = np.empty(len(base.r))
     for fold in np.unique(folds):
         test = folds == fold

@@ -135,7 +135,7 @@ def _concluded(
     if laws:
         given = np.unique(np.concatenate([NO_COLUMNS, *(case.columns[e] for e in causes)])).astype(np.int64)
         errors["law"] = held_out(case, given, laws, noise, found.seed)
-        interval = shrink_interval(before, errors["law"], found.seed)
+        interval = shrink_interval(before, errors["law"], found.seed, found.case.evidence.stop)
         shrink = float(1 - errors["law"].mean() / before.mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}
     return Discovery(found, tuple(rounds), case, tuple(laws), causes, noise, values, gap, shrink, smooth)
