@@ -267,7 +267,11 @@ class EffectColumns(Columns):
                 return self._factors_at(self.linear.at(poses))
             some, places = self._owning(columns)
             return some._factors_at(some.linear.at(poses)).only(places)
-        return self._all.at(poses) if columns is None else self._all.only(columns).at(poses)
+        if columns is None:
+            return self._all.at(poses)
+        # A slice of poses is a view; what is selected of it is copied.
+        sliced = isinstance(poses, slice)
+        return self._all.at(poses).only(columns) if sliced else self._all.only(columns).at(poses)
 
     def levers(self, blocks: Array | slice = WHOLE_AXIS) -> Array:
         """Return the Jacobian of the measured numbers by the seam variables, (poses, 3, seams).

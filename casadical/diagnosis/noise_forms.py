@@ -50,12 +50,8 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
     if len(chosen) and not seen:
         return ranking
     prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
-    unsized = {
-        noisy_joint_label(part)
-        for c in case.candidates
-        if c.label == ranking.order[0]
-        for part in c.variants[0][0].parts
-    }
+    first = ranking.order[0]
+    unsized = {noisy_joint_label(part) for c in case.candidates if c.label == first for part in c.variants[0][0].parts}
     # Where no cause is detected, a noisy joint may be.
     forms = [f for f in noise_forms(case, chosen, of_instrument=seen) if f.label not in unsized]
     mass = {f.label: float(np.log(prior["unknown"])) + f.log_factor for f in forms}

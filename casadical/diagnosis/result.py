@@ -329,9 +329,18 @@ class Diagnosis(Result):
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
+        if top is None and unlisted is None:
+            return self._refit_of_all
         from casadical.diagnosis.refit import refit
 
         return refit(self.case, self.effects(top, unlisted), self.noise)
+
+    @cached_property
+    def _refit_of_all(self) -> Identification:
+        """The refit with all named causes, which a report and the files of a diagnosis have in common."""
+        from casadical.diagnosis.refit import refit
+
+        return refit(self.case, self.effects(), self.noise)
 
     def apply(self, top: int | None = None, unlisted: Unlisted | None = None) -> Robot:
         """Return the calibrated robot with the effects in its model (see `refit`).
