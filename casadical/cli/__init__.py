@@ -4,7 +4,6 @@ Exit codes: 0 done; 2 bad input; 3 the solver found no optimum; 4 worse than bef
 valid; 70 a bug in casadical.
 """
 
-import gc
 import sys
 import traceback
 from io import TextIOWrapper
@@ -18,8 +17,6 @@ from casadical.core.subprocesses import one_thread
 def main() -> None:
     """Run the command line; user errors end in a message and an exit code, never in a traceback."""
     one_thread()
-    # Imports and models make a million lasting objects, which by default are visited at each 700 new ones.
-    gc.set_threshold(5000)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):  # characters that the encoding lacks are escaped
             stream.reconfigure(errors="backslashreplace")

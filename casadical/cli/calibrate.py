@@ -11,6 +11,7 @@ from casadical.cli.terminal import (
     CHECK,
     WORSE,
     html,
+    importing,
     keep,
     suggest,
     tell,
@@ -130,7 +131,8 @@ def calibrate(
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 4 held-out poses are worse than before
     (nothing is written then), 70 a bug in casadical.
     """
-    from casadical.project import calibration as work
+    with importing():
+        from casadical.project import calibration as work
 
     console = wrapped(quiet)
     known = o.carried_prior(prior, prior_effects, frozen)

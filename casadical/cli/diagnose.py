@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from typer import Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, html, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import DIAGNOSIS, html, importing, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 from casadical.core.telling.result import shortened
 
@@ -115,13 +115,8 @@ def diagnose(
 
     Exit codes: 0 done, 2 bad input, 3 no optimum found, 70 a bug in casadical.
     """
-    from casadical.project.diagnosis import (
-        Options,
-        diagnose_campaign,
-        effects_named,
-        read_campaigns,
-        read_logs,
-    )
+    with importing():
+        from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns, read_logs
 
     logs = read_logs(problem, campaigns, reference, drive, effects.split(",") if effects else ())
     o.refuse_of_others(context, "joint logs" if logs else "measured poses", MODE_OPTIONS)

@@ -1,5 +1,6 @@
 """Terminal output of all commands: exit codes, lines, tables, JSON files and progress."""
 
+import gc
 import os
 import re
 import shutil
@@ -204,6 +205,17 @@ PLAN: Steps = {"calibrating": 0.0, "choosing": 0.1, "accuracy": 0.6}
 _COUNT = re.compile(r"(\d+) of (\d+)")
 # Pattern of the number of an iteration of a solve in the words of a step.
 _ITERATION = re.compile(r"(?:iteration|step) (\d+)")
+
+
+@contextmanager
+def importing() -> Iterator[None]:
+    """Import modules without searches for cycles, which none of their lasting objects is part of."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @contextmanager
