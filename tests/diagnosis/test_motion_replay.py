@@ -14,8 +14,10 @@ from casadical.cli.root import app
 from casadical.core.telling.drawing import draw
 from casadical.core.telling.figure import Figure
 from casadical.core.telling.result import plain_text
+from casadical.diagnosis.motion.floor import stops_of
 from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted
+from casadical.diagnosis.motion.result import diagnose_log
 from casadical.effects import Backlash
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import read_log
@@ -33,8 +35,11 @@ def arm():
     return Robot(name="two servos", joints=joints)
 
 
-def moved(robot, seed, seconds=24.0):
-    """A log of small steps of an explicit integration, dry friction smoothed over a small speed."""
+def moved(robot, seed, seconds=24.0, stop=-np.inf):
+    """A log of small steps of an explicit integration, dry friction smoothed over a small speed.
+
+    stop : angle below which the second joint does not come
+    """
     rng, n = np.random.default_rng(seed), round(seconds / FINE)
     t = FINE * np.arange(n)
     w, phase = rng.uniform(0.4, 2.5, (3, 2, 1)), rng.uniform(0, 6, (3, 2, 1))
@@ -47,6 +52,8 @@ def moved(robot, seed, seconds=24.0):
         force = GAIN * (wanted - q) - DAMPED * v - load[k]
         v = v + FINE * (force - DRY * np.tanh(v / 3e-4)) / (inertia + FINE * DRY / 3e-4)
         q = q + FINE * v
+        if q[1] < stop:
+            q[1], v[1] = stop, 0.0
         out[k] = q
     every = slice(None, None, round(STEP / FINE))
     noise = rng.normal(0, 5e-4, out[every].shape)
@@ -78,6 +85,34 @@ def test_the_effect_table_shows_what_each_effect_costs(arm, monkeypatch):
     written = slippery.to_json()
     assert written["summary"] == slippery.effects.sentence
     np.testing.assert_allclose(written["effects"]["delay"], slippery.effects.without["delay"], rtol=1e-6)
+
+
+def with_current(log, stop):
+    """A log with a current without its sign, which rises where the second command is beyond a stop."""
+    current = np.full_like(log.position, 0.05)
+    current[log.command[:, 1] < stop, 1] = 2.0
+    return replace(log, current=current, current_unsigned=True)
+
+
+@pytest.mark.parametrize("unsigned", [True, False])
+def test_a_stop_is_named_with_its_angle_and_replayed(arm, unsigned):
+    logs = [moved(arm, seed, 12.0, -0.25) for seed in (1, 2)]
+    logs = [with_current(log, -0.25) for log in logs] if unsigned else logs
+    answer = diagnose_log(arm, logs[0])
+    assert answer.verdict == "explained"
+    (cause,) = answer.to_json()["causes"]
+    assert (cause["effect"], cause["joint"]) == ("contact", 2)
+    assert cause["angle_rad"] == pytest.approx(-0.25, abs=2e-3)
+    assert "b stops at -0.25 rad (-14 deg)" in plain_text(answer.blocks(), 400)
+    found = replayed(arm, logs[:1], logs[1:])
+    assert found.after[1] < 0.01
+    assert found.effects.without["stops"][1] > 0.05
+
+
+def test_droop_stiction_and_lag_are_no_stop(arm):
+    """Nor is a reading that stays where the current does not rise."""
+    assert not stops_of([moved(arm, seed, 12.0) for seed in (1, 2, 3)])
+    assert not stops_of([with_current(moved(arm, 1, 12.0, -0.25), -np.inf)])
 
 
 @pytest.mark.slow

@@ -24,6 +24,7 @@ WITHOUT: Mapping[str, Callable[[Response], Response]] = {
     "delay": lambda r: replace(r, delay=0 * r.delay),
     "inertia": lambda r: replace(r, inertia=0 * r.inertia),
     "surface": lambda r: replace(r, floor=None),
+    "stops": lambda r: replace(r, stops=()),
 }
 # The sentence names the effects and joints that together have this fraction of all costs.
 NAMED_SHARE = 0.8
@@ -117,10 +118,10 @@ def effect_table(
         error = np.concatenate([run.position - q for run, q in zip(runs, positions, strict=True)])
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 
-    floors = any(r.floor is not None for r in responses)
+    there = {"surface": any(r.floor is not None for r in responses), "stops": any(r.stops for r in responses)}
     return EffectTable(runs[0].joints, before, rms(predicted), {
         name: rms([change(r).predicted(run) for run, r in zip(runs, responses, strict=True)])
-        for name, change in WITHOUT.items() if floors or name != "surface"
+        for name, change in WITHOUT.items() if there.get(name, True)
     })  # fmt: skip
 
 

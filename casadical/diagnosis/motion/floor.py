@@ -1,11 +1,11 @@
-"""A surface on which the tool comes to rest: detected from logs, included in replays.
+"""A surface on which the tool comes to rest, and stops of joints, found in logs and replayed.
 
-It has one parameter, the height of the tool's point in contact. Where a step would end below, the
+The surface has one parameter, the height of the tool's point in contact. Where a step would end below, the
 smallest upward force that prevents it acts on all joints through the gradient of the height: a
 unilateral constraint, stepped implicitly (Moreau 1988), without friction along the surface.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.statistics import first_of_best
+from casadical.measurements.logs.log import JointLog
 from casadical.robot.dynamics import Dynamics
 
 # Largest candidate height of a surface above the tool's lowest height in the log [m].
@@ -111,3 +112,53 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
     costs = np.array([cost(np.maximum(replayed_heights, height)) for height in tried])
     best = first_of_best(-costs, logs=True)
     return Floor(dynamics, float(tried[best])) if cost(replayed_heights) - costs[best] > MIN_FLOOR_EVIDENCE else None
+
+
+@dataclass(frozen=True)
+class Stop:
+    """An angle at which a joint stops while its commands go on.
+
+    joint : index of the joint, from 0; way : 1 at the upper end, -1 at the lower; angle : [rad]
+    beyond : farthest command beyond it [rad]; seconds : time with commands beyond it [s]
+    effort : mean absolute torque or current there and elsewhere, None where neither was logged
+    """
+
+    joint: int
+    way: int
+    angle: float
+    beyond: float
+    seconds: float
+    effort: tuple[float, float] | None
+
+
+def stops_of(runs: Sequence[JointLog]) -> list[Stop]:
+    """Return the stops that commands and readings of some runs of one arm show.
+
+    While commands are far beyond the joint's extreme reading and differ from each other, the
+    reading stays, and the effort, which may lack its sign, is several times that elsewhere.
+    """
+    found = []
+    runs = [run for run in runs if run.command is not None and run.step]
+    for j, way in ((j, way) for j in range(len(runs[0].joints) if runs else 0) for way in (-1, 1)):
+        c, q = (np.concatenate([way * np.asarray(v)[:, j] for v in each]) for each in (
+            [run.command for run in runs], [run.position for run in runs])
+        )  # fmt: skip
+        known = np.isfinite(c) & np.isfinite(q)
+        effort = [run.current if run.torque is None else run.torque for run in runs]
+        push = None if any(e is None for e in effort) else np.concatenate([np.abs(np.asarray(e)[:, j]) for e in effort])
+        step = np.concatenate([np.full(len(run), run.step) for run in runs])[known]
+        c, q = c[known], q[known]
+        if not len(q):
+            continue
+        behind = c > q.max() + 0.05  # stiction leaves an error of less
+        stays = behind & (q > q.max() - 0.01)
+        if step[stays].sum() < 0.3 or stays.sum() < 0.8 * behind.sum() or np.ptp(c[stays]) < 0.05:
+            continue
+        pushes = None
+        if push is not None and np.isfinite(push[known]).all() and not stays.all():
+            pushes = float(push[known][stays].mean()), float(push[known][~behind].mean())
+            if pushes[0] < 2 * pushes[1]:
+                continue
+        angle = float(np.median(q[stays]))
+        found.append(Stop(j, way, way * angle, float(c.max() - angle), float(step[stays].sum()), pushes))
+    return found

@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor, floor_of
+from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor, Stop, floor_of, stops_of
 from casadical.diagnosis.motion.signals import (
     MAX_RATE_HZ,
     Arm,
@@ -113,6 +113,7 @@ class Response:
         delay [SI], shape (joints, 5)
     log_covariance : their covariance for each joint, shape (joints, 5, 5)
     log_widths : their prior standard deviations, shape (joints, 5)
+    stops : angles at which joints stop while commands go on
     """
 
     dynamics: Dynamics
@@ -130,6 +131,7 @@ class Response:
     log_values: Array | None = None
     log_covariance: Array | None = None
     log_widths: Array | None = None
+    stops: tuple[Stop, ...] = ()
 
     def predicted(self, log: JointLog) -> Array:
         """Return the positions simulated from a log's commands, shape (rows, joints) [rad].
@@ -144,7 +146,7 @@ class Response:
             balance = delayed(piece.command, self.delay / piece.step) - (load + self.bias) / self.gain
             q = simulated(
                 _midpoints(balance), len(balance) - 1, piece.position[0], np.array(piece.step), friction, lag, inertia,
-                self.floor, self.gain,
+                self.floor, self.gain, limits_of(self.stops, len(self.gain)),
             )  # fmt: skip
             t = run.time[0] + piece.step * np.arange(len(q))
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
@@ -231,7 +233,7 @@ def _midpoints(values: Array) -> Array:
 
 def simulated(
     balance: Iterable[Array], steps: int, start: Array, step: Array, friction: Array, lag: Array, inertia: Array,
-    floor: Floor | None = None, gain: Array | None = None,
+    floor: Floor | None = None, gain: Array | None = None, limits: tuple[Array, Array] | None = None,
 ) -> Array:  # fmt: skip
     """Return simulated joint angles, shape (1 + steps, ...) [rad]; the first ones are `start`.
 
@@ -242,6 +244,7 @@ def simulated(
         servo's gain
     floor : surface above which the tool stays, for arrays of shape (joints,) only; then `gain` is
         needed [N m/rad]
+    limits : smallest and largest angle of each joint, by its stops [rad]
     """
     keeps, gives = 2 * inertia / step, 1 / (2 * inertia / step + lag + step / 2)
     shape = np.broadcast_shapes(start.shape, gives.shape)
@@ -272,7 +275,21 @@ def simulated(
         slid(push)
         v = push.copy() if pushed else (2 * push - v) * (push != 0)
         q = np.add(q, step * push, out=out[k])
+        if limits is not None:
+            v *= (q >= limits[0]) & (q <= limits[1])
+            q = np.clip(q, *limits, out=q)
     return out
+
+
+def limits_of(stops: Sequence[Stop], joints: int) -> tuple[Array, Array] | None:
+    """Return the smallest and largest angle of each joint, shape (joints,) each [rad].
+
+    They are infinite without a stop; None without any.
+    """
+    limits = np.full(joints, -np.inf), np.full(joints, np.inf)
+    for stop in stops:
+        limits[stop.way > 0][stop.joint] = stop.angle
+    return limits if stops else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,6 +302,7 @@ class _Problem:
     step : time between samples, shape (pieces, joints) [s]
     middle, width : prior means and standard deviations of the parameters in the order described at
         `PARAMETERS_PER_JOINT`, shape (joints, PARAMETERS_PER_JOINT)
+    limits : smallest and largest angles (see `limits_of`)
     """
 
     command: Array
@@ -294,6 +312,7 @@ class _Problem:
     step: Array
     middle: Array
     width: Array
+    limits: tuple[Array, Array] | None = None
 
     def angles(self, x: Array) -> Array:
         """Return simulated angles for variants of the parameters.
@@ -321,9 +340,11 @@ class _Problem:
                 rest[..., -1] += more
                 yield rest
 
+        limits = None if self.limits is None else (self.limits[0][:, None], self.limits[1][:, None])
         return simulated(
-            balance(), len(first), self.position[0][..., None], self.step[..., None], friction, lag, inertia
-        )
+            balance(), len(first), self.position[0][..., None], self.step[..., None], friction, lag, inertia,
+            limits=limits,
+        )  # fmt: skip
 
     def residual(self, x: Array) -> tuple[Array, Array]:
         """Return measured minus simulated angles, and the latter's derivatives by the parameters.
@@ -350,17 +371,21 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
     for logs, each in zip(parts, pieces, strict=True):
         if not each:
             raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
-    problems = [_problem(arm.dynamics, p, _gains_by_torque(r, arm)) for p, r in zip(pieces, runs, strict=True)]
+    stops = [tuple(stops_of(each)) for each in runs]
+    problems = [
+        replace(_problem(arm.dynamics, p, _gains_by_torque(r, arm)), limits=limits_of(own, arm.joints))
+        for p, r, own in zip(pieces, runs, stops, strict=True)
+    ]
     responses = []
-    solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, runs, strict=True)
-    for (x, covariance, floor), problem, logs, p, r in solutions:
+    solutions = zip(_solved_with_floors(arm.dynamics, problems), problems, parts, pieces, runs, stops, strict=True)
+    for (x, covariance, floor), problem, logs, p, r, own in solutions:
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
         responses.append(Response(
             arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
             _torque_terms_of(arm, r, floor), floor, True, np.column_stack([-x[:, 0], x[:, 2:]]),
-            covariance, problem.width[:, _LOG_PARAMETERS],
+            covariance, problem.width[:, _LOG_PARAMETERS], own,
         ))  # fmt: skip
     return responses
 
@@ -416,11 +441,14 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
         parts = [np.pad(of(p), ((0, steps - len(of(p))), (0, pieces - of(p).shape[1]), (0, 0))) for p in problems]
         return np.concatenate(parts, axis=2)
 
+    none = [(np.full(len(p.middle), -np.inf), np.full(len(p.middle), np.inf)) for p in problems]
+    both = [p.limits or each for p, each in zip(problems, none, strict=True)]
+    limits = (np.concatenate([low for low, _ in both]), np.concatenate([high for _, high in both]))
     every = [np.pad(p.step, ((0, pieces - len(p.step)), (0, 0)), "edge") for p in problems]
     return _Problem(
         wide(lambda p: p.command), wide(lambda p: p.position), wide(lambda p: p.weight), wide(lambda p: p.load),
         np.concatenate(every, axis=1), np.concatenate([p.middle for p in problems]),
-        np.concatenate([p.width for p in problems]),
+        np.concatenate([p.width for p in problems]), limits if any(p.limits for p in problems) else None,
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from casadical.diagnosis.motion.base import (
     log_view,
 )
 from casadical.diagnosis.motion.effect_table import explained, torque_table
+from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
@@ -45,6 +46,7 @@ class LogDiagnosis(Result):
     """Diagnosis of a joint log: verdict, causes, residuals.
 
     log : the diagnosed log; arm : bodies and drives of the arm; outcome : result of the search
+    stops : angles at which joints stop while commands go on
     faults : faults of the log itself; reference : source of the healthy log, empty without one
     contradictions : sentences on contradictions between the log and the robot file
     determined : names of the inertial parameters that the motion determines
@@ -75,6 +77,7 @@ class LogDiagnosis(Result):
     arm: Arm
     outcome: Outcome
     faults: tuple[Fault, ...]
+    stops: tuple[Stop, ...] = field(default=(), metadata=WRITTEN)
     reference: str = field(default="", metadata=WRITTEN)
     contradictions: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
@@ -86,11 +89,11 @@ class LogDiagnosis(Result):
 
     @property
     def verdict(self) -> str:
-        """Return "explained" (by faults of the log), "ambiguous", "unknown" or "none".
+        """Return "explained" (by faults of the log or stops), "ambiguous", "unknown" or "none".
 
-        It is unknown if the log shows more than a usual arm, as no causes of the arm are named.
+        It is unknown if the log shows more than a usual arm, as no other causes are named.
         """
-        if self.faults:
+        if self.faults or self.stops:
             return "explained"
         verdict = self.outcome.verdict
         return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
@@ -136,10 +139,14 @@ class LogDiagnosis(Result):
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""
         case, found = self.outcome.case, self.outcome.found
-        said = [f.sentence for f in self.faults]
-        if self.outcome.verdict != "none":
-            best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
+        said = [*(f.sentence for f in self.faults), *(_stop_in_words(s, self.log) for s in self.stops)]
+        best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
+        # A smooth function stands for what is on no list, and no user is helped by its name.
+        if self.outcome.verdict != "none" and case.by_label[best].listed and not self.stops:
             said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
+        elif self.outcome.verdict != "none" and not self.stops:
+            at = case.by_label[best].label.split(" of joint ")[-1].split(" ")[0]
+            said.append(f"more is there than in a usual arm, most of all in joint {at}; no listed cause fits it")
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,
@@ -226,9 +233,13 @@ class LogDiagnosis(Result):
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Return the faults of the log itself as plain data; no other causes are named."""
+        """Return the faults of the log and stops, with their angles, as plain data.
+
+        No other causes are named.
+        """
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
-        return faults
+        stops = ({**_plain(f"contact@{s.joint + 1}", 1.0), "angle_rad": s.angle} for s in self.stops)
+        return [*faults, *stops]
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
@@ -241,6 +252,20 @@ def _plain(label: str, probability: float) -> dict[str, Any]:
     """Return a cause as a dict with the keys effect, joint (1-based or None) and probability."""
     name, _, joint = label.partition("@")
     return {"effect": name, "joint": int(joint) if joint else None, "probability": float(probability)}
+
+
+def _stop_in_words(stop: Stop, log: JointLog) -> str:
+    """Return a sentence on a stop: joint, angle, commands beyond it, and effort there."""
+    said = (
+        f"{log.joints[stop.joint]} stops at {stop.angle:.2f} rad ({np.rad2deg(stop.angle):.0f} deg) while commands go "
+        f"{stop.beyond:.2f} rad beyond, for {stop.seconds:.1f} s"
+    )
+    what = "torque" if log.torque is not None else "current"
+    return (
+        said
+        if stop.effort is None
+        else f"{said}; its {what} is {stop.effort[0] / stop.effort[1]:.0f} times that elsewhere"
+    )
 
 
 def in_words(case: MotionCase, label: str) -> str:
@@ -306,7 +331,8 @@ def diagnose_log(
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", log_views[0].arm
     faults = tuple(faults_of(log, arm, reference))
-    return LogDiagnosis(log, arm, outcome, faults, compared, contradictions(robot, log), numbers)
+    stops = tuple(stops_of([*log.runs()]))
+    return LogDiagnosis(log, arm, outcome, faults, stops, compared, contradictions(robot, log), numbers)
 
 
 def log_views_of(

@@ -90,6 +90,8 @@ class Found:
         """Return whether the cause gains enough on held-out runs, in total and in the median."""
         share = MIN_HELD_OUT_SHARE_LOCAL if self.label.startswith(LOCAL_CAUSES) else MIN_HELD_OUT_SHARE
         total, usual = sum(self.held_out), float(np.median(self.held_out))
+        if total > 10 * self.gain:
+            return False  # the fit cannot support so much: without the cause the base extrapolates
         return total >= max(share * self.gain, MIN_HELD_OUT_GAIN) and usual >= max(
             MIN_RUN_SHARE * self.gain, MIN_RUN_GAIN
         )
