@@ -66,6 +66,10 @@ from casadical.effects.smooth import AnyOfOtherAngle as AnyOfOtherAngle
 from casadical.effects.smooth import AnyOfTime as AnyOfTime
 from casadical.effects.smooth import AnyOfLoad as AnyOfLoad
 from casadical.effects.smooth import AnyOfAngleAndLoad as AnyOfAngleAndLoad
+from casadical.effects.smooth import FrameInTime as FrameInTime
+from casadical.effects.smooth import ToolInTime as ToolInTime
+from casadical.effects.smooth import BaseByMoment as BaseByMoment
+from casadical.effects.smooth import AxisByAngle as AxisByAngle
 from casadical.effects.smooth import SmoothInJoints as SmoothInJoints
 from casadical.effects.smooth import SmoothInTime as SmoothInTime
 from casadical.effects.smooth import WarmUp as WarmUp

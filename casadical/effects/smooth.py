@@ -12,7 +12,7 @@ from typing import ClassVar
 import casadi as ca
 
 from casadical.core.parts import Arm
-from casadical.core.transforms import Symbolic
+from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link
 
@@ -232,6 +232,109 @@ class AnyOfAngleAndLoad(_OfOneJoint):
         load, q = (context.load(self.joint), context.q[self.joint - 1]) if context else (0.0, 0.0)
         waves = (("s", ca.sin), ("c", ca.cos))
         return [(f"{n}{h}", 1.0, load * f(h * q)) for h in range(1, self.orders + 1) for n, f in waves]
+
+
+@dataclass(frozen=True)
+class _OfPlace(_Smooth):
+    """Base of displacements and rotations of one place that follow drivers without a form.
+
+    moves : components of the place's displacement (x, y, z) and rotation (rx, ry, rz)
+    """
+
+    moves: ClassVar[tuple[str, ...]] = ("x", "y", "z", "rx", "ry", "rz")
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, relative prior size, dimensionless value) of each function of the drivers.
+
+        By default they are those of a random walk in time. If `context` is None, the values are
+        placeholders.
+        """
+        t = context.conditions["progress"] if context else 0.0
+        return [(f"t{h}", 2 / h, ca.cos(ca.pi * h * t)) for h in range(1, 7)]
+
+    def sizes(self) -> Mapping[str, tuple[float, str]]:
+        """Return typical size and unit of each coefficient: x_t2 (component, function)."""
+        return {
+            f"{c}_{n}": (TYPICAL_ANGLE_RAD * s, "rad") if c[0] == "r" else (TYPICAL_LENGTH_M * s, "m")
+            for c in self.moves
+            for n, s, _ in self.terms(None)
+        }
+
+    def moved(self, context: Context) -> list[Symbolic]:
+        """Return the six components of the motion at a pose [m, rad]; those without `moves` are 0."""
+        terms = self.terms(context)
+        every = ("x", "y", "z", "rx", "ry", "rz")
+        return [sum(self.value(context, f"{c}_{n}") * f for n, _, f in terms) if c in self.moves else 0 for c in every]
+
+
+@dataclass(frozen=True)
+class FrameInTime(_OfPlace):
+    """A measuring frame that walks at random against the robot's base."""
+
+    name = "unknown_of_frame_in_time"
+    words = "any course in time of the measuring frame"
+    needs = ("progress",)
+
+    def measurement(self, point: Symbolic, context: Context) -> Symbolic:
+        """Return the point, shape (3,) [m], displaced by the frame's motion; both are in it."""
+        moved = self.moved(context)
+        return point + ca.vertcat(*moved[:3]) + ca.cross(ca.vertcat(*moved[3:]), point)
+
+
+@dataclass(frozen=True)
+class ToolInTime(_OfPlace):
+    """A target that walks at random against the flange (slips in its nest, creeping glue)."""
+
+    name = "unknown_of_tool_in_time"
+    words = "any course in time of the tool"
+    needs = ("progress",)
+    moves = ("x", "y", "z")
+
+    def tool(self, context: Context) -> Symbolic:
+        """Return the displacement of the tool as a translation (4, 4) [m] in the flange frame."""
+        return translate(*self.moved(context)[:3])
+
+
+@dataclass(frozen=True)
+class BaseByMoment(_OfPlace):
+    """A pedestal that tilts and sinks as any function of the overturning moment, on either side."""
+
+    name = "unknown_of_base_by_moment"
+    words = "any function of the overturning moment in the base"
+    moves = ("z", "rx", "ry")
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, 1, value) of linear, one-sided and saturating functions of the moment."""
+        mx, my = ca.vertsplit(context.moment(1)[:2] / context.peak_moment) if context else (0.0, 0.0)
+        one_sided = {"ax": ca.sqrt(mx**2 + 1e-4), "ay": ca.sqrt(my**2 + 1e-4), "xy": mx * my}
+        values = {"x": mx, "y": my, **one_sided, "tx": ca.tanh(6 * mx), "ty": ca.tanh(6 * my)}
+        return [(name, 1.0, value) for name, value in values.items()]
+
+    def base(self, context: Context) -> Symbolic:
+        """Return the motion of the pedestal as a transform (4, 4) [m] in the base frame."""
+        return small_frame(*self.moved(context))
+
+
+@dataclass(frozen=True)
+class AxisByAngle(_OfPlace):
+    """A joint's axis that tilts and shifts as any function of the joint's angle (a dented raceway)."""
+
+    name = "unknown_of_axis"
+    acts_at = "turning joints"
+    words = "any motion of the axis of joint {joint} over q{joint}"
+    moves = ("x", "y", "rx", "ry")
+
+    def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
+        """Return (name, 0.8, value) of sine and cosine of the angle's harmonics 1 to 4."""
+        q = context.turned(self.joint or 0) if context else 0.0
+        return [(f"{n}{h}", 0.8, f(h * q)) for h in range(1, 5) for n, f in (("s", ca.sin), ("c", ca.cos))]
+
+    def link(self, number: int, context: Context) -> Symbolic:
+        """Return tilt and shift of the axis as a transform (4, 4) [m] in the link's frame.
+
+        It is the identity where `number`, the link (1-based), is not that of the joint.
+        """
+        return small_frame(*self.moved(context)) if number == self.joint else ca.SX.eye(4)
 
 
 @dataclass(frozen=True)

@@ -195,3 +195,16 @@ def test_a_joint_that_creeps_is_no_step_and_its_time_is_named() -> None:
     assert "joint_zero_step@5" not in [c.label for c in d.causes]
     assert d.verdict == "unknown"
     assert d.rankings[0].order[0] == "any course in time of joint 5"
+
+
+@pytest.mark.slow
+def test_a_target_that_slips_again_and_again_is_no_single_shift() -> None:
+    m = simulated("kr210", 7)
+    assert m.position is not None
+    slips = 1e-5 * np.cumsum(np.random.default_rng(3).random(len(m)) < 0.2)
+    d = diagnose(
+        robot("kr210"), replace(m, position=m.position + predicted(robot("kr210"), m)[1][:, :, 0] * slips[:, None])
+    )
+    assert not {"target_shift", "frame_drift"} & {c.label for c in d.causes}
+    assert d.verdict == "unknown"
+    assert d.rankings[0].order[0] == "any course in time of the tool"
