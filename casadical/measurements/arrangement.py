@@ -12,7 +12,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.measurements.array_files import expanded
 from casadical.measurements.columns import in_seconds, numbers_of
-from casadical.measurements.headings import position_groups, words_of
+from casadical.measurements.headings import points_in_order, position_groups, words_of
 from casadical.measurements.raw_table import RawTable
 from casadical.measurements.table_form import Form
 from casadical.measurements.vocabulary import WORDS
@@ -33,7 +33,8 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
         lists = [str(name) for name in raw.frame if name not in split]
         said = f"{raw.path.name}: lists in the cells of {', '.join(lists)} are columns."
         raw = replace(_made(raw, split, said), line=raw.line)
-    groups = [g for g in position_groups(raw) if not {h.name for h in g} & {*given}]
+    found = position_groups(raw) if raw.form.header_line else points_in_order(raw)
+    groups = [g for g in found if not {h.name for h in g} & {*given}]
     points = [np.column_stack([h.values for h in g]) for g in groups]
     best: tuple[int, ...] = ()
     pairs = {pair for pair in combinations(range(len(groups)), 2) if _rigid(points[pair[0]], points[pair[1]])}
@@ -43,6 +44,7 @@ def long(raw: RawTable, given: Collection[str] = ()) -> RawTable:
     if len(best) < 2:
         return raw
     names = _target_names([{*groups[k][0].rest, *groups[k][0].numbers} for k in best])
+    names = names if raw.form.header_line else _numbered(len(best))
     taken = [h.name for k in best for h in groups[k]]
     others = raw.frame.drop(columns=taken)
     units = dict(zip(raw.header, raw.form.units, strict=False))
@@ -101,7 +103,8 @@ def with_headings(raw: RawTable, names: Sequence[str]) -> RawTable:
             f"{raw.path}: {len(names)} headings for {len(raw.header)} columns; the first row has "
             f"{', '.join(map(str, raw.frame.iloc[0]))}"
         )
-    return _made(raw, raw.frame.set_axis([*names], axis=1), f"{raw.path.name}: its headings are those that were given.")
+    made = _made(raw, raw.frame.set_axis([*names], axis=1), f"{raw.path.name}: its headings are those that were given.")
+    return replace(made, form=Form())
 
 
 def joined(tables: Sequence[RawTable]) -> RawTable:
@@ -250,8 +253,9 @@ def _made(raw: RawTable, table: pd.DataFrame, said: str) -> RawTable:
     """
     table = table.reset_index(drop=True)
     line = table.pop("row of the file").to_numpy() if "row of the file" in table else np.arange(len(table)) + 2
-    header, units = tuple(map(str, table)), dict(zip(raw.header, raw.form.units, strict=False))
-    form = Form(units=tuple(units.get(n, "") for n in header) if units else ())
+    units = dict(zip(raw.header, raw.form.units, strict=False))
+    header = tuple(f"{n} [{units[n]}]" if units.get(n) and not words_of(n)[1] else n for n in map(str, table))
+    form = Form(header_line=min(raw.form.header_line, 1))
     return replace(
-        raw, header=header, cells=(), frame=table, line=line, form=form, said=(*raw.said, said), comments=raw.comments
+        raw, header=header, cells=(), frame=table.set_axis(header, axis=1), line=line, form=form, said=(*raw.said, said)
     )

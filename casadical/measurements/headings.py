@@ -193,7 +193,7 @@ def understand(
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
         readings = [columns, *(way for q in questions for way in q.choices.values())]
         used = {c.source.name for c in readings[-1]} if len(readings) < 3 else set()
-        frames = _frames(raw, used) if kind in (None, "position", "pose") else []
+        frames = _frames(raw, used) if kind in (None, "position", "pose") and raw.form.header_line else []
         if not (positions or frames or lengths):
             triples = _numbered(raw, 3, {*given, *(c.source.name for way in readings for c in way)})
             positions = [g for g in triples if {*words_of(g[0].name)[0]} & WORDS["translation"]]
@@ -379,8 +379,9 @@ def _groups(headings: Sequence[Heading], quantity: str, slots: Sequence[str]) ->
                 key = (h.qualifier, h.rest, frozenset(words_of(h.name)[0]) & WORDS["filler"] if alone else frozenset())
                 groups.setdefault(key, {}).setdefault(h.slot, h)
         found = _best(
-            (_QUALIFIER_RANK[qualifier] + (3 if rest else 0), [members[slot] for slot in slots])
-            for (qualifier, rest, _), members in groups.items()
+            # The markers of a rigid body come after the body itself.
+            (_QUALIFIER_RANK[qualifier] + 3 * bool(rest) + 3 * ("marker" in filler), [members[slot] for slot in slots])
+            for (qualifier, rest, filler), members in groups.items()
             if all(slot in members for slot in slots)
         )
         if found:
@@ -416,9 +417,26 @@ def position_groups(raw: RawTable) -> list[list[Heading]]:
         groups.setdefault(key, {}).setdefault(h.slot, replace(h, numbers=numbers))
     whole = [[g[c] for c in _XYZ] for g in groups.values() if all(c in g for c in _XYZ)]
     measured = [g for g in whole if g[0].qualifier != "nominal"]
+    # The markers of a rigid body are no targets beside the body itself.
+    measured = [g for g in measured if "marker" not in words_of(g[0].name)[0]] or measured
     # Only beside other points is a "target" a commanded one; else it is a reflector.
     targets = [g for g in whole if not {*words_of(g[0].name)[0]} & (WORDS["nominal"] - WORDS["target"])]
     return measured or targets or ([] if _frames(raw) else _grid_points(raw))
+
+
+def points_in_order(raw: RawTable) -> list[list[Heading]]:
+    """Return groups of three neighbouring columns of a table without headings that may be points.
+
+    Of the rows or columns of rotation matrices there are none.
+    """
+    columns = [Heading(n, "", "", "", "", frozenset(), numbers_of(raw.frame[n])) for n in raw.header]
+    moving = [np.isfinite(h.values).mean() > 0.5 and np.nanstd(h.values) > 0 for h in columns]
+    if any(all(moving[k : k + 9]) and _is_rotation(columns[k : k + 9]) for k in range(len(columns) - 8)):
+        return []
+    if any(_matrices(columns[k : k + n]) for n in (12, 16) for k in range(len(columns) - n + 1)):
+        return []
+    starts = [k for k in range(len(columns) - 2) if all(moving[k : k + 3])]
+    return [[replace(h, numbers=frozenset({str(k)})) for h in columns[k : k + 3]] for k in starts]
 
 
 def points(raw: RawTable, taken: Collection[str]) -> Question | None:

@@ -39,7 +39,8 @@ def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: s
     given : casadical's column name -> declared source
     kind : kind of measurement, None where it is not declared
     """
-    question = None if raw.form.header_line or given else layout(raw, robot.joints)
+    placed = any(re.fullmatch("[xyz]_mm?|distance_mm?", name) for name in given)
+    question = None if raw.form.header_line or placed else layout(raw, robot.joints)
     if question:
         meaning = _by_model(raw, robot, given, Understanding((), (question,)))
         usual = understand(raw, robot.joints, given, kind=kind)
@@ -200,7 +201,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
             continue
         with suppress(InputError, np.linalg.LinAlgError):
             m = _measurements_of(raw, robot, sources)
-            if m.position is not None and len(m) >= 8:
+            if m.position is not None and len(m) >= 6:  # 18 numbers for the 9 unknown ones of base and tool
                 turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
                 errors[choices] = (placed_by(robot, m)[1], turn)
                 copied |= {choices} if computed(robot, m, rounded=True) else set()
@@ -220,7 +221,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
         if len(errors) < len(question.choices) and not others and len(question.choices) > 1:
             continue
         least, second = (_total(robot, errors[c]) if c else np.inf for c in (best, others[0] if others else None))
-        bound = MAX_ORIENTATION_ERROR_RAD if others else 0.02
+        bound = MAX_ORIENTATION_ERROR_RAD if others or question.about == "layout" else 0.02
         if least < bound and MIN_ERROR_RATIO_TO_OTHERS * least < second:
             answers[question.text] = (
                 best[k],

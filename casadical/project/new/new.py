@@ -206,10 +206,8 @@ def _table(paths: Sequence[Path], headings: str) -> RawTable:
 
 
 def _text(raw: RawTable) -> str:
-    """Return a rearranged table as CSV, one line of headings with their units first."""
-    units = [*raw.form.units, *([""] * len(raw.header))]
-    names = [f"{name} [{unit}]" if unit else name for name, unit in zip(raw.header, units, strict=False)]
-    return raw.frame.set_axis(names, axis=1).to_csv(index=False, lineterminator="\n")
+    """Return a rearranged table as CSV, one line of headings first."""
+    return raw.frame.to_csv(index=False, lineterminator="\n")
 
 
 def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | None, joint: int) -> str:

@@ -51,12 +51,14 @@ def bare(*parts: np.ndarray, sep: str = ",") -> str:
     )
 
 
-def motive(*lines: str, still: bool = False) -> str:
+def motive(*lines: str, still: bool = False, markers: bool = False) -> str:
     """A table of Motive: lines of groups, rigid bodies one beside the other, readings behind them."""
     stand = np.hstack([np.tile([0.1, 0.2, 0.3, 0.927], (ROWS, 1)), np.tile([50.0, 60, 70], (ROWS, 1))])
     bodies = [stand + np.random.default_rng(4).normal(0, 1e-4, stand.shape)] * still + [np.hstack([QUATERNION, P])]
-    table = np.hstack([np.arange(ROWS)[:, None], *(np.hstack([b, np.full((ROWS, 1), 0.2)]) for b in bodies), Q])
-    heads = [*lines, "Frame," + "X,Y,Z,W,X,Y,Z,," * len(bodies) + ",".join(f"J{k}" for k in range(1, 7))]
+    seen = [np.hstack([b, np.full((ROWS, 1), 0.2)]) for b in bodies] + [P + np.array([30.0, 0, 0])] * markers
+    table = np.hstack([np.arange(ROWS)[:, None], *seen, Q])
+    names = "X,Y,Z,W,X,Y,Z,," * len(bodies) + "X,Y,Z," * markers
+    heads = [*lines, f"Frame,{names}{','.join(f'J{k}' for k in range(1, 7))}"]
     return "\n".join([*heads, pd.DataFrame(table).to_csv(index=False, header=False)])
 
 
@@ -87,6 +89,9 @@ FORMS: dict[str, Callable[[], str]] = {
     "bare: readings, positions, a deviation": lambda: bare(Q, P, NUMBERS / 7.0),
     "Motive, two lines": lambda: motive("," + GROUPS),
     "Motive, a heading a group": lambda: motive(",Rotation,,,,Position,,,Mean Marker Error,"),
+    "Motive, with markers": lambda: motive(
+        "," + "Rigid Body," * 8 + "Rigid Body Marker," * 3, "," + GROUPS + "Position,Position,Position,", markers=True
+    ),
     "Motive, six lines, two bodies": lambda: motive(
         "Format Version,1.23,Take Name,Take 1,Rotation Type,Quaternion,Length Units,Millimeters",
         "",
@@ -144,6 +149,10 @@ WIDE: dict[str, str] = {
     "x, y, z again": wide(["X", "Y", "Z"] * 3),
     "groups above": wide(["X", "Y", "Z"] * 3, line=",,,,,,Target A,,,Target B,,,Target C,,"),
     "p12": wide(indices("p{}{}", 3, 3, 1)),
+    "no headings": pd.DataFrame(np.hstack([Q, *THREE])).to_csv(index=False, header=False),
+    "groups and units": wide(["X", "Y", "Z"] * 3, line=",,,,,,SMR 1,,,SMR 2,,,SMR 3,,").replace(
+        "Z\n", "Z\n" + "deg," * 6 + ",".join(["mm"] * 9) + "\n"
+    ),
     "target_1_x_mm": wide(each("target_{0}_{1}_mm", "123")),
 }
 
@@ -160,7 +169,8 @@ def test_targets_side_by_side_are_as_many_rows(form: str, tmp_path: Path) -> Non
     m = read_campaign(tmp_path / "arm", tmp_path / "arm" / "poses.csv", problem.robot)
     assert m.position is not None
     seen = np.stack(THREE[:count], axis=1).reshape(-1, 3)
-    np.testing.assert_allclose(1e3 * m.position, np.delete(seen, 5 * count - 1, axis=0), atol=1e-3)
+    lost = [] if form == "no headings" else [5 * count - 1]
+    np.testing.assert_allclose(1e3 * m.position, np.delete(seen, lost, axis=0), atol=1e-3)
     direct = read_campaign(tmp_path / "arm", tmp_path / "table.csv", problem.robot)
     np.testing.assert_allclose(direct.position, m.position)
 
