@@ -1,5 +1,6 @@
 """Poses of a camera: inverted ones are recognised, read so, said and kept; errors of orientation are told."""
 
+import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from casadical import InputError, Measurements, calibrate, identify, read_proble
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.project.check import precheck
+from casadical.project.check.repair import repaired
 from casadical.project.hand_eye import hand_eye_of
 from casadical.project.new import new_problem
 from casadical.project.robot_columns import as_poses
@@ -108,6 +110,11 @@ def test_new_says_and_keeps_what_the_robot_tells(tmp_path: Path) -> None:
     found = precheck(tmp_path / "arm")
     assert found.ok
     assert any("with each pose inverted" in f.text for f in found.findings)
+    problem = tmp_path / "arm" / "problem.toml"
+    problem.write_text(re.sub("inverted = true.*\n", "", problem.read_text()))
+    assert "+inverted = true" in repaired(precheck(tmp_path / "arm"))
+    assert tomllib.loads(problem.read_text())["measurements"][0]["inverted"] is True
+    assert not repaired(precheck(tmp_path / "arm"))
 
 
 def test_a_declared_reading_is_taken_as_it_is(tmp_path: Path) -> None:

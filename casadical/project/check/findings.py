@@ -172,7 +172,11 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
     if robot.gravity_frame != "logged" and {*GRAVITY_COLUMNS} <= {*conditions}:
         text = f"{source}: its columns say how the base tilts, and the robot file takes it as still"
         findings.append(
-            Finding("warning", "columns", f'{text}: write frame = "logged" in [gravity], or leave them out')
+            Finding(
+                "warning",
+                "columns",
+                f'{text}: write frame = "logged" in [gravity] ([urdf.gravity] of a URDF), or leave them out',
+            )
         )
     beyond = [c for c in conditions if (match := re.fullmatch(r"approach(\d+)", c)) and int(match[1]) > robot.n]
     if beyond:

@@ -19,7 +19,7 @@ from casadical.measurements.raw_table import read_table
 from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
 from casadical.project.check.slip_list import MIRROR_WARNING, error_in_mm, meant_length, other_lengths
-from casadical.project.problem import read_problem_robot
+from casadical.project.problem import read_problem, read_problem_robot
 from casadical.project.problem_file import as_toml
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
@@ -215,7 +215,22 @@ def repaired(found: Precheck) -> str:
         meant = f"\nthe frame is mirrored: {MIRROR_WARNING}" if slips.best.mirrored else ""
         after = error_in_mm(slips.best, robot)
         return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {after} after{meant}"
+    if texts := _inverted_files(found):
+        return f"{write_repair(texts)}\nrepaired: each pose is the inverse of the tool's, and the file says so now"
     return ""
+
+
+def _inverted_files(found: Precheck) -> dict[Path, str]:
+    """Return problem.toml with the key `inverted` of tables of which only the robot tells it; or {}."""
+    if found.nominal is None or found.tables:
+        return {}
+    path = found.folder / "problem.toml"
+    problem = tomlkit.parse(read_text(path))
+    inverted = {m.source for _, m in read_problem(found.folder).parts() if m.inverted}
+    silent: Any = [t for t in problem["measurements"] if Path(str(t["file"])).name in inverted and "inverted" not in t]
+    for table in silent:
+        table["inverted"] = True
+    return {path: tomlkit.dumps(problem)} if silent else {}
 
 
 def not_repaired(found: Precheck) -> str:
