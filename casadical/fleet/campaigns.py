@@ -286,21 +286,21 @@ def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Es
     days = [c.day for c in campaigns]
     if len(days) == 1:
         return campaigns, said
-    known = [d for d in days if d is not None]
-    if not known:
+    dated = [d for d in days if d is not None]
+    if not dated:
         return campaigns, [*said, "no dates in the names: the campaigns are in the order given"]
-    if len(known) < len(days):
+    if len(dated) < len(days):
         lost = ", ".join(c.label for c in campaigns if c.day is None)
         said.append(
             f"no date in the name of {lost}: the campaigns are in the order given, and dates are "
             "not used; put the day into the name of the table (2026-03-14.csv)"
         )
         return [replace(c, day=None) for c in campaigns], said
-    if known != sorted(known):
+    if dated != sorted(dated):
         back = [f"{a.label}, then {b.label}" for a, b in pairwise(campaigns) if (a.day or 0) > (b.day or 0)]
         said.append(f"dates go back ({'; '.join(back[:3])}): the campaigns are put in the order of their dates")
     ordered = sorted(campaigns, key=lambda c: c.day or 0.0)
-    steps = np.diff(sorted(known))
+    steps = np.diff(sorted(dated))
     twice = [b.label for b, step in zip(ordered[1:], steps, strict=True) if step == 0]
     if twice:
         said.append(f"two campaigns of one day, both used: {', '.join(twice)}")

@@ -194,18 +194,18 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     day : day of the measurement, since 1970 [d]
     Raises InputError: a robot without a covariance of its geometry.
     """
-    known = robot.knowledge
+    knowledge = robot.knowledge
     if robot.tool.unknown == "pose":  # positions, as below, do not determine the tool's orientation
         robot = replace(robot, tool=replace(robot.tool, unknown="position"))
     geometry = {p.name for p in robot.parameters if p.group in ("geometry", "loop")}
-    if known is None or geometry.isdisjoint(known.std_errors):
+    if knowledge is None or geometry.isdisjoint(knowledge.std_errors):
         raise InputError(
             f"robot {robot.name!r}: its file has no covariance of the geometry; write it with "
             "`casadical calibrate --out`, or give the folder of the problem"
         )
-    drawn = "the learnt range of each joint" if len(known.readings) else "the limits of each joint"
+    drawn = "the learnt range of each joint" if len(knowledge.readings) else "the limits of each joint"
     wide = with_joint_harmonics(robot, MAX_FITTED_HARMONIC)
-    solved = [n for n in robot.parameters.names if n in known.std_errors]
+    solved = [n for n in robot.parameters.names if n in knowledge.std_errors]
     doubts = uncertain_parameters_of(wide, [n for n in solved if n in wide.parameters.names])
     # Number of random poses that replace the measured ones of a robot file, which does not store
     # them.
@@ -218,11 +218,11 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     names = [doubts.names[k] for k in at]
     scale = np.array([wide.parameters[n].scale for n in names])
     C = np.zeros((len(names), len(names)))
-    for block in known.covariance:
+    for block in knowledge.covariance:
         own = block.only(names)
         places = [names.index(n) for n in own.names]
         C[np.ix_(places, places)] = own.matrix
-    C = known.misfit * C / np.outer(scale, scale)
+    C = knowledge.misfit * C / np.outer(scale, scale)
     # Some parameters, such as estimated masses, are known by their priors alone. The noise variance
     # [mm^2] is that with which poses like the drawn ones give the file's covariance: with the prior
     # precision P, C (J'J / variance + P) is the identity, whose trace is the number of parameters.
@@ -241,12 +241,12 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         (H + H.T) / 2,
         np.zeros(len(H)),
         doubts.sigma,
-        label or known.campaign,
+        label or knowledge.campaign,
         day,
-        known.poses,
-        misfit=known.misfit,
+        knowledge.poses,
+        misfit=knowledge.misfit,
         notes=(note,),
-        readings=known.readings if len(known.readings) else None,
+        readings=knowledge.readings if len(knowledge.readings) else None,
     )
 
 
@@ -255,8 +255,8 @@ def readings_of(robot: Robot, n: int) -> Array:
 
     A robot that was not calibrated has its joint limits instead. The seed is fixed.
     """
-    known = robot.knowledge
-    low, high = known.readings.T if known and len(known.readings) else robot.limits
+    knowledge = robot.knowledge
+    low, high = knowledge.readings.T if knowledge and len(knowledge.readings) else robot.limits
     return np.random.default_rng(0).uniform(low, high, (n, robot.n))
 
 

@@ -132,8 +132,8 @@ class Common:
         held = [p for p in robot.parameters if p.group in ("geometry", "loop", "compliance") and p.name not in names]
         blocks = [Covariance(names, (C + C.T) / 2 * np.outer(scale, scale))]
         blocks += [Covariance((p.name,), np.array([[(MIN_SPREAD * p.scale) ** 2]])) for p in held]
-        known = Knowledge(tuple(blocks), f"{self.count} robots of the fleet", robots=self.count)
-        return replace(robot.with_values(values), knowledge=known)
+        knowledge = Knowledge(tuple(blocks), f"{self.count} robots of the fleet", robots=self.count)
+        return replace(robot.with_values(values), knowledge=knowledge)
 
 
 def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:

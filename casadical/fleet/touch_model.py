@@ -232,10 +232,10 @@ class TouchModel:
         If that is not known, it is above the first logged day's; it is zero on a day without one.
         """
         T = self.temperatures
-        known = T[np.isfinite(T)]
-        if not len(known):
+        finite = T[np.isfinite(T)]
+        if not len(finite):
             return np.zeros(len(self.day))
-        reference = float(known[0]) if self.reference is None else self.reference
+        reference = float(finite[0]) if self.reference is None else self.reference
         return np.asarray(np.nan_to_num(T - reference)[self.day - 1])
 
     @property

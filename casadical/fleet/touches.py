@@ -353,7 +353,7 @@ class Touches(Result):
         return Page("Touches", self.given.name, f"{len(rows)} days", sections, tiles, (), self.sources)
 
 
-def _widened_knowledge(known: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
+def _widened_knowledge(knowledge: Knowledge | None, names: Sequence[str], C: Array) -> Knowledge | None:
     """Return a robot's knowledge with the covariance of a correction added to its own.
 
     It is added within each block of parameters; None stays None.
@@ -361,16 +361,16 @@ def _widened_knowledge(known: Knowledge | None, names: Sequence[str], C: Array) 
     names : corrected parameters, p of them
     C : covariance of the correction, shape (p, p) [SI]
     """
-    if known is None:
+    if knowledge is None:
         return None
     blocks = []
-    for block in known.covariance:
+    for block in knowledge.covariance:
         own = [n for n in block.names if n in names]
         at, here = [names.index(n) for n in own], [block.names.index(n) for n in own]
         matrix = block.matrix.copy()
         matrix[np.ix_(here, here)] += C[np.ix_(at, at)]
         blocks.append(Covariance(block.names, matrix))
-    return replace(known, covariance=tuple(blocks))
+    return replace(knowledge, covariance=tuple(blocks))
 
 
 def _widened_remaining(

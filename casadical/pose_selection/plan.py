@@ -119,8 +119,8 @@ def _errors(plan: Selection, of_effects: bool) -> list[Table]:
 
     of_effects : whether the parameters are those of effects that were asked for, or all others
     """
-    known = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
-    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in known]
+    pairs = zip((plan.robot.parameters[name] for name in plan.names), plan.standard_errors, strict=True)
+    rows = [(p.name, f"{p.readable(error):.3g}", p.readable_unit) for p, error in pairs]
     rows += [(u.name, "-", f"not identifiable: {u.reason}") for u in plan.unidentifiable]
     rows = [row for row in rows if row[0] in plan.robot.shown and ("." in row[0]) == of_effects]
     title = f"Expected standard errors{' of effects' if of_effects else ''}"

@@ -77,8 +77,8 @@ class Dynamics:
         """Gravity in the robot's base frame, shape (3,) [m/s^2]."""
         foot = base_frame(self.robot, dict.fromkeys(self.robot.parameters.names, 0.0), ca.DM(self.robot.base.T))
         frame = self.robot.gravity_frame
-        known = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
-        return np.asarray(known).ravel()
+        vector = self.robot.gravity if frame == "logged" else ca.DM(gravity_in_base(self.robot, foot, {})).full()
+        return np.asarray(vector).ravel()
 
     def regressor(self, q: Array, v: Array, a: Array) -> Array:
         """Return the regressor Y at many states, shape (N, n, 11 n): tau = Y pi.
@@ -122,8 +122,8 @@ class Dynamics:
         """
         point, geometry, gravity, Y = _expressions(self.robot.structure, self._couplings)
         pi = ca.SX.sym("pi", len(self.names))
-        known = [ca.DM(self.robot.parameters.values), ca.DM(self.gravity)]
-        (tau,) = ca.Function("rows", [point, geometry, gravity, pi], [Y @ pi]).call([point, *known, pi])
+        inputs = [ca.DM(self.robot.parameters.values), ca.DM(self.gravity)]
+        (tau,) = ca.Function("rows", [point, geometry, gravity, pi], [Y @ pi]).call([point, *inputs, pi])
         return ca.Function(
             "inverse_dynamics", [*ca.vertsplit(point, self.robot.n), pi], [tau], ["q", "v", "a", "pi"], ["tau"]
         )

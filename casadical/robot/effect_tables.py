@@ -215,12 +215,12 @@ def knowledge_of(
         for name in block.names:
             if name not in names:
                 raise InputError(f"covariance: no parameter {name!r}; there are {', '.join(names)}")
-    known = {name: float(np.sqrt(v)) for c in parts for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
+    stated = {name: float(np.sqrt(v)) for c in parts for name, v in zip(c.names, np.diag(c.matrix), strict=True)}
     for name, given in errors.items():
         # A standard error and the variance of its parameter agree within a relative 1e-6.
-        if abs(known.setdefault(name, given) - given) > 1e-6 * given:
+        if abs(stated.setdefault(name, given) - given) > 1e-6 * given:
             raise InputError(
-                f"{name}: std_error = {given:.6g}, but its [[covariance]] says {known[name]:.6g}; leave one out"
+                f"{name}: std_error = {given:.6g}, but its [[covariance]] says {stated[name]:.6g}; leave one out"
             )
         if all(name not in c.names for c in parts):
             parts.append(Covariance((name,), np.array([[given**2]])))
@@ -245,15 +245,15 @@ def text_of(
 
     known_alone : as of `to_toml`; companion : name of the file of `large_covariances`; "" without it
     """
-    known = knowledge or Knowledge()
+    knowledge = knowledge or Knowledge()
     for definition in defined_in_files(effects):
         yield from ("", "[[definition]]", *_entries(definition.model_dump(exclude_defaults=True)))
     for effect in effects:
-        yield from _effect_lines(effect, robot.effect_values, known.std_errors, known_alone)
+        yield from _effect_lines(effect, robot.effect_values, knowledge.std_errors, known_alone)
     if knowledge:
         yield from _learnt_lines(robot, knowledge)
     own = {p.name for e in effects for p in e.parameters()}
-    for block in known.covariance:
+    for block in knowledge.covariance:
         # The variance of a single parameter is already written as std_error next to its value.
         if len(block.names) > 1 or block.names[0] not in own:
             yield from ("", "[[covariance]]", f"names = {_text(block.names)}")
@@ -430,8 +430,8 @@ def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, 
     comment : text at the head of the file; known_alone : as of `to_toml`
     """
     names = {p.name for e in effects for p in e.parameters()}
-    known = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
+    knowledge = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [f"casadical = {FILE_VERSION}", f'written_by = "casadical {__version__}"']
     lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
-    return "\n".join([*lines, *text_of(robot, effects, known, known_alone=known_alone), ""])
+    return "\n".join([*lines, *text_of(robot, effects, knowledge, known_alone=known_alone), ""])

@@ -23,7 +23,7 @@ def refuse_other(robot: Robot, remaining: RemainingErrors) -> None:
 
     Raises InputError.
     """
-    known = with_joint_harmonics(robot).parameters.names
+    allowed = with_joint_harmonics(robot).parameters.names
     for name in remaining.names:
-        if name not in known:
-            raise InputError(f"remaining: no parameter {name!r}; there are {', '.join(known)}")
+        if name not in allowed:
+            raise InputError(f"remaining: no parameter {name!r}; there are {', '.join(allowed)}")

@@ -184,10 +184,10 @@ def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[
     names : of the k parameters; owners : label of each one's effect, or "" for the base model
     matrix : shape (k, k) [SI]
     """
-    known = [k for k, variance in enumerate(np.diag(matrix)) if np.isfinite(variance)]
-    parts = [known]
-    if len(known) > MAX_BLOCK_PARAMETERS:
-        parts = [list(part) for _, part in groupby(sorted(known, key=owners.__getitem__), key=owners.__getitem__)]
+    finite = [k for k, variance in enumerate(np.diag(matrix)) if np.isfinite(variance)]
+    parts = [finite]
+    if len(finite) > MAX_BLOCK_PARAMETERS:
+        parts = [list(part) for _, part in groupby(sorted(finite, key=owners.__getitem__), key=owners.__getitem__)]
     symmetric = (matrix + matrix.T) / 2
     return tuple(Covariance(tuple(names[k] for k in p), symmetric[np.ix_(p, p)]) for p in parts if len(p))
 
@@ -280,10 +280,10 @@ class Robot(Shown, Arm):
         Payload and gravity are the declared ones; progress is 1, as at the end of the campaign; all
         else is zero, which for several tools means the first.
         """
-        known = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
+        values = {"payload_kg": self.payload.mass if self.payload else 0.0, "progress": 1.0}
         size = max(float(np.linalg.norm(self.gravity)), 1e-9)
-        known |= dict(zip(GRAVITY_COLUMNS, self.gravity / size, strict=True))
-        return np.array([known.get(c, 0.0) for c in self.conditions])
+        values |= dict(zip(GRAVITY_COLUMNS, self.gravity / size, strict=True))
+        return np.array([values.get(c, 0.0) for c in self.conditions])
 
     @cached_property
     def parameters(self) -> Parameters:
@@ -404,9 +404,9 @@ class Robot(Shown, Arm):
         chosen = tuple(effects)
         gone = {p.name for e in self.effects if e not in chosen for p in e.parameters()}
         values = {name: value for name, value in self.effect_values.items() if name not in gone}
-        known = self.knowledge and self.knowledge.without(gone)
+        knowledge = self.knowledge and self.knowledge.without(gone)
         remaining = None if gone else self.remaining
-        return replace(self, effects=chosen, effect_values=values, knowledge=known, remaining=remaining)
+        return replace(self, effects=chosen, effect_values=values, knowledge=knowledge, remaining=remaining)
 
     @property
     def rigid(self) -> Robot:

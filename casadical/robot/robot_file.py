@@ -190,9 +190,9 @@ def _as_written(robot: Robot) -> Robot:
     """
     if any(isinstance(e, Session) for e in robot.effects):
         robot = robot.with_only(e for e in robot.effects if not isinstance(e, Session))
-    known = robot.knowledge
-    gone = set(known.std_errors) - set(robot.parameters.names) if known else set[str]()
-    return replace(robot, knowledge=known.without(gone)) if known and gone else robot
+    knowledge = robot.knowledge
+    gone = set(knowledge.std_errors) - set(robot.parameters.names) if knowledge else set[str]()
+    return replace(robot, knowledge=knowledge.without(gone)) if knowledge and gone else robot
 
 
 def _without_rounding_digits(key: str, value: Any) -> Any:

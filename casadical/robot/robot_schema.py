@@ -398,11 +398,11 @@ class RobotFile(RobotTables):
             notes=tuple(self.notes),
         )
         names = robot.parameters.names
-        known = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors, folder)
+        knowledge = effect_tables.knowledge_of(robot, names, self.learnt, self.covariance, errors, folder)
         remaining = self.remaining.errors() if self.remaining else None
         if remaining:
             refuse_other(robot, remaining)
-        robot = replace(robot, knowledge=known, remaining=remaining)
+        robot = replace(robot, knowledge=knowledge, remaining=remaining)
         if effects:
             _refuse_undefined(robot)
         assembly_sides(robot)  # raises InputError for a loop that does not close

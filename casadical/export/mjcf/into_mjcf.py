@@ -141,10 +141,10 @@ def _zero(spec: Any, joints: Sequence[str], source: str) -> tuple[list[Array], A
     source : name of the file, for messages
     Raises InputError.
     """
-    known = [joint.name for joint in spec.joints]
-    missing = [name for name in joints if name not in known]
+    present = [joint.name for joint in spec.joints]
+    missing = [name for name in joints if name not in present]
     if missing:
-        raise InputError(f"{source}: no joint {missing[0]!r}; there are {', '.join(known)}")
+        raise InputError(f"{source}: no joint {missing[0]!r}; there are {', '.join(present)}")
     model, data = _at_zero(spec, joints)
     bodies = [model.body(model.joint(name).bodyid[0]).name for name in joints]
     if "" in bodies or len(set(bodies)) < len(bodies):

@@ -111,12 +111,12 @@ def name_joints(root: ET.Element, robot: Robot) -> None:
     taken = {str(node.get("name")) for node in root.iter("joint")}
     if not all(names) or len(set(names)) < robot.n or taken & set(names):
         return
-    known = {f"joint{i}": name for i, name in enumerate(names, 1)}
+    joint_names = {f"joint{i}": name for i, name in enumerate(names, 1)}
     drives = {f"drive{i}": name for i, name in enumerate(names, 1)}
     for node in root.iter():
         for attribute, mapping in (
-            ("joint", known),
-            ("name", known if node.tag == "joint" else {}),
+            ("joint", joint_names),
+            ("name", joint_names if node.tag == "joint" else {}),
             ("actuator", drives),
         ):
             if (name := mapping.get(str(node.get(attribute)))) is not None:

@@ -290,8 +290,8 @@ def _dynamics(robot: Robot, joint: int) -> dict[str, str]:
     """
     if robot.drive is None:
         return {}
-    known = {name: robot.drive.of_joints(name, robot.n) for name in ("damping", "friction")}
-    return {name: repr(float(values[joint - 1])) for name, values in known.items() if values is not None}
+    declared = {name: robot.drive.of_joints(name, robot.n) for name in ("damping", "friction")}
+    return {name: repr(float(values[joint - 1])) for name, values in declared.items() if values is not None}
 
 
 def _about(robot: Robot) -> str:
