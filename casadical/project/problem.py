@@ -371,9 +371,9 @@ def read_campaign(
     """
     folder, raw = Path(folder), read_table(path, keep_text=False)
     data = table_like(folder, raw, tables_of(folder))
-    columns, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
-    lost = (columns.lost_rows if words else columns.empty_rows) if later else ()
-    columns = columns.without(lost, "the table")
+    given, joints = _columns(raw, data, robot), [j.kind for j in robot.joints]
+    lost = (given.lost_rows if words else given.empty_rows) if later else ()
+    columns = with_coupled(given.without(lost, "the table"), robot)
     if readings_only:
         m = readings_alone(columns, joints)
     else:
@@ -410,7 +410,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     columns = columns.with_tools(data.tools) if data.tools else columns
     if data.session:
         columns = replace(columns, table=columns.table.assign(session=data.session))
-    return with_coupled(columns.without(data.leave_out, "leave_out"), robot)
+    return columns.without(data.leave_out, "leave_out")
 
 
 def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple[Measurements, dict[str, Measurements]]:
@@ -421,7 +421,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
     path = folder / data.file
     if not path.exists():
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
-    columns = _columns(read_table(path, keep_text=False), data, robot)
+    columns = with_coupled(_columns(read_table(path, keep_text=False), data, robot), robot)
     joints = [j.kind for j in robot.joints]
     m = as_poses(_with_noise(columns, joints, data), robot, data.inverted, data.camera)
     if data.point_from and m.label is None:

@@ -17,7 +17,7 @@ from casadical.export.controller.inverse import Postures
 from casadical.export.controller.programs.target import Posture
 from casadical.export.mjcf.mjcf import mjcf
 from casadical.measurements.logs.reading import read_log
-from casadical.project.problem import read_campaign_robot, read_problem_robot
+from casadical.project.problem import read_campaign, read_campaign_robot, read_problem_robot
 from casadical.robot.robot_file import to_toml
 from casadical.robot.urdf import new_urdf
 
@@ -91,6 +91,15 @@ def test_a_log_is_in_readings(tmp_path: Path) -> None:
     assert np.rad2deg(log.position) == pytest.approx(q, abs=1e-6)
     power = (np.gradient(np.deg2rad(J), axis=0) * force).sum(axis=1)
     assert (np.gradient(log.position, axis=0) * log.torque).sum(axis=1) == pytest.approx(power, abs=1e-9)
+
+
+def test_a_lost_reading_loses_its_row_alone(tmp_path: Path) -> None:
+    _, other = arms(tmp_path)
+    robot = read_problem(other).robot
+    table = pd.read_csv(other / "poses.csv").astype(object)
+    table.loc[3, "q2_deg"], table.loc[5, "q2_deg"] = "", "n/a"
+    table.to_csv(other / "later.csv", index=False)
+    assert read_campaign(other, other / "later.csv", robot, later=True, words=True).lost == (5, 7)
 
 
 def test_a_plan_is_in_readings_and_the_file_keeps_them(tmp_path, monkeypatch):
