@@ -181,7 +181,8 @@ def understand(
 
     without_readings = bool({*free} - own)
     if without_readings:
-        groups = _joints(headings, len(chain), free, _names_in_cells(raw, [j.name for j in chain]))
+        open_joints = [i for i in free if i not in own]
+        groups = _joints(headings, len(chain), open_joints, _names_in_cells(raw, [j.name for j in chain]), own)
         unknown = not (groups or own)  # where some readings are named, the others are missing
         if unknown:
             numbered = _numbered(raw, len(free))
@@ -479,7 +480,7 @@ def _best(ranked: Iterable[tuple[int, _Group]]) -> list[_Group]:
 
 
 def _joints(
-    headings: Iterable[Heading], n: int, free: Sequence[int], order: Mapping[str, int]
+    headings: Iterable[Heading], n: int, free: Sequence[int], order: Mapping[str, int], own: Collection[int]
 ) -> list[dict[int, Heading]]:
     """Return the groups of columns that may be the joint readings, each by the number of its joint.
 
@@ -487,6 +488,7 @@ def _joints(
     they have more than half of them.
 
     n : number of joints; free : numbers of those that need a reading, as they follow no other
+    own : numbers of those whose readings have casadical's own names
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
     groups: dict[tuple[str, frozenset[str]], dict[int, Heading]] = {}
@@ -500,7 +502,9 @@ def _joints(
         # row counter.
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
         group = {i: members[i + first - 1] for i in range(1, n + 1) if i + first - 1 in members}
-        if [*group] == [*range(1, len(free) + 1)]:  # without the joints that follow others
+        if own:  # beside our own names, only the names of joints count
+            group = {i: h for i, h in group.items() if i not in own and "by name" in rest}
+        elif [*group] == [*range(1, len(free) + 1)]:  # without the joints that follow others
             group = dict(zip(free, group.values(), strict=True))
         rank = _QUALIFIER_RANK[qualifier] + (0 if rest <= WORDS["joint"] | {"by name"} else 3)
         missing = len({*free} - {*group})

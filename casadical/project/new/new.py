@@ -237,7 +237,7 @@ def _refuse_missing(raw: RawTable, robot: Robot, found: Understanding, before: C
         more = f", nor of joint {', '.join(map(str, missing[1:]))}" if missing[1:] else ""
         raise InputError(
             f"{raw.path}: no column has the readings of joint {missing[0]}{name} ({joint.kind}){more}; "
-            f"there are {', '.join(raw.header)}{before(missing[0])}"
+            f"there are {', '.join(raw.header)}{before(missing[0]) if missing[0] > max(map(int, there)) else ''}"
         )
 
 
