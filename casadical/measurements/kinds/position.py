@@ -230,7 +230,7 @@ class RelativePose(MeasurementKind):
     columns = (
         "`dx_mm, dy_mm, dz_mm` (or `_m`) and an orientation as of `pose`: of the tool in its frame "
         "at another pose, by `pose` and `other_pose`, or else that of the row before; all of the "
-        "first row, which has none, is zero, and a row behind one that is left out does not count"
+        "first row is zero"
     )
     pattern = f"d[xyz]_mm?|{ORIENTATION}"
     signs = ("dx_mm?",)
