@@ -111,8 +111,8 @@ def test_a_stop_is_named_with_its_angle_and_replayed(arm, unsigned):
 
 def test_droop_stiction_and_lag_are_no_stop(arm):
     """Nor is a reading that stays where the current does not rise."""
-    assert not stops_of([moved(arm, seed, 12.0) for seed in (1, 2, 3)])
-    assert not stops_of([with_current(moved(arm, 1, 12.0, -0.25), -np.inf)])
+    assert not stops_of(Dynamics(arm), [moved(arm, seed, 12.0) for seed in (1, 2, 3)])
+    assert not stops_of(Dynamics(arm), [with_current(moved(arm, 1, 12.0, -0.25), -np.inf)])
 
 
 @pytest.mark.slow

@@ -131,14 +131,17 @@ class Stop:
     effort: tuple[float, float] | None
 
 
-def stops_of(runs: Sequence[JointLog]) -> list[Stop]:
+def stops_of(dynamics: Dynamics, runs: Sequence[JointLog]) -> list[Stop]:
     """Return the stops that commands and readings of some runs of one arm show.
 
     While commands are far beyond the joint's extreme reading and differ from each other, the
-    reading stays, and the effort, which may lack its sign, is several times that elsewhere.
+    reading stays, and the effort, which may lack its sign, is several times that elsewhere. Where
+    the tool is as low as in no other part of the runs, it may rest on a surface instead.
     """
     found = []
     runs = [run for run in runs if run.command is not None and run.step]
+    heights = [Floor(dynamics).above(np.nan_to_num(run.position)) for run in runs] if up_of(dynamics).any() else []
+    low = np.concatenate(heights) < np.min(np.concatenate(heights)) + 4 * CONTACT_MARGIN_M if heights else None
     for j, way in ((j, way) for j in range(len(runs[0].joints) if runs else 0) for way in (-1, 1)):
         c, q = (np.concatenate([way * np.asarray(v)[:, j] for v in each]) for each in (
             [run.command for run in runs], [run.position for run in runs])
@@ -152,6 +155,8 @@ def stops_of(runs: Sequence[JointLog]) -> list[Stop]:
             continue
         behind = c > q.max() + 0.05  # stiction leaves an error of less
         stays = behind & (q > q.max() - 0.01)
+        if low is not None and stays.any() and low[known][stays].mean() > 0.5:
+            continue
         if step[stays].sum() < 0.3 or stays.sum() < 0.8 * behind.sum() or np.ptp(c[stays]) < 0.05:
             continue
         pushes = None

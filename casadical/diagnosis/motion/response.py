@@ -371,7 +371,7 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
     for logs, each in zip(parts, pieces, strict=True):
         if not each:
             raise InputError(f"{logs[0].source}: no run of two seconds or more; log 20 s or more of motion")
-    stops = [tuple(stops_of(each)) for each in runs]
+    stops = [tuple(stops_of(arm.dynamics, each)) for each in runs]
     problems = [
         replace(_problem(arm.dynamics, p, _gains_by_torque(r, arm)), limits=limits_of(own, arm.joints))
         for p, r, own in zip(pieces, runs, stops, strict=True)

@@ -331,7 +331,7 @@ def diagnose_log(
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
     compared, arm = reference.source if reference else "", log_views[0].arm
     faults = tuple(faults_of(log, arm, reference))
-    stops = tuple(stops_of([*log.runs()]))
+    stops = tuple(stops_of(arm.dynamics, [*log.runs()]))
     return LogDiagnosis(log, arm, outcome, faults, stops, compared, contradictions(robot, log), numbers)
 
 
