@@ -90,6 +90,8 @@ class Measurements(Shown):
     inverted : whether the source has the inverse of each pose: the measuring frame as the tool sees
         it
     camera : where the camera is that saw the poses, "in hand" or "to base"; empty: not known
+    clock_offset : time by which the images were taken after the readings of their rows [s], for
+        which the readings q are corrected
     noise : ratios of the noise of a camera's poses in its own axes; None: equal in all axes of the
         measuring frame
     Raises InputError: arrays that do not fit the kind or each other.
@@ -135,6 +137,7 @@ class Measurements(Shown):
     lost: tuple[int, ...] = ()
     inverted: bool = False
     camera: Literal["", "in hand", "to base"] = ""
+    clock_offset: float = 0.0
     noise: CameraNoise | None = None
 
     def __post_init__(self) -> None:
@@ -201,6 +204,17 @@ class Measurements(Shown):
         R = self.orientation.transpose(0, 2, 1)
         p = -np.einsum("nij,nj->ni", R, self.position)
         return replace(self, position=p, orientation=R, inverted=not self.inverted, noise=None)
+
+    @property
+    def clock_in_words(self) -> str:
+        """A sentence on the offset between images and joint readings; empty without one."""
+        if not self.clock_offset:
+            return ""
+        side = "after" if self.clock_offset > 0 else "before"
+        return (
+            f"Images were taken {1e3 * abs(self.clock_offset):.0f} ms {side} the joint readings of their rows; "
+            "readings are interpolated."
+        )
 
     @property
     def copies_in_words(self) -> str:

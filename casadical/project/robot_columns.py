@@ -9,6 +9,8 @@ from itertools import product
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
 
 from casadical.core.basics import Array, InputError
 from casadical.identification.accuracy import errors as position_errors
@@ -17,6 +19,7 @@ from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import frame_error, orientation_error
 from casadical.identification.sessions import sessions_in
 from casadical.measurements.columns import ORIENTATION, Columns, Source
+from casadical.measurements.derived_columns import TIME_COLUMN
 from casadical.measurements.headings import Understanding, layout, orientations_in_order, points, understand
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable
@@ -91,9 +94,11 @@ def poses_in_words(m: Measurements) -> str:
         "to base": "the camera stands still (eye to base), its target is on the robot",
         "": "",
     }[m.camera]
+    clock = f" {m.clock_in_words}" if m.clock_offset else ""
     if not m.inverted:
-        return f"Poses as they are: {where}." if where else ""
-    return f"Each pose is inverted: the table has the fixed frame as the tool sees it{f'; {where}' if where else ''}."
+        return f"Poses as they are: {where}.{clock}" if where else ""
+    more = f"; {where}" if where else ""
+    return f"Each pose is inverted: the table has the fixed frame as the tool sees it{more}.{clock}"
 
 
 def _without_other_frame(
@@ -144,7 +149,39 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
         undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
     m = m.inverse() if inverted else m
-    return replace(m, camera=camera or _camera_of(m))
+    return _synchronised(replace(m, camera=camera or _camera_of(m)), robot)
+
+
+def _synchronised(m: Measurements, robot: Robot) -> Measurements:
+    """Return a moving camera's poses with the joint readings at the times of the images.
+
+    The offset of both clocks, within 0.3 s, is the one with which base and tool fit best. The
+    measurements are returned unchanged where rows are more than 0.2 s apart or too few, or where no
+    offset is clearly better than none.
+    """
+    time = m.conditions.get(TIME_COLUMN)
+    if not m.camera or time is None or len(m) < 30:
+        return m
+    order = np.argsort(time, kind="stable")
+    if not (np.diff(time[order]) > 0).all() or np.median(np.diff(time[order])) > 0.2:
+        return m
+    reading = CubicSpline(time[order], m.q[order])
+    some = m.positions_alone()[np.linspace(0, len(m) - 1, min(len(m), 200)).astype(int)]
+    free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))
+
+    def misfit(offset: float) -> float:
+        """Return the mean square of the smaller four fifths of the errors [m^2]."""
+        moved = replace(some, q=reading(some.conditions[TIME_COLUMN] + offset))
+        e = np.sort(position_errors(place_frames(free, moved), moved))[: len(some) * 4 // 5]
+        return float(np.mean(e**2))
+
+    grid = np.linspace(-0.3, 0.3, 25)
+    best = grid[int(np.argmin([misfit(offset) for offset in grid]))]
+    offset = float(minimize_scalar(misfit, bounds=(best - 0.025, best + 0.025), method="bounded").x)
+    # By chance the logarithm of a likelihood grows by 10 with a probability below 1e-5.
+    if abs(offset) > 0.29 or 0.5 * len(some) * np.log(misfit(0.0) / misfit(offset)) < 10:
+        return m
+    return replace(m, q=np.asarray(reading(time + offset)), clock_offset=offset)
 
 
 def _pose_error(robot: Robot, m: Measurements) -> float:

@@ -27,6 +27,7 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Measurements
+from casadical.project.robot_columns import as_poses
 from casadical.robot.robot import Robot
 
 HELD_OUT = 200
@@ -227,14 +228,57 @@ def judged(entry: tuple[str, str, bool, int, int, bool]) -> kept.Row:
     return row
 
 
+def clocks(runs: int, first: int) -> None:
+    """Print errors of X_g [mm] of moving arms whose images are 20 to 100 ms off their readings; half are right."""
+    found: dict[str, list[float]] = {"offset [ms]": [], "as read": [], "one clock": []}
+    while len(found["offset [ms]"]) < runs:
+        rng, first = np.random.default_rng([7, first]), first + 1
+        in_hand, robot = bool(first % 2), arm(list(ARMS)[first // 2 % 2])
+        size = 1e-3 * (first // 4 % 2)
+        built = robot.with_values(
+            {p.name: p.value + size * rng.normal() for p in robot.parameters if p.group == "geometry"}
+        )
+        X = frame(
+            Rotation.from_rotvec(rng.normal(0, 0.2, 3)).as_matrix(), np.array([*rng.uniform(-0.07, 0.07, 2), 0.06])
+        )
+        q, T = stations(built, X, in_hand, 1, rng)
+        t, late = np.arange(0, 20, 1 / 15), rng.uniform(0.02, 0.1) * rng.choice([-1, 1])
+        speed, phase = 2 * np.pi / rng.uniform(4, 9, robot.n), rng.uniform(0, 6, robot.n)
+        size_of = np.append(np.full(robot.n - 1, 0.25), 1.0)
+        q0, low, high = np.clip(q[0], -1.8, 1.8), *robot.limits
+
+        read, imaged = (q0 + size_of * np.sin(np.outer(x, speed) + phase) for x in (t, t + late))
+        carried = poses_of(replace(built, tool=replace(built.tool, T=X)), np.vstack([q, imaged]))
+        stands = carried[0] @ T[0] if in_hand else carried[0] @ np.linalg.inv(T[0])
+        seen = np.linalg.inv(carried[1:]) @ stands if in_hand else np.linalg.inv(stands) @ carried[1:]
+        e = 1e-3 * np.array([1, 1, 3, 2, 2, 0.7]) * rng.normal(size=(len(t), 6))
+        seen[:, :3, :3] = Rotation.from_rotvec(e[:, 3:]).as_matrix() @ seen[:, :3, :3]
+        seen[:, :3, 3] += e[:, :3]
+        given = Measurements(
+            read, "pose", position=seen[:, :3, 3], orientation=seen[:, :3, :3], conditions={"time_s": t}
+        )
+        m = as_poses(given, robot, in_hand, "in hand" if in_hand else "to base")
+        truth = in_last_row(robot, built, X)
+        for name, q in (("as read", given.q), ("one clock", m.q)):
+            one = identify(robot, replace(m, q=np.clip(q, low, high)), ["kinematic"]).robot
+            found[name].append(1e3 * float(np.linalg.norm(in_last_row(robot, one, one.tool.T)[:3, 3] - truth[:3, 3])))
+        found["offset [ms]"].append(1e3 * abs(m.clock_offset - late))
+    for name, e in found.items():
+        print(f"d clocks, {runs} runs: {name:12s} {np.median(e):.3f} / {np.quantile(e, 0.95):.3f}")
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--opencv", action="store_true")
+    parser.add_argument("--clocks", action="store_true", help="only moving arms with two clocks")
     kept.add_options(parser, "camera")
     given = parser.parse_args()
+    if given.clocks:
+        clocks(given.runs, given.seed)
+        return
     todo = [
         ("/".join(map(str, entry)), entry)
         for run in range(given.runs)

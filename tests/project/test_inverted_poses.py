@@ -11,6 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, calibrate, identify, read_problem
+from casadical.core.parts import Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
 from casadical.project.check import precheck
@@ -195,3 +196,26 @@ def test_errors_of_a_camera_that_stands_are_of_its_place_not_of_the_base() -> No
     values = found.estimate[at] + rng.multivariate_normal(np.zeros(6), C, size=800)
     T = [np.linalg.inv(found.robot.with_values(dict(zip(names, v, strict=True))).base.T) for v in values]
     assert hand_eye_of(found).std_errors == pytest.approx(np.std(T, axis=0)[:3, 3], rel=0.1)
+
+
+@pytest.mark.parametrize(("late", "step"), [(0.07, 0.05), (-0.04, 0.05), (0.0, 0.05), (0.07, 0.5)])
+def test_images_and_readings_of_a_moving_arm_have_one_clock(late: float, step: float) -> None:
+    """Readings at the times of their rows, images taken later; stations far apart in time stay as they are."""
+    rng, time = np.random.default_rng(2), step * np.arange(200)
+    speed, phase = rng.uniform(0.5, 1.5, 6), rng.uniform(0, 6, 6)
+
+    def path(t: np.ndarray) -> np.ndarray:
+        return np.array([0.2, -1.2, 1.4, -1.6, -1.5, 0.1]) + 0.3 * np.sin(np.outer(t, speed) + phase)
+
+    given = replace(ur5e(), base=Placement(np.linalg.inv(TARGET), "pose"), tool=Placement(HAND_EYE, "pose"))
+    p, R = predicted(given, Measurements(path(time + late), "position", position=np.zeros((200, 3))))
+    p, R = p + rng.normal(0, 1e-3, p.shape), R @ Rotation.from_rotvec(rng.normal(0, 1e-3, p.shape)).as_matrix()
+    m = Measurements(path(time), "pose", position=p, orientation=R, conditions={"time_s": time})
+    read = as_poses(m, ur5e(), False, "in hand")
+    if not late or step > 0.2:
+        assert (read.clock_offset, read.clock_in_words) == (0.0, "")
+        np.testing.assert_array_equal(read.q, m.q)
+        return
+    assert read.clock_offset == pytest.approx(late, abs=2e-3)
+    np.testing.assert_allclose(read.q, path(time + read.clock_offset), atol=1e-4)
+    assert ("ms after" if late > 0 else "ms before") in read.clock_in_words
