@@ -118,6 +118,8 @@ def _with_probable_settings(case: Case, label: str, effect: Effect, chosen: Arra
     # Integers are evaluated within 12 % of a fractional setting, within one of it and at most four:
     # a load that depends on the angle shifts the frequency by a few cycles, whatever it is.
     near = [float(k) for k in range(1, int(2 * read)) if abs(k - read) <= min(max(0.12 * read, 1.0), 4.0)]
+    # The second harmonic of half the true frequency fits, too.
+    near.append(float(round(2 * read)))
     plain = [_with(effect, **{name: k}) for k in near]
     joined = [_with(e, **{other: v}) for e in plain for other, v in tried]
     every = [(e,) for e in dict.fromkeys((effect, *plain, *joined))]

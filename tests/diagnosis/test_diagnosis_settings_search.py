@@ -44,12 +44,13 @@ def test_refining_never_lowers_the_evidence(label: str) -> None:
     assert evidence(found, better, chosen) >= evidence(found, variant, chosen) - less
 
 
-def test_a_frequency_between_the_grids_is_found() -> None:
-    m = simulated("ur10e", 3, planted("transmission_ripple", 2, size=80e-6, cycles=7))
+@pytest.mark.parametrize(("cycles", "start_at"), [(7, 7.5), (57, 28.5)])
+def test_a_frequency_between_the_grids_is_found(cycles: int, start_at: float) -> None:
+    m = simulated("ur10e", 3, planted("transmission_ripple", 2, size=80e-6, cycles=cycles))
     r = robot("ur10e")
     start = make_case(identify(r, m, priors=True), candidates_of(r, ["transmission_ripple@2"]))
-    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, 7.5),), NOTHING, Noise(2e-5, 0.0))
-    assert found.cycles == pytest.approx(7, abs=0.1)
+    _, (found,) = refined(start, "transmission_ripple@2", (TransmissionRipple(2, start_at),), NOTHING, Noise(2e-5, 0.0))
+    assert found.cycles == pytest.approx(cycles, abs=0.1)
 
 
 def test_a_step_stands_midway_between_the_poses_that_it_is_seen_between() -> None:
