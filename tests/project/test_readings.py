@@ -16,7 +16,10 @@ from casadical.core.parts import Coupling, Placement
 from casadical.export.controller.inverse import Postures
 from casadical.export.controller.programs.target import Posture
 from casadical.export.mjcf.mjcf import mjcf
+from casadical.measurements.columns import Source
 from casadical.measurements.logs.reading import read_log
+from casadical.project.check.repair import repaired_columns
+from casadical.project.check.slip_fit import Fit, Hypothesis
 from casadical.project.problem import read_campaign, read_campaign_robot, read_problem_robot
 from casadical.robot.robot_file import to_toml
 from casadical.robot.urdf import new_urdf
@@ -175,6 +178,9 @@ def test_a_urdf_says_in_problem_toml_what_it_has_no_place_for(tmp_path: Path, mo
     assert robot.payload.com == pytest.approx(flange[:3, :3] @ [0, 0, 0.05] + flange[:3, 3])
     assert robot.readings_in_words == "q2 = -J2 +90 deg"
     assert any("<calibration> of turn" in note for note in robot.notes)
+    # A passive joint has no column, which a repair would have to change.
+    known = {name: Source(name) for name in ("q1_rad", "q2_rad")}
+    assert repaired_columns(Fit(Hypothesis.none(3).at("sign", 1, -1), 0.0), robot, known) == {}
     # The URDF itself is read as the folder beside it says; a new one keeps names, limits and <mimic>.
     assert read_campaign_robot(tmp_path / "arm.urdf").readings_in_words == robot.readings_in_words
     (tmp_path / "new.urdf").write_text(new_urdf(robot))

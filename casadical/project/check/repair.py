@@ -102,11 +102,22 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     Raises InputError where a column is missing, or is a sum of columns already.
     """
     h = fit.hypothesis
-    names = [_column_present(known, f"q{i}", ("_deg", "_rad", "_mm", "_m")) for i in range(1, robot.n + 1)]
+    units = ("_deg", "_rad", "_mm", "_m")
+    # A joint that follows others needs no column; its reading is in the unit of the model then.
+    names = [
+        f"q{i}_{robot.units[i - 1]}"
+        if joint.coupling and not any(f"q{i}{unit}" in known for unit in units)
+        else _column_present(known, f"q{i}", units)
+        for i, joint in enumerate(robot.joints, 1)
+    ]
     si = {"deg": np.pi / 180, "rad": 1.0, "mm": 1e-3, "m": 1.0}
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
     columns: dict[str, Source] = {}
     for i, name in enumerate(names):
+        if name not in known and h.source[i] == i:
+            continue
+        if names[h.source[i]] not in known:
+            raise InputError(f"column {names[h.source[i]]} is missing; the repair cannot be written")
         made = source = known[names[h.source[i]]]
         factor = h.factor[i] * unit[h.source[i]] / unit[i]
         if factor != 1.0:
@@ -121,7 +132,7 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
         source, sign = _without_sum(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         times = sign * scale * source.times
         columns[name] = Source(source.name, _round(times), sign * scale * source.plus, {}, source.rows)
-    return {name: made for name, made in columns.items() if made != known[name]}
+    return {name: made for name, made in columns.items() if made != known.get(name)}
 
 
 def _round(value: float) -> float:
