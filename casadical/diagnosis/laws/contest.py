@@ -78,7 +78,9 @@ def laws_before_causes(found: Diagnosis, poses: int = SETTINGS.max_law_poses) ->
     poses : largest number of poses on which laws are searched
     """
     for full_case, case, ranking in _before_causes(found, poses):
-        first, _ = with_best_noise(full_case, round_of(case, NO_COLUMNS, ranking), poses)
+        alone = round_of(case, NO_COLUMNS, ranking)
+        assert alone is not None  # without causes some law lowers the error
+        first, _ = with_best_noise(full_case, alone, poses)
         if first.claimed:
             break
     return first
@@ -118,7 +120,7 @@ def with_best_noise(
             break
         case = case.with_form(other[0])
         fewer = thinned(case, poses)
-        first = round_of(fewer, chosen, rank(fewer, chosen, causes), causes)
+        first = round_of(fewer, chosen, rank(fewer, chosen, causes), causes) or first
     return first, case
 
 
@@ -193,12 +195,14 @@ def _set_mass(found: Diagnosis) -> float:
     return total if count > 1 else -np.inf
 
 
-def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str] = frozenset()) -> Round:
+def round_of(case: Case, chosen: Array, ranking: Ranking, without: frozenset[str] = frozenset()) -> Round | None:
     """Return the comparison of the laws found by a search with the candidates of a ranking.
 
+    None where no law is better than none, as given curves of all joints.
     chosen : indices of the columns in the model; without : labels of laws in it
     """
-    return _judged(search_laws(case, chosen, without), case, chosen, ranking)
+    laws = search_laws(case, chosen, without)
+    return _judged(laws, case, chosen, ranking) if laws else None
 
 
 def _judged(laws: Sequence[ScoredLaw], case: Case, chosen: Array, ranking: Ranking) -> Round:

@@ -100,7 +100,10 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
             case, added = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *added), np.unique(np.concatenate([columns, case.group(added)]))
             continue
-        comparison, moved = with_best_noise(case, round_of(case, columns, ranking, labels), poses, columns, labels)
+        judged = round_of(case, columns, ranking, labels)
+        if judged is None:
+            break
+        comparison, moved = with_best_noise(case, judged, poses, columns, labels)
         rounds.append(comparison)
         # At most two laws are claimed.
         if not comparison.claimed or len(laws) == 2:
