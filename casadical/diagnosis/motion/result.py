@@ -77,7 +77,7 @@ class LogDiagnosis(Result):
     arm: Arm
     outcome: Outcome
     faults: tuple[Fault, ...]
-    stops: tuple[Stop, ...] = field(default=(), metadata=WRITTEN)
+    stops: tuple[Stop, ...] = ()
     reference: str = field(default="", metadata=WRITTEN)
     contradictions: tuple[str, ...] = field(default=(), metadata=WRITTEN)
     determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
