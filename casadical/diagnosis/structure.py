@@ -221,16 +221,17 @@ class _WhitenedResidual:
         """
         if not self._has_residual:
             return ()
-        # The Bonferroni correction counts the same tests as `judged`.
-        tried = sum(len(some) for _, _, some, _ in self._groups()) + len([*self._neighbours()]) + self._screened
-        sure = _significant([s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])], tried)
+        # The Bonferroni correction counts the lines, which are fewer than the tests of `judged`, so
+        # that each line that a page prints is among these.
+        tests = [s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])]
+        sure = _significant(tests, self._screened)
         best = {s.line[0]: s for s in reversed(sure) if s.line}
         found = [s.line for s in sure if s.line and s.log_chance < best[s.line[0]].log_chance + ALIAS_NATS]
         others = [j for j in self.case.robot.numbers if j not in best]
         for cycles in {s.line[1] for s in best.values() if s.line} if others else ():
             ratios = [cycles * r for r in (0.5, 1.0, 2.0) if 3 < cycles * r <= MAX_LINE_CYCLES]
-            tests = [s for j in others for s in self._line_tests(j, ratios)]
-            found += [s.line for s in _significant(tests, len(tests)) if s.line]
+            again = [s for j in others for s in self._line_tests(j, ratios)]
+            found += [s.line for s in _significant(again, len(again)) if s.line]
         return tuple(dict.fromkeys(found))
 
     def _line_tests(self, joint: int, cycles: Sequence[float]) -> Iterator[Structure]:
