@@ -194,6 +194,7 @@ def understand(
         lengths = _groups(headings, "distance", ("",)) if kind in (None, "distance") else []
         readings = [columns, *(way for q in questions for way in q.choices.values())]
         used = {c.source.name for c in readings[-1]} if len(readings) < 3 else set()
+        used |= {h for h in raw.header if re.fullmatch(r"approach\d+", h)}
         frames = _frames(raw, used) if kind in (None, "position", "pose") and raw.form.header_line else []
         if not (positions or frames or lengths):
             triples = _numbered(raw, 3, {*given, *(c.source.name for way in readings for c in way)})

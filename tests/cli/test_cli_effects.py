@@ -13,7 +13,7 @@ from casadical.effects import GearEccentricity, ThermalGrowth
 ROOT = Path(__file__).parents[2]
 PROBLEM = ROOT / "problems" / "ur10e"
 CAMPAIGN = ROOT / "data" / "campaigns" / "practice" / "ur10e-P06.csv"
-HELD = "held at their values: friction_windup@3 (constant"
+HELD = "fixed at their values: friction_windup@3 (constant"
 
 
 @pytest.fixture(scope="module")
