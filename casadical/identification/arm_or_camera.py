@@ -187,13 +187,15 @@ class ArmOrCamera(Shown):
 def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     """Return which of arm and camera is wrong by the poses of an identification.
 
-    None where no camera measured poses, other measurements were fitted too, or base or tool were known.
+    None where no camera measured poses, or fewer than twelve, other measurements were fitted too, or
+    base or tool were known.
     """
     problem = found.problem
     (m, *others) = problem.sets
     own = [problem.robot.parameters[n] for n in problem.names]
     frames = np.array([p.group in FRAME_GROUPS for p in own])
-    if others or m.noise is None or frames.sum() < 10 or len(m) < 8:
+    # Of fewer stations the noise is too uncertain: a right arm was called wrong.
+    if others or m.noise is None or frames.sum() < 10 or len(m) < 12:
         return None
     plain = replace(
         problem, sets=(replace(m, noise=None),), sigmas=((1.0, 1.0),), loss="linear", priors=False, known=()
@@ -202,7 +204,7 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     J = J.reshape(len(m), 6, -1)
     nominal = r - J @ found.solution.v
     drawn = np.array([p.group in DRAWN_GROUPS for p in own])
-    widths = np.array([0.0 if p.group in DRAWN_GROUPS else p.prior / p.scale for p in own])[~frames]
+    widths = np.array([0.0 if p.group in DRAWN_GROUPS else max(p.prior / p.scale, 1e-6) for p in own])[~frames]
     names = [p.name for p in own]
     groups = np.array([p.group for p in own])[frames]
     some = J[:, :, frames]

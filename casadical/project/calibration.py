@@ -141,8 +141,8 @@ class Calibration(Result):
 
     @cached_property
     def arm_or_camera(self) -> ArmOrCamera | None:
-        """Return which of arm and camera is wrong by the fitted poses; None where no camera measured them."""
-        return arm_or_camera(self.identification)
+        """Return which of arm and camera is wrong by all fitted poses; None where no camera measured them."""
+        return arm_or_camera(list(self.written.values())[-1])
 
     @property
     def worse(self) -> str:

@@ -62,7 +62,7 @@ result = json.loads((folder / "results/result.json").read_text())
 answer = result["arm_or_camera"]
 print(answer["in_words"])
 assert answer["arm"]["probability"] > 0.9
-assert answer["arm"]["low_mm"] > 5 * answer["camera"]["high_mm"]
+assert answer["arm"]["low_mm"] > 2 * answer["camera"]["high_mm"]
 
 # %%
 # Hand-eye, twice
