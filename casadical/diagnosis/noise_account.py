@@ -174,7 +174,9 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
         taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, scatter, repeated.freedom, rules, excess,
         form, remainder.structures, remainder.like_noise, "",
     )  # fmt: skip
-    return replace(found, doubt=doubt_of(found, e.noise_prior.lever, form or likely_form))
+    # The residuals of a fit with more columns than poses (error curves) are unequal in any case.
+    judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
+    return replace(found, doubt=doubt_of(judged, e.noise_prior.lever, form or likely_form))
 
 
 def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:
