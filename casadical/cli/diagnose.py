@@ -212,19 +212,16 @@ def _diagnose_logs(
     texts: dict[Path, str | bytes] = {}
     with working(quiet, "diagnosing", f"{len(campaign.logs)} logs") as show:
         answer = campaign.diagnosed(show)
-    blocks = answer.blocks()
-    tell(console, *(blocks if details else shortened(blocks, 10)))
-    console.print()
-    if out:
-        texts |= answer.files(out)
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show, against)
-    if replay:
-        blocks = replay.blocks()
-        tell(console, *(blocks if details else shortened(blocks, 10)))
-        console.print()
-        if out:
-            texts |= replay.files(out)
+    # How large the gap is and what makes it comes before what a usual arm would have.
+    for told, n_lines in ((replay, 20), (answer, 3 if replay else 18)):
+        if told:
+            blocks = told.blocks()
+            tell(console, *(blocks if details else shortened(blocks, n_lines)))
+            console.print()
+            if out:
+                texts |= told.files(out)
     if report_file:
         texts[report_file] = html([campaign.page(answer, replay)])
     if not details:

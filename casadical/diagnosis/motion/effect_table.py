@@ -20,7 +20,7 @@ from casadical.measurements.logs.log import JointLog
 WITHOUT: Mapping[str, Callable[[Response], Response]] = {
     "dry friction": lambda r: replace(r, friction=0 * r.friction),
     "gravity": lambda r: replace(r, gravity=False),
-    "nine tenths of the damping": lambda r: replace(r, damping=r.damping / 10),
+    "damping": lambda r: replace(r, damping=r.damping / 10),
     "delay": lambda r: replace(r, delay=0 * r.delay),
     "inertia": lambda r: replace(r, inertia=0 * r.inertia),
     "surface": lambda r: replace(r, floor=None),
@@ -91,14 +91,14 @@ class EffectTable:
     def table(self) -> Table:
         """Return the table of the rms errors [mrad], one row for each replay."""
         rows = {
-            "position = command": self.before,
-            "sum of the parts": self.sum_of_parts,
-            **{f"without {name}": rms for name, rms in self.without.items()},
-            "with every effect": self.full,
+            "everything": self.before,
+            **{name.split()[-1]: rms for name, rms in self.without.items()},
+            "(in sum)": self.sum_of_parts,
+            "nothing": self.full,
         }
         return Table(
-            "Replays with one effect taken out at a time, rms of each joint [mrad]",
-            ("replay", *self.joints),
+            "Replays without one effect at a time, of damping without nine tenths, rms [mrad]",
+            ("without", *(name.replace("_", " ") for name in self.joints)),  # wrapped at spaces
             [(name, *(f"{1e3 * v:.3g}" for v in rms)) for name, rms in rows.items()],
             frozenset(range(1, 1 + len(self.joints))),
         )

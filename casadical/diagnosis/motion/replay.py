@@ -173,7 +173,7 @@ class Replay(Result):
         )
 
     def _tables(self) -> Iterator[Table]:
-        """Yield the tables of errors of position, of torque, and without one effect at a time; of
+        """Yield the tables of errors without one effect at a time, of position, and of torque; of
         given files of drive parameters; and of the identified response of each joint.
         """
         joints, r = self.runs[0].joints, self.response
@@ -181,6 +181,7 @@ class Replay(Result):
         torques = (
             "Torque in the same replay, rms of each joint [N m]: bodies along the commands, and replayed with friction"
         )
+        yield self.effects.table()
         compared = ((angles, 1e3, (self.before, self.after)), (torques, 1.0, self.torque))
         for title, factor, errors in compared:
             if errors:
@@ -191,7 +192,6 @@ class Replay(Result):
                 yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
-        yield self.effects.table()
         if self.against:
             yield from arbitration_tables(joints, self.after, self.against)
         title = (
