@@ -133,4 +133,4 @@ def test_a_step_is_that_of_the_least_squares_problem(weak: float) -> None:
     A[:, 5] = A[:, 4] + weak * A[:, 5]
     J, r = A * 10.0 ** np.arange(-4, 5)[[0, 2, 4, 6, 8, 8]], A @ np.ones(6)
     step = scaled_solution(J.T @ J, J.T @ r)
-    assert np.linalg.norm(J @ step - r) < 1e-6 * np.linalg.norm(r)
+    assert np.linalg.norm(J @ step - r) < 1e-5 * np.linalg.norm(r)
