@@ -87,18 +87,19 @@ def _with_orientation(raw: RawTable, robot: Robot, found: Understanding, kind: s
 def poses_in_words(m: Measurements) -> str:
     """Return a sentence on whether poses are inverted and where their camera is.
 
-    Empty where poses are not inverted and the place of the camera is not known.
+    Empty without orientations.
     """
     where = {
         "in hand": "the camera is on the robot (eye in hand), its target stands still",
         "to base": "the camera stands still (eye to base), its target is on the robot",
-        "": "",
+        "": "if a camera measured them, say where it is: --eye-in-hand or --eye-to-base",
     }[m.camera]
+    if m.orientation is None:
+        return ""
     clock = f" {m.clock_in_words}" if m.clock_offset else ""
     if not m.inverted:
-        return f"Poses as they are: {where}.{clock}" if where else ""
-    more = f"; {where}" if where else ""
-    return f"Each pose is inverted: the table has the fixed frame as the tool sees it{more}.{clock}"
+        return f"Poses as they are: {where}.{clock}"
+    return f"Each pose is inverted: the table has the fixed frame as the tool sees it; {where}.{clock}"
 
 
 def _without_other_frame(
