@@ -34,8 +34,8 @@ from casadical.project.problem import Problem as Problem
 from casadical.project.problem import read_campaign as read_campaign
 from casadical.project.problem import read_campaign_robot as read_campaign_robot
 from casadical.project.problem import read_problem as read_problem
-from casadical.project.telling import plot as plot
-from casadical.project.telling import report as report
+from casadical.project.reporting import plot as plot
+from casadical.project.reporting import report as report
 from casadical.robot.robot import Robot as Robot
 from casadical.robot.robot_file import read_robot as read_robot
 from casadical.robot.robot_file import write_robot as write_robot

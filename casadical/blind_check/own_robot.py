@@ -30,9 +30,9 @@ from casadical.blind_check.recording import COLUMN_PREFIXES, Plan, Subject, draw
 from casadical.blind_check.worker_pool import completed, workers
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.core.parts import lacks_masses, with_estimated_masses
-from casadical.core.telling.blocks import Block, Table, Words
-from casadical.core.telling.plain import WRITTEN, Key, written
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Table, Words
+from casadical.core.reporting.plain import WRITTEN, Key, written
+from casadical.core.reporting.result import Result
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot

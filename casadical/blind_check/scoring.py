@@ -9,8 +9,8 @@ from casadical.blind_check import metrics as counted
 from casadical.blind_check.metrics import Estimate, Outcome, outcome, part_metrics
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
 from casadical.core.basics import InputError
-from casadical.core.telling.blocks import Block, Table, Words
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Table, Words
+from casadical.core.reporting.result import Result
 
 
 @dataclass(frozen=True, eq=False)

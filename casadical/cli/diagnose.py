@@ -12,7 +12,7 @@ from typer import Context, Option
 from casadical.cli import options as o
 from casadical.cli.terminal import DIAGNOSIS, html, importing, keep, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
-from casadical.core.telling.result import shortened
+from casadical.core.reporting.result import shortened
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -128,7 +128,7 @@ def _with_report(path: Path | None) -> Path | None:
     Raises InputError if it is not.
     """
     if path:
-        from casadical.core.telling.page import require
+        from casadical.core.reporting.page import require
 
         require()
     return path

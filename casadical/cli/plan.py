@@ -23,7 +23,7 @@ from casadical.cli.terminal import (
     wrapped,
 )
 from casadical.core.basics import InputError
-from casadical.core.telling.blocks import Words
+from casadical.core.reporting.blocks import Words
 
 if TYPE_CHECKING:
     from casadical.project.planning import Places

@@ -25,8 +25,8 @@ from rich.text import Text
 
 from casadical.core.basics import MAX_FAULTS_SHOWN, FaultsError, Show, shown, visible
 from casadical.core.files import json_text, write_together
-from casadical.core.telling.blocks import Block, Page, Table, next_step
-from casadical.core.telling.result import shortened, terminal
+from casadical.core.reporting.blocks import Block, Page, Table, next_step
+from casadical.core.reporting.result import shortened, terminal
 
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
@@ -168,7 +168,7 @@ def print_written(path: Path | None, console: Console, about: str = "") -> None:
 
 def html(pages: Sequence[Page]) -> str:
     """Return the text of one HTML file with pages of results and the command as it was typed."""
-    from casadical.core.telling.page import html_of
+    from casadical.core.reporting.page import html_of
 
     return html_of(pages, ["casadical", *sys.argv[1:]])
 

@@ -22,7 +22,7 @@ from casadical.cli.terminal import (
     wrapped,
 )
 from casadical.core.basics import InputError
-from casadical.core.telling.result import shortened
+from casadical.core.reporting.result import shortened
 
 if TYPE_CHECKING:
     from casadical.project.acceptance.acceptance import Acceptance

@@ -200,7 +200,7 @@ def withheld_score(
     Exit codes: 0 done, 2 bad input, 70 a bug in casadical.
     """
     from casadical.blind_check.scoring import score
-    from casadical.core.telling.result import terminal
+    from casadical.core.reporting.result import terminal
 
     scored = score(folder, key, answers)
     console = wrapped(quiet)

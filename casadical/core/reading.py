@@ -223,8 +223,11 @@ def read_xml(path: str | Path) -> bytes:
     # Pattern of the encoding that the declaration of an XML file states.
     xml_encoding = re.compile(rb"^\s*<\?xml[^>]*?encoding\s*=\s*[\"']([^\"']*)[\"'][^>]*\?>")
     declared = xml_encoding.match(data)
-    marks = (name for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
-             if data.startswith(mark))  # fmt: skip
+    marks = (
+        name
+        for mark, name in ((codecs.BOM_UTF8, "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+        if data.startswith(mark)
+    )
     name = next(marks, declared[1].decode("ascii", "replace").lower() if declared else "utf-8")
     # Names of the encodings in which XML files are read.
     xml_encodings_read = ("utf-8", "utf-8-sig", "utf-16", "us-ascii", "ascii", "iso-8859-1", "latin-1", "windows-1252")

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.drawing import LEGEND_HEIGHT_PX, TITLE_HEIGHT_PX
-from casadical.core.telling.figure import Axis, Figure, Note, Panel, Rule, Series
+from casadical.core.reporting.drawing import LEGEND_HEIGHT_PX, TITLE_HEIGHT_PX
+from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Rule, Series
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.held_out_gap import NetworkGap
 from casadical.diagnosis.joint_curves import JointCurve, JointCurves
@@ -22,7 +22,8 @@ from casadical.identification.pose_errors import errors_by_pose, workspace
 # Title and caption of the figure of a table of `Localisation`, by the name of the table.
 _WHERE = {
     "joints": (
-        "Gap by joint", "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
+        "Gap by joint",
+        "Share of the gap that smooth errors of each joint would account for; all sum to 100 %.",
     ),
     "links": ("Gap by link and frame", "The same for links, loop, base and tool frame."),
     "directions": (
@@ -30,9 +31,10 @@ _WHERE = {
         "Each frame's three directions sum to 100 %, noise included; evenly spread would be 33 % each.",
     ),
     "regions": (
-        "Error by region", "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
+        "Error by region",
+        "Poses in thirds of each joint's readings, of the distance from joint 1 and of the height.",
     ),
-}  # fmt: skip
+}
 
 
 def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Figure]:
@@ -86,10 +88,18 @@ def _by_parts(name: str, title: str, table: pd.DataFrame, caption: str) -> Figur
     ends = (0.0, max(50.0, min(104.0, 108 * float(table["high"].max()))))
     share, low, high = (100 * table[column] for column in ("share", "low", "high"))
     return intervals(
-        name, title, Axis("share of squared gap [%]", ends), labels, share, low, high,
-        [f"{v:.3f} mm rms" for v in table["rms_mm"]], "%{x:.0f} %",
-        ["grey" if label.endswith("elsewhere") else "blue" for label in labels], caption=caption,
-    )  # fmt: skip
+        name,
+        title,
+        Axis("share of squared gap [%]", ends),
+        labels,
+        share,
+        low,
+        high,
+        [f"{v:.3f} mm rms" for v in table["rms_mm"]],
+        "%{x:.0f} %",
+        ["grey" if label.endswith("elsewhere") else "blue" for label in labels],
+        caption=caption,
+    )
 
 
 def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure:
@@ -106,9 +116,18 @@ def _by_data(name: str, title: str, table: pd.DataFrame, caption: str) -> Figure
     if len(set(by)) > 1:
         labels = [f"{b}: {label}" for b, label in zip(by, labels, strict=True)]
     return intervals(
-        name, title, x, labels, table["rms_mm"], table["rms_low_mm"], table["rms_high_mm"], notes,
-        "%{x:.3f} mm", caption=caption, marks=[Rule("x", every, text="all poses", dash="dot")],
-    )  # fmt: skip
+        name,
+        title,
+        x,
+        labels,
+        table["rms_mm"],
+        table["rms_low_mm"],
+        table["rms_high_mm"],
+        notes,
+        "%{x:.3f} mm",
+        caption=caption,
+        marks=[Rule("x", every, text="all poses", dash="dot")],
+    )
 
 
 def posteriors(d: Diagnosis, step: int = 0) -> Figure:
@@ -125,10 +144,15 @@ def posteriors(d: Diagnosis, step: int = 0) -> Figure:
     labels, chances, colours = zip(*rows, strict=True)
     shown = [f"{p:.3f}" if 0.001 <= p <= 0.999 else "< 0.001" if p < 0.001 else "> 0.999" for p in chances]
     bars = Series(
-        "bars", chances, range(len(rows)), colour=colours, width=0.62, text=shown,
+        "bars",
+        chances,
+        range(len(rows)),
+        colour=colours,
+        width=0.62,
+        text=shown,
         facts=[[label, signature_of(label.split("@")[0])] for label in labels],
         tip="<b>%{customdata[0]}</b>: %{x:.3g}<br>%{customdata[1]}",
-    )  # fmt: skip
+    )
     title, caption = f"Probability of a further cause, step {step + 1}", "Once the causes so far are in the model."
     if step == 0:
         title = "Probability of each cause"
@@ -160,18 +184,30 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
     rows.append(("noise alone", alone, alone, alone, "green"))
     names, values, low, high, colours = zip(*rows, strict=True)
     bars = Series(
-        "bars", values, range(len(rows)), colour=colours, width=0.6, less=np.subtract(values, low),
-        more=np.subtract(high, values), facts=[list(row) for row in zip(names, low, high, strict=True)],
+        "bars",
+        values,
+        range(len(rows)),
+        colour=colours,
+        width=0.6,
+        less=np.subtract(values, low),
+        more=np.subtract(high, values),
+        facts=[list(row) for row in zip(names, low, high, strict=True)],
         tip="<b>%{customdata[0]}</b><br>%{x:.4f} mm, 95 %: %{customdata[1]:.4f} to %{customdata[2]:.4f}",
-    )  # fmt: skip
+    )
     notes = [Note(f"{value:.3f} mm", high[k], k, gap=8) for k, value in enumerate(values)]
     return Figure(
-        "gap", "Gap on held-out poses", [bars], Axis("mean position error [mm]", (0, max(high))), rows=names,
-        height=112 + 36 * len(rows), marks=notes, right=76,
+        "gap",
+        "Gap on held-out poses",
+        [bars],
+        Axis("mean position error [mm]", (0, max(high))),
+        rows=names,
+        height=112 + 36 * len(rows),
+        marks=notes,
+        right=76,
         caption="The gap, here and everywhere in this report: mean distance of measured from computed positions over "
         f"poses that the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % "
         "interval over poses. Noise alone: what a perfect model would leave, simulated through the same fit.",
-    )  # fmt: skip
+    )
 
 
 def shrinks(d: Diagnosis) -> Figure:
@@ -179,11 +215,17 @@ def shrinks(d: Diagnosis) -> Figure:
     causes = [c for c in d.causes if c.effects]
     low, high = ([100 * c.shrink_interval[k] for c in causes] for k in (0, 1))
     return intervals(
-        "shrink", "Gap shrinks by, each cause alone", Axis("share of the held-out gap [%]", (min(0.0, *low), 100)),
-        [c.label for c in causes], [100 * c.shrink for c in causes], low, high,
-        [f"probability {c.confidence:.3f}" for c in causes], "%{x:.0f} %",
+        "shrink",
+        "Gap shrinks by, each cause alone",
+        Axis("share of the held-out gap [%]", (min(0.0, *low), 100)),
+        [c.label for c in causes],
+        [100 * c.shrink for c in causes],
+        low,
+        high,
+        [f"probability {c.confidence:.3f}" for c in causes],
+        "%{x:.0f} %",
         caption="On held-out poses, each cause alone in the model; they may overlap.",
-    )  # fmt: skip
+    )
 
 
 def curve_figure(curves: JointCurves) -> Figure:
@@ -228,6 +270,13 @@ def _curve(c: JointCurve, panel: int, most: float) -> Iterator[Series]:
     low, high = np.clip([value - band, value + band], -most, most).round(1)
     yield banded(angle.round(1), low, high, name="95 % band", opacity=0.3, group="band", **place)
     yield Series(
-        "line", angle.round(1), value.round(1), name="curve", width=1.6, facts=band.round(0), group="curve", **place,
+        "line",
+        angle.round(1),
+        value.round(1),
+        name="curve",
+        width=1.6,
+        facts=band.round(0),
+        group="curve",
+        **place,
         tip=f"<b>joint {c.joint}</b>, %{{x:.0f}} deg: %{{y:.0f}} ± %{{customdata:.0f}} urad",
-    )  # fmt: skip
+    )

@@ -16,9 +16,9 @@ import pandas as pd
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.columns import array_columns
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import ranked
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Result
 from casadical.diagnosis.candidates import (
     Candidate,
     candidates_of,

@@ -8,7 +8,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.fit import Fit
-from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.result import Cause, Diagnosis

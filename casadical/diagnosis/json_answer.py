@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from casadical.core.files import json_text
-from casadical.core.telling.plain import plain
+from casadical.core.reporting.plain import plain
 from casadical.diagnosis.cause_table import layers
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.isolability import cannot_tell

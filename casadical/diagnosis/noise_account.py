@@ -9,8 +9,8 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import Array
-from casadical.core.telling.blocks import mm
-from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.core.reporting.blocks import mm
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.diagnosis.evidence import MAX_REPEATABILITY_M
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
@@ -171,9 +171,20 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
     sheet = min(stated) if noise_prior.sheet else 0.0
     scatter = repeated.sigma if repeated.freedom else 0.0
     found = NoiseAccount(
-        taken, noise.sigma, noise.repeatability, noise_prior.declared, sheet, scatter, repeated.freedom, rules, excess,
-        form, remainder.structures, remainder.like_noise, "",
-    )  # fmt: skip
+        taken,
+        noise.sigma,
+        noise.repeatability,
+        noise_prior.declared,
+        sheet,
+        scatter,
+        repeated.freedom,
+        rules,
+        excess,
+        form,
+        remainder.structures,
+        remainder.like_noise,
+        "",
+    )
     # The residuals of a fit with more columns than poses (error curves) are unequal in any case.
     judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
     return replace(found, doubt=doubt_of(judged, e.noise_prior.lever, form or likely_form))

@@ -275,9 +275,18 @@ def observe(
     J, constants = layout.together([part.J for part in parts]), constants_of(robot, robot.torque_scale)
     far = (q[1, stops.rows], seen[1, stops.rows]) if ends > 1 else None
     linear = Linearisation(
-        robot, seams_of(robot), values, m.q, dict(m.conditions), J, S, seen[0, stops.rows], constants, far,
+        robot,
+        seams_of(robot),
+        values,
+        m.q,
+        dict(m.conditions),
+        J,
+        S,
+        seen[0, stops.rows],
+        constants,
+        far,
         stops.most - 1,
-    )  # fmt: skip
+    )
     U, mean = _point_jacobian(identification, parts, layout)
     return Observations(
         m=m,

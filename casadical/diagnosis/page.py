@@ -4,8 +4,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import pandas as pd
 
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm
+from casadical.core.reporting.figure import Figure
 from casadical.diagnosis.cause_table import CauseRow, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.figures import diagnosis_figures
@@ -49,7 +49,10 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         Section(
             "Which causes, and how sure",
             [
-                *_said(said, "WHICH"), *_causes(rows), *_said(said, "SET"), *figures_named(figures, "shrink"),
+                *_said(said, "WHICH"),
+                *_causes(rows),
+                *_said(said, "SET"),
+                *figures_named(figures, "shrink"),
                 *figures_named(figures, "causes"),
             ],
         ),
@@ -60,7 +63,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
         Section("Parameters of the base model", [*_parameters(d, figures_named(figures, "parameters"))]),
         Section("Can the fit be trusted", figures_named(figures, "fit")),
         Section("What to measure next", [*_next(said, more.poses)]),
-    ]  # fmt: skip
+    ]
     return Page("Diagnosis", f"Diagnosis of {name}", d.identification.given.name, sections, [*_tiles(d, more)])
 
 
@@ -107,11 +110,14 @@ def _where(where: Localisation, figures: Iterable[Figure]) -> Iterator[Block]:
     yield Words("Of what the base model leaves at the poses it was fitted to. Bars are 95 % intervals.", "note")
     rows = [
         (
-            f"{r['by']}: {r['part']}", str(r["poses"]), f"{r['rms_mm']:.3f}", f"{100 * r['share']:.0f} %",
+            f"{r['by']}: {r['part']}",
+            str(r["poses"]),
+            f"{r['rms_mm']:.3f}",
+            f"{100 * r['share']:.0f} %",
             f"{r['excess']:.1f}",
         )
         for r in where.worst.head(8).to_dict("records")
-    ]  # fmt: skip
+    ]
     if rows:
         columns = ("poses", "n", "rms mm", "squared error", "times its share")
         yield Table("Surely worse than the rest", columns, rows, frozenset({1, 2, 3, 4}))

@@ -12,10 +12,10 @@ import pandas as pd
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.plain import WRITTEN, Key, written
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import ranked
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.plain import WRITTEN, Key, written
-from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import partitioned_errors, residual_of_fit_without
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_account import NoiseAccount
@@ -280,10 +280,14 @@ class Diagnosis(Result):
     def blocks(self) -> list[Words | Table]:
         """Return the short report, verdict and causes, as blocks; `page_of` has the full report."""
         rows = [
-            (c.label, f"{c.confidence:.3f}", " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
-             ", ".join(c.indistinguishable))
+            (
+                c.label,
+                f"{c.confidence:.3f}",
+                " to ".join(f"{100 * v:.0f} %" for v in c.shrink_interval),
+                ", ".join(c.indistinguishable),
+            )
             for c in self.causes
-        ]  # fmt: skip
+        ]
         head = ("cause", "probability", "gap shrinks by, 95 %", "indistinguishable from")
         table = [Table("Causes", head, rows, frozenset({1, 2}))] if rows else []
         return [Words(f"{self.verdict}: {', '.join(c.label for c in self.causes) or 'no cause named'}"), *table]

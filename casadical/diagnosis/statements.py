@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.template import paragraphs, sentence
+from casadical.core.reporting.template import paragraphs, sentence
 from casadical.diagnosis.candidates import columns_to_log, gathered, gathered_by_columns
 from casadical.diagnosis.cause_table import joints_of, listed, mm, wires_at_fault
 from casadical.diagnosis.details import Details
@@ -25,10 +25,23 @@ from casadical.identification.gravity import in_words as gravity_in_words
 # Words before a statement, by its topic, where it is shown as a sentence without the topic; the
 # most important topics come first.
 SUBJECTS = {
-    "CHECK": "", "NOISE": "", "SET": "", "MORE": "", "PRIOR": "Prior: ", "CANNOT": "These data cannot ",
-    "UNKNOWN": "Remaining: ", "LAW": "Law: ", "AFTER": "", "OUT": "", "WHERE": "Where: ", "RULED": "Ruled ",
-    "NEXT": "Next: ", "MISSING": "", "GRAVITY": "In the model: ", "ASSUMED": "Assumed: ",
-}  # fmt: skip
+    "CHECK": "",
+    "NOISE": "",
+    "SET": "",
+    "MORE": "",
+    "PRIOR": "Prior: ",
+    "CANNOT": "These data cannot ",
+    "UNKNOWN": "Remaining: ",
+    "LAW": "Law: ",
+    "AFTER": "",
+    "OUT": "",
+    "WHERE": "Where: ",
+    "RULED": "Ruled ",
+    "NEXT": "Next: ",
+    "MISSING": "",
+    "GRAVITY": "In the model: ",
+    "ASSUMED": "Assumed: ",
+}
 
 
 @dataclass(frozen=True)
@@ -73,9 +86,10 @@ def assumptions(d: Diagnosis) -> tuple[str, ...]:
 def noise(d: Diagnosis) -> str:
     """Return a phrase on the noise of a campaign without causes and the source that confirms it."""
     by_source = {
-        Rule.REPEATS: ", as large as repeated poses say", Rule.DECLARED: ", as large as declared",
+        Rule.REPEATS: ", as large as repeated poses say",
+        Rule.DECLARED: ", as large as declared",
         Rule.SHEET: ", no larger than the data sheet allows",
-    }  # fmt: skip
+    }
     return (d.account.form or "noise") + by_source.get(d.account.rules, ", or a form that was not tried")
 
 
@@ -257,10 +271,31 @@ _SAYS: dict[str, Any] = {
     **{
         function.__name__: function
         for function in (
-            mm, listed, gathered, cannot_tell, indistinguishable, invisible, discrimination_probability, kinds_of_poses,
-            noise, noise_hides_structure, members, names_of, floor_of, left_over, readings_of, unlogged, wires_of,
-            great_parts, claims_near, detections_near, change, loose_cycles, resembles, not_logged,
+            mm,
+            listed,
+            gathered,
+            cannot_tell,
+            indistinguishable,
+            invisible,
+            discrimination_probability,
+            kinds_of_poses,
+            noise,
+            noise_hides_structure,
+            members,
+            names_of,
+            floor_of,
+            left_over,
+            readings_of,
+            unlogged,
+            wires_of,
+            great_parts,
+            claims_near,
+            detections_near,
+            change,
+            loose_cycles,
+            resembles,
+            not_logged,
         )
     },
     "gravity_in_words": gravity_in_words,
-}  # fmt: skip
+}

@@ -22,8 +22,8 @@ from scipy.special import gammaincc, log_ndtr
 
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.model import axes_of_base
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.core.statistics import first_of_best
-from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.diagnosis.cross_validation import residual_of_fit_without
 from casadical.diagnosis.evidence import REPEATABILITY, joint_noise
 from casadical.diagnosis.linear_problem import Case
@@ -208,8 +208,15 @@ class _WhitenedResidual:
 
         sure : all significant dependences; other dependences are returned unchanged
         """
-        same = [s.line[1] for s in sure if s.line and line.line and s.line[0] == line.line[0]
-                and s.log_chance < line.log_chance + ALIAS_NATS and abs(s.line[1] - line.line[1]) >= 1]  # fmt: skip
+        same = [
+            s.line[1]
+            for s in sure
+            if s.line
+            and line.line
+            and s.line[0] == line.line[0]
+            and s.log_chance < line.log_chance + ALIAS_NATS
+            and abs(s.line[1] - line.line[1]) >= 1
+        ]
         others = ", ".join(f"{cycles:.4g}" for cycles in same)
         return replace(line, over=f"{line.over} (or {others})") if others else line
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.blocks import Table, Words, mm
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.cause_table import LAYER_COLUMNS, cause_rows, layer_rows
 from casadical.diagnosis.details import Details
 from casadical.diagnosis.joint_curves import CURVE_COLUMNS, curve_of

@@ -60,11 +60,43 @@ SEAMS = {
 # Names of the insertion points of formulas in joint logs: torques and servo position errors.
 MOTION_SEAMS = ("torque", "torques", "response", "responses")
 # Names of signals of the effect's own joint that a formula in joint logs may use (see `motion`).
-MOTION_NAMES = frozenset({
-    "q", "v", "a", "speed", "turned", "slip", "load", "tau", "friction", "drag", "inertia", "motor", "t", "time", "run",
-    "zero", "mass", "mass_x", "mass_y", "mass_z", "link", "servo", "command_speed", "command_acceleration", "side",
-    "delayed", "filtered", "heat", "rest", "at_limit", "after_limit", "at_speed_limit", "after_speed_limit",
-})  # fmt: skip
+MOTION_NAMES = frozenset(
+    {
+        "q",
+        "v",
+        "a",
+        "speed",
+        "turned",
+        "slip",
+        "load",
+        "tau",
+        "friction",
+        "drag",
+        "inertia",
+        "motor",
+        "t",
+        "time",
+        "run",
+        "zero",
+        "mass",
+        "mass_x",
+        "mass_y",
+        "mass_z",
+        "link",
+        "servo",
+        "command_speed",
+        "command_acceleration",
+        "side",
+        "delayed",
+        "filtered",
+        "heat",
+        "rest",
+        "at_limit",
+        "after_limit",
+        "at_speed_limit",
+        "after_speed_limit",
+    }
+)
 # Pattern of names of signals of any joint, with its number, in formulas in joint logs.
 MOTION_NAME_OF_JOINT = re.compile(r"(q|v|speed|slip|load|tau|heat|rest)(\d+)")
 # Name of the column by name in a formula, where the two differ.
@@ -298,9 +330,15 @@ def check_values(formula: Formula, parameters: Collection[str], settings: Mappin
 
 # Lower and upper values [SI] of variables with which formulas are checked, by name without number.
 _RANGE_BY_NAME = {
-    "t": (0.0, 1.0), "payload": (0.0, 100.0), "warmth": (-100.0, 100.0), "r": (0.1, 100.0), "g": (-1.0, 1.0),
-    "approach": (-1.0, 1.0), "memory": (-1.0, 1.0), HEAD_NAME: (-1.0, 1.0),
-}  # fmt: skip
+    "t": (0.0, 1.0),
+    "payload": (0.0, 100.0),
+    "warmth": (-100.0, 100.0),
+    "r": (0.1, 100.0),
+    "g": (-1.0, 1.0),
+    "approach": (-1.0, 1.0),
+    "memory": (-1.0, 1.0),
+    HEAD_NAME: (-1.0, 1.0),
+}
 # Lower and upper value with which formulas are checked, of angles, lengths and parameters [SI].
 _DEFAULT_RANGE = (-4.0, 4.0)
 

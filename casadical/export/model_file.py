@@ -7,8 +7,8 @@ from typing import Any, ClassVar
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.files import json_text
 from casadical.core.reading import missing
-from casadical.core.telling.blocks import Words
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Words
+from casadical.core.reporting.result import Result
 from casadical.effects.base import Omission
 from casadical.export.controller.commands import Sources, robot_of
 from casadical.export.controller.drivers import DRIVER_FORMS as DRIVERS

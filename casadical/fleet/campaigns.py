@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical.core.basics import CasadicalError, InputError, Show, shown, silent
 from casadical.core.reading import missing, read_bytes
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate, estimate, estimate_of_file

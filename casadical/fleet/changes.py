@@ -9,11 +9,11 @@ import numpy as np
 from scipy.special import fdtrc
 
 from casadical.core.basics import Array
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm, next_step
+from casadical.core.reporting.figure import Axis, Figure, Series, Span
+from casadical.core.reporting.plain import WRITTEN, Key, plain, written
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, ranked
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, mm, next_step
-from casadical.core.telling.figure import Axis, Figure, Series, Span
-from casadical.core.telling.plain import WRITTEN, Key, plain, written
-from casadical.core.telling.result import Result
 from casadical.fleet.estimates import MIN_FREEDOM, Estimate
 from casadical.fleet.evidence import ANOTHER_ROBOT, Candidate, Course
 from casadical.identification.prior import probability_of_change
@@ -142,7 +142,7 @@ class Comparison(Result):
     --------
     >>> comparison
     <Comparison of 2 campaigns of 'Planar arm of two links': lengths>
-    >>> print(casadical.core.telling.result.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
+    >>> print(casadical.core.reporting.result.plain_text(comparison.blocks()))  # doctest: +ELLIPSIS
     CHANGED: lengths...
     >>> comparison.to_json()["changes"][0]["since"]
     'March'

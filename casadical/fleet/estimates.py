@@ -21,9 +21,9 @@ from scipy.special import fdtrc
 
 from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.normal_equations import marginalised
+from casadical.core.reporting.plain import WRITTEN, written
+from casadical.core.reporting.result import Shown
 from casadical.core.statistics import best_of
-from casadical.core.telling.plain import WRITTEN, written
-from casadical.core.telling.result import Shown
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.identification import identify
 from casadical.identification.misfit import MAX_FITTED_HARMONIC, REPEATABILITY_RATIOS, WideFit, wide_fit

@@ -31,7 +31,7 @@ from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.linear_gaussian.normal_equations import inverse_of
 from casadical.core.parameters import Parameter
 from casadical.core.reading import load_toml
-from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.project.problem import read_problem_robot
 from casadical.project.problem_file import problem_file
 from casadical.robot.robot import Covariance, Knowledge, Robot

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, figures_named, next_step
-from casadical.core.telling.figure import Axis, Figure, Note, Series
-from casadical.core.telling.plain import WRITTEN, Key, plain
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, next_step
+from casadical.core.reporting.figure import Axis, Figure, Note, Series
+from casadical.core.reporting.plain import WRITTEN, Key, plain
+from casadical.core.reporting.result import Result
 from casadical.fleet.changes import FALSE_ALARM_PROBABILITY, exceeded_residual, residuals_figure
 from casadical.fleet.estimates import date_text
 from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, Drawing, common_of, drawings_of, near, nearly_one

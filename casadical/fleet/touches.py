@@ -17,11 +17,11 @@ from scipy.special import chdtri
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import load_json
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step
+from casadical.core.reporting.figure import Axis, Figure, Rule, Series
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, first_of_best
-from casadical.core.telling.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step
-from casadical.core.telling.figure import Axis, Figure, Rule, Series
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key
-from casadical.core.telling.result import Result
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
 from casadical.fleet.touch_model import CHANGE_FREQUENCY, CRASH, GROWTH_PER_K, MM_PER_M, UNKNOWN, Draws, TouchModel

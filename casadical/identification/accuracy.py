@@ -9,8 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key
+from casadical.core.reporting.result import Shown
 from casadical.measurements.kinds.base import PositionsAt
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements

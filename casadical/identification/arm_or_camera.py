@@ -15,8 +15,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
+from casadical.core.reporting.result import Shown
 from casadical.identification.departure import DRAWN_GROUPS, PRIOR_PROBABILITY_OF_NONE
 from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.identification.result import Identification
@@ -342,12 +342,14 @@ class _Model(NamedTuple):
         value, score = np.maximum(value, 0.0), np.einsum("sij,si->sj", V, sd * h)
         log_weight = np.stack(
             [
-                log_prior - 0.5 * np.log1p(value / f**2).sum(axis=1) - count * np.log(f)
+                log_prior
+                - 0.5 * np.log1p(value / f**2).sum(axis=1)
+                - count * np.log(f)
                 - 0.5 * (square - (score**2 / (value + f**2)).sum(axis=1)) / f**2
                 for f in _FACTORS
             ],
             axis=1,
-        )  # fmt: skip
+        )
         weight = np.exp(log_weight - log_weight.max())
         rng = np.random.default_rng(0)
         s, f = np.unravel_index(rng.choice(weight.size, draws, p=weight.ravel() / weight.sum()), weight.shape)

@@ -19,8 +19,8 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.linear_gaussian.grid import log_gain
 from casadical.core.linear_gaussian.normal_equations import marginalised
-from casadical.core.telling.plain import WRITTEN
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import WRITTEN
+from casadical.core.reporting.result import Shown
 from casadical.identification.identifiability import scaled_inverse
 from casadical.identification.least_squares import LeastSquares
 from casadical.robot.robot import Robot

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from casadical.core.basics import Array
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.figure import Axis, Figure, Note, Panel, Series, Values
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.figure import Axis, Figure, Note, Panel, Series, Values
 from casadical.identification.gravity import in_words
 from casadical.identification.identifiability import CONFOUNDED_CONDITION_NUMBER
 from casadical.identification.result import Identification

@@ -17,7 +17,7 @@ from scipy.special import fdtrc
 
 from casadical.core.basics import ConvergenceError, InputError
 from casadical.core.parts import Body, lacks_masses, with_estimated_masses
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.result import Shown
 from casadical.core.transforms import frame
 from casadical.effects import LinkMasses, PayloadError
 from casadical.identification.departure import departure_of

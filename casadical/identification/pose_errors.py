@@ -11,8 +11,8 @@ import casadi as ca
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.drawing import CAMERA_EYE
-from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series
+from casadical.core.reporting.drawing import CAMERA_EYE
+from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series
 from casadical.identification.accuracy import predicted
 from casadical.identification.result import LeftOut
 from casadical.measurements.camera_noise import target_in_camera
@@ -307,10 +307,16 @@ def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "")
         series += [
             Series("line", lines[:, 0].round(6), lines[:, 1].round(6), width=1.6, **alike),
             Series(
-                "points", tip[:, 0].round(6), tip[:, 1].round(6), size=4, listed=False, facts=facts,
-                tip=f"<b>{model}</b>, row %{{customdata[0]:d}}<br>{words}", **alike,
+                "points",
+                tip[:, 0].round(6),
+                tip[:, 1].round(6),
+                size=4,
+                listed=False,
+                facts=facts,
+                tip=f"<b>{model}</b>, row %{{customdata[0]:d}}<br>{words}",
+                **alike,
             ),
-        ]  # fmt: skip
+        ]
     low, top = at.min(axis=0) - 0.1 * extent, at.max(axis=0) + 0.1 * extent
     axes = Axis("x/z in the camera", (low[0], top[0])), Axis("y/z in the camera, downwards", (top[1], low[1]))
     return Figure("image", "Stations in the image, with residuals", series, *axes, 460, caption)

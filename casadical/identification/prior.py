@@ -16,8 +16,8 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameter
-from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import Key, plain
+from casadical.core.reporting.result import Shown
 from casadical.effects import Effect
 from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.measurements.measurements import Measurements

@@ -10,9 +10,9 @@ import pandas as pd
 from scipy.special import chdtri, stdtrit
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Table, Words, mm
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key
+from casadical.core.reporting.result import Result
 from casadical.identification.accuracy import (
     Accuracy,
     accuracy_of,

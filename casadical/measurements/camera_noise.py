@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.plain import WRITTEN
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import WRITTEN
+from casadical.core.reporting.result import Shown
 
 if TYPE_CHECKING:
     from casadical.measurements.measurements import Measurements

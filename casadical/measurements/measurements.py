@@ -12,8 +12,8 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import Table
-from casadical.core.telling.result import Shown, html
+from casadical.core.reporting.blocks import Table
+from casadical.core.reporting.result import Shown, html
 from casadical.measurements.camera_noise import CameraNoise, whitening
 from casadical.measurements.kinds.registry import find_kind
 

@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
+from casadical.core.reporting.blocks import Block, Table, Words
+from casadical.core.reporting.plain import Key
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best
-from casadical.core.telling.blocks import Block, Table, Words
-from casadical.core.telling.plain import Key
-from casadical.core.telling.result import Result
 from casadical.identification.accuracy import predicted
 from casadical.identification.departure import DRAWN_GROUPS
 from casadical.identification.least_squares import LeastSquares

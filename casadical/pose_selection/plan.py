@@ -8,10 +8,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.files import json_text
+from casadical.core.reporting.blocks import Block, Table
+from casadical.core.reporting.plain import Key
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import thirds
-from casadical.core.telling.blocks import Block, Table
-from casadical.core.telling.plain import Key
-from casadical.core.telling.result import Result
 from casadical.measurements.measurements import Noise
 from casadical.pose_selection.instruments import Instrument
 from casadical.pose_selection.pose_search import Forecast

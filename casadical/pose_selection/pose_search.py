@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.result import Shown
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.pose_selection.candidates import Circumstances, candidates_at, reachable_places

@@ -14,8 +14,8 @@ import pandas as pd
 
 from casadical.core.basics import Array
 from casadical.core.parts import GRAVITY_COLUMNS
+from casadical.core.reporting.result import Shown
 from casadical.core.statistics import TIE_TOLERANCE, first_of_best
-from casadical.core.telling.result import Shown
 from casadical.measurements.measurements import Measurements
 from casadical.pose_selection.candidates import (
     SESSION_PREFIX,

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 from casadical.compensator.saving import compensator_text
 from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
-from casadical.core.telling.blocks import Block, Page, Words, mm, next_step
-from casadical.core.telling.figure import Figure
-from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.result import Result, html, plain_text
+from casadical.core.reporting.blocks import Block, Page, Words, mm, next_step
+from casadical.core.reporting.figure import Figure
+from casadical.core.reporting.plain import Key, plain
+from casadical.core.reporting.result import Result, html, plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification.accuracy import Accuracy
 from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from casadical.compensator.trainers.known import network_methods
-from casadical.core.telling.blocks import Block, Page, Section, Tile, Words, figures_named, mm
-from casadical.core.telling.figure import Axis, Figure, Series
+from casadical.core.reporting.blocks import Block, Page, Section, Tile, Words, figures_named, mm
+from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.diagnosis.figures import where_figures
 from casadical.diagnosis.linear_problem import make_case
 from casadical.diagnosis.localisation import Localisation, localise_residual
@@ -45,7 +45,7 @@ from casadical.project.outcome import (
     report_blocks,
 )
 from casadical.project.problem import Problem
-from casadical.project.telling import problem_files
+from casadical.project.reporting import problem_files
 from casadical.robot.robot import Robot
 
 # Maximum number of poses from which the residual error is localised, drawn at random, to bound the

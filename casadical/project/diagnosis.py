@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 from casadical.core.basics import InputError, Show, silent
 from casadical.core.drive import read_drive
-from casadical.core.telling.blocks import Block, Page, Section, Table, Words, next_step
-from casadical.core.telling.figure import Figure
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Page, Section, Table, Words, next_step
+from casadical.core.reporting.figure import Figure
+from casadical.core.reporting.result import Result
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Masses, diagnose
 from casadical.diagnosis.figures import diagnosis_figures
@@ -40,7 +40,7 @@ from casadical.measurements.reading import refuse_shared_rows
 from casadical.pose_selection.workspace import Workspace, read_workspace
 from casadical.project.problem import Carried, nothing_carried, read_campaign, read_campaign_robot, tool_as_measured
 from casadical.project.problem_file import own_tables, problem_file, tables_of
-from casadical.project.telling import campaign_files
+from casadical.project.reporting import campaign_files
 from casadical.robot.effect_tables import read_effects
 from casadical.robot.robot import Robot
 

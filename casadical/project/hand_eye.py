@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.plain import WRITTEN, Key, written
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.plain import WRITTEN, Key, written
+from casadical.core.reporting.result import Shown
 from casadical.core.transforms import quaternion
 from casadical.identification.result import Identification
 from casadical.robot.robot import Robot

@@ -11,7 +11,7 @@ from casadical.compensator import Compensator
 from casadical.compensator.compensator import Progress
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import Array, Show, silent
-from casadical.core.telling.plain import Key
+from casadical.core.reporting.plain import Key
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
 from casadical.identification.result import Identification
 from casadical.project.problem import Problem, error_groups

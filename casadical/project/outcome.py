@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from casadical.core.basics import shown
-from casadical.core.telling.blocks import Block, Table, Words, mm
-from casadical.core.telling.template import template_blocks
+from casadical.core.reporting.blocks import Block, Table, Words, mm
+from casadical.core.reporting.template import template_blocks
 from casadical.identification.accuracy import Accuracy, errors
 from casadical.identification.gravity import in_words
 from casadical.identification.result import PRIOR_ONLY_REASON, Identification, LeftOut, rows_in_words

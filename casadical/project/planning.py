@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError, Show, silent
-from casadical.core.telling.blocks import Words, next_step
+from casadical.core.reporting.blocks import Words, next_step
 from casadical.diagnosis.candidates import named
 from casadical.effects import Effect, Session
 from casadical.identification.identification import identify

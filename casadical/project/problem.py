@@ -13,7 +13,7 @@ import pandas as pd
 from casadical.compensator.trainers.known import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.result import Shown
 from casadical.identification.plausibility import refuse_undefined
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss

@@ -22,8 +22,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.parameters import Parameters
 from casadical.core.parts import GRAVITY_COLUMNS, Arm, Joint
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Shown, html
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.result import Shown, html
 from casadical.core.transforms import frame, from_xyz, to_xyz
 from casadical.effects import Effect
 from casadical.robot.model import Model, Structure, constants_of, expressions

@@ -12,7 +12,7 @@ ROOM = "casadical.blind_check"
 # Of the package, the physics may load no more than this.
 ALLOWED = {"casadical", "casadical.core", "casadical.core.basics", "casadical.core.lazy", ROOM}
 # The second shows things in a notebook and knows no model.
-PHYSICS = (f"{ROOM}.mujoco_physics", "casadical.core.telling")
+PHYSICS = (f"{ROOM}.mujoco_physics", "casadical.core.reporting")
 # Every effect there is, hidden and measured.
 MUJOCO_AT_WORK = """
 import numpy as np

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from cases import practice, robot
 
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.isolability import Isolability, isolability
 from casadical.diagnosis.linear_problem import base_prior_sigmas
 from casadical.diagnosis.linearisation import signatures

@@ -16,8 +16,8 @@ from casadical import Discovery, diagnose, discover
 from casadical.blind_check.mujoco_physics import perturb
 from casadical.blind_check.mujoco_physics.stops import Stops
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import Words
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.blocks import Words
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.json_answer import as_json as diagnosis_json
 from casadical.diagnosis.laws import contest

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from cases import diagnose, practice, robot
 
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.details import Details, analyse
 from casadical.diagnosis.diagnose import Diagnosis
 from casadical.diagnosis.held_out_gap import COURSE_COLUMNS, Check, NetworkGap

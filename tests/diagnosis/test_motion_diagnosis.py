@@ -16,8 +16,8 @@ from typer.testing import CliRunner
 from casadical import Body, InputError, Joint, Robot, write_robot
 from casadical.cli.root import app
 from casadical.core.drive import Drive
-from casadical.core.telling.blocks import Table
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.blocks import Table
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects

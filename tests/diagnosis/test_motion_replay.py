@@ -11,9 +11,9 @@ from typer.testing import CliRunner
 
 from casadical import Body, InputError, Joint, Robot, read_robot, write_robot
 from casadical.cli.root import app
-from casadical.core.telling.drawing import draw
-from casadical.core.telling.figure import Figure
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.drawing import draw
+from casadical.core.reporting.figure import Figure
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.floor import stops_of
 from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted

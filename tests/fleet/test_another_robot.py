@@ -8,7 +8,7 @@ import pytest
 from lives import as_built, changed, measured, write_table
 
 from casadical import InputError, Robot
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files
 from casadical.fleet.changes import Comparison
 from casadical.fleet.comparison import compare

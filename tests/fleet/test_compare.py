@@ -13,7 +13,7 @@ from lives import NOISE, as_built, changed, measured, write_table
 from scipy.stats import multivariate_normal
 
 from casadical import InputError, Robot, calibrate, identify, plot, read_robot, write_robot
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.fleet.campaigns import compare_files, day_of, in_order, name_of, other_regions
 from casadical.fleet.changes import MEANINGS, Change, times_in_words
 from casadical.fleet.comparison import changes_in, compare, courses_of, shared_information

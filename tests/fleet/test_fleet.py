@@ -11,7 +11,7 @@ from command_line import run
 from fleet_plants import A1, planar
 
 from casadical import InputError, plot, read_robot
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.reporting.blocks import Table, Words
 from casadical.fleet.hierarchy import Common, common_of, population_of
 from casadical.fleet.result import MIN_LABEL_DISTANCE, Fleet, fleet_of, name_of_type
 from casadical.fleet.run import run_fleet

@@ -12,7 +12,7 @@ from arms import NOISE, positions, six_axis
 from command_line import main
 
 from casadical import InputError, Placement, Robot, identify, read_robot, write_robot
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.figure import Figure
 from casadical.core.transforms import frame, from_rpy
 from casadical.fleet.touches import judge_touches, plan_touches
 from casadical.identification.accuracy import predicted

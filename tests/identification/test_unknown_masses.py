@@ -10,7 +10,7 @@ from arms import TRACKER, planted, positions, readings, six_axis, with_bodies
 
 from casadical import Body, InputError, Joint, Robot, identify, read_robot, write_robot
 from casadical.core.parts import with_estimated_masses
-from casadical.core.telling.result import terminal
+from casadical.core.reporting.result import terminal
 from casadical.identification.accuracy import errors
 from casadical.identification.figures import parameter_tables
 from casadical.identification.gravity import as_json, gravity_deflections, in_words

@@ -10,8 +10,8 @@ import pytest
 from command_line import main, own_planar
 
 from casadical import calibrate, read_problem
-from casadical.core.telling.blocks import Table, mm
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.blocks import Table, mm
+from casadical.core.reporting.result import plain_text
 from casadical.identification import errors
 from casadical.project.acceptance.certificate import certificate
 from casadical.project.check import precheck

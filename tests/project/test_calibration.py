@@ -15,8 +15,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "docs" / "studies"))
 import users
 
 from casadical import Calibration, InputError, calibrate, read_problem, read_robot, report
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.localisation import Localisation
 from casadical.identification import errors, residual_mm
 from casadical.identification.accuracy import Accuracy

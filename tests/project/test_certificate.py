@@ -11,8 +11,8 @@ import pytest
 from command_line import ROOT, main
 
 from casadical import InputError, calibrate, read_problem
-from casadical.core.telling.blocks import Table
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.blocks import Table
+from casadical.core.reporting.figure import Figure
 from casadical.identification import errors, predicted
 from casadical.measurements.measurements import unmeasured
 from casadical.project.acceptance.budget import Conditions, budget_of, repeats_of

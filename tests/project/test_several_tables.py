@@ -9,7 +9,7 @@ import pytest
 from command_line import main
 
 from casadical import InputError, calibrate, report
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.effects import WireDrift
 from casadical.identification.accuracy import Accuracy, errors, predicted, summarise
 from casadical.measurements.measurements import unmeasured

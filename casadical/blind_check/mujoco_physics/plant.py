@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
-from casadical.core.telling.result import Shown
+from casadical.core.reporting.result import Shown
 
 Array: TypeAlias = NDArray[np.float64]
 

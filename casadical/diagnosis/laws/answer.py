@@ -11,10 +11,10 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.files import json_text
+from casadical.core.reporting.blocks import Block, Page, Section, Table, mm
+from casadical.core.reporting.figure import Axis, Figure, Series
+from casadical.core.reporting.result import Result, plain_text
 from casadical.core.statistics import best_of
-from casadical.core.telling.blocks import Block, Page, Section, Table, mm
-from casadical.core.telling.figure import Axis, Figure, Series
-from casadical.core.telling.result import Result, plain_text
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.problem import (
     Round,

@@ -18,7 +18,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import read_drive
 from casadical.core.reading import foreign, missing, read_text, read_xml
-from casadical.core.telling.blocks import Table
+from casadical.core.reporting.blocks import Table
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
@@ -200,10 +200,13 @@ def with_parameters(response: Response, given: Mapping[str, Array]) -> Response:
 
     armature = chosen("armature", response.armature)
     return replace(
-        response, gain=chosen("kp", response.gain), friction=chosen("friction", response.friction),
-        damping=chosen("damping", response.damping), delay=chosen("delay", response.delay),
+        response,
+        gain=chosen("kp", response.gain),
+        friction=chosen("friction", response.friction),
+        damping=chosen("damping", response.damping),
+        delay=chosen("delay", response.delay),
         inertia=response.inertia + armature - response.armature,
-    )  # fmt: skip
+    )
 
 
 def arbitrated(
@@ -235,17 +238,25 @@ def arbitrated(
     for path, given in sets.items():
         there = with_parameters(response, given)
         of = np.array([np.isfinite(given.get(name, np.full(robot.n, np.nan))) for name in PARAMETERS]).T
-        values = np.column_stack([
-            there.gain, *(each / there.gain for each in (there.friction, there.damping, there.inertia)), there.delay,
-        ])  # fmt: skip
+        values = np.column_stack(
+            [
+                there.gain,
+                *(each / there.gain for each in (there.friction, there.damping, there.inertia)),
+                there.delay,
+            ]
+        )
         # The ratios of a set without a gain are those to the gain that the logs show.
         off = np.abs(np.log(np.maximum(values, SMALLEST)) - response.log_values) > CONTRADICTED_SIGMAS * sigma
         verdict = np.where(known, np.where(off, "contradicted", "agrees"), "not determined")
         errors = np.concatenate([run.position - there.predicted(run) for run in runs])
         yield Arbitration(
-            str(path), np.asarray(np.sqrt(np.nanmean(errors**2, axis=0))), np.where(of, values * UNITS, np.nan), low,
-            high, tuple(tuple(row) for row in np.where(of, verdict, "").tolist()),
-        )  # fmt: skip
+            str(path),
+            np.asarray(np.sqrt(np.nanmean(errors**2, axis=0))),
+            np.where(of, values * UNITS, np.nan),
+            low,
+            high,
+            tuple(tuple(row) for row in np.where(of, verdict, "").tolist()),
+        )
 
 
 def arbitration_tables(joints: Sequence[str], after: Array, found: Sequence[Arbitration]) -> Iterator[Table]:

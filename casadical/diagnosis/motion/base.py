@@ -220,11 +220,19 @@ def _variables(m: Motion, arm: Arm, peak_torque: Array, torque: Array, model: Ar
     fast = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9
     slip = next(iter(m.memory.values()))
     variables = {
-        "q": m.q, "v": m.v, "a": m.a, "speed": m.v / fast, "slip": slip, "load": model / peak_torque,
+        "q": m.q,
+        "v": m.v,
+        "a": m.a,
+        "speed": m.v / fast,
+        "slip": slip,
+        "load": model / peak_torque,
         "turned": (m.q - m.q.mean(axis=0)) / (np.abs(m.q - m.q.mean(axis=0)).max(axis=0) + 1e-9),
-        "time": m.time[:, None] * ones, "t": (m.time / m.time[-1])[:, None] * ones, "run": m.run[:, None] * ones,
-        "side": np.tanh(20 * (model if m.torque is None else torque) / peak_torque), "rest": m.rest,
-    }  # fmt: skip
+        "time": m.time[:, None] * ones,
+        "t": (m.time / m.time[-1])[:, None] * ones,
+        "run": m.run[:, None] * ones,
+        "side": np.tanh(20 * (model if m.torque is None else torque) / peak_torque),
+        "rest": m.rest,
+    }
     variables["inertia"] = arm.rotor * m.a / peak_torque
     if m.torque is not None:  # the model's torque, as the measured one would explain its own noise
         variables["tau"] = variables["load"] + variables["inertia"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.blocks import Table
+from casadical.core.reporting.blocks import Table
 from casadical.diagnosis.motion.response import Response
 from casadical.diagnosis.motion.signals import Arm, motion_of
 from casadical.measurements.logs.log import JointLog
@@ -119,10 +119,16 @@ def effect_table(
         return np.asarray(np.sqrt(np.nanmean(error**2, axis=0)))
 
     there = {"surface": any(r.floor is not None for r in responses), "stops": any(r.stops for r in responses)}
-    return EffectTable(runs[0].joints, before, rms(predicted), {
-        name: rms([change(r).predicted(run) for run, r in zip(runs, responses, strict=True)])
-        for name, change in WITHOUT.items() if there.get(name, True)
-    })  # fmt: skip
+    return EffectTable(
+        runs[0].joints,
+        before,
+        rms(predicted),
+        {
+            name: rms([change(r).predicted(run) for run, r in zip(runs, responses, strict=True)])
+            for name, change in WITHOUT.items()
+            if there.get(name, True)
+        },
+    )
 
 
 def torque_table(log: JointLog, arm: Arm) -> Mapping[str, Array] | None:

@@ -143,9 +143,10 @@ def stops_of(dynamics: Dynamics, runs: Sequence[JointLog]) -> list[Stop]:
     heights = [Floor(dynamics).above(np.nan_to_num(run.position)) for run in runs] if up_of(dynamics).any() else []
     low = np.concatenate(heights) < np.min(np.concatenate(heights)) + 4 * CONTACT_MARGIN_M if heights else None
     for j, way in ((j, way) for j in range(len(runs[0].joints) if runs else 0) for way in (-1, 1)):
-        c, q = (np.concatenate([way * np.asarray(v)[:, j] for v in each]) for each in (
-            [run.command for run in runs], [run.position for run in runs])
-        )  # fmt: skip
+        c, q = (
+            np.concatenate([way * np.asarray(v)[:, j] for v in each])
+            for each in ([run.command for run in runs], [run.position for run in runs])
+        )
         known = np.isfinite(c) & np.isfinite(q)
         effort = [run.current if run.torque is None else run.torque for run in runs]
         push = None if any(e is None for e in effort) else np.concatenate([np.abs(np.asarray(e)[:, j]) for e in effort])

@@ -159,10 +159,16 @@ class MotionCase:
             for row, columns, values in self.E.factors().blocks
         )
         return Evidence(
-            self.noise.white(self.r, self.first), self.noise.white(self.base, self.first), np.zeros(P), np.ones(P),
+            self.noise.white(self.r, self.first),
+            self.noise.white(self.base, self.first),
+            np.zeros(P),
+            np.ones(P),
             row_columns(Factors(made, self.E.shape[2]), n, rows),
-            reference=1.0, near=(0,), Jq=np.zeros((n, rows, 1)), sigmas=RELATIVE_NOISE_GRID,
-        )  # fmt: skip
+            reference=1.0,
+            near=(0,),
+            Jq=np.zeros((n, rows, 1)),
+            sigmas=RELATIVE_NOISE_GRID,
+        )
 
     @cached_property
     def judged(self) -> Evidence:
@@ -272,9 +278,10 @@ def _row_noise(residual: Array, first: Array, floor: Array, trust: Array) -> tup
 
 
 def motion_case(
-    log_views: Sequence[LogView], reference_coefficients: Mapping[tuple[str, int, bool], float] | None = None,
+    log_views: Sequence[LogView],
+    reference_coefficients: Mapping[tuple[str, int, bool], float] | None = None,
     chosen: Sequence[Cause] | None = None,
-) -> MotionCase:  # fmt: skip
+) -> MotionCase:
     """Return the problem of a log, with a reference appended to it if there are two views.
 
     log_views : the log and, if there is one, the reference
@@ -305,9 +312,20 @@ def motion_case(
     of_log = np.arange(ends[-1]) < ends[1]
     noise = row_noise(residual, first, floor, trust, of_log)
     case = MotionCase(
-        (), (), (), residual, J, nothing, first, noise,
-        of_log, parts, floor, trust, *_reported(log),
-    ).renewed()  # fmt: skip
+        (),
+        (),
+        (),
+        residual,
+        J,
+        nothing,
+        first,
+        noise,
+        of_log,
+        parts,
+        floor,
+        trust,
+        *_reported(log),
+    ).renewed()
     return case if chosen is None else with_candidates(case, log, chosen)
 
 

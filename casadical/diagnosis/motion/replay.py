@@ -14,11 +14,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, Show, silent
+from casadical.core.reporting.blocks import Block, Table
+from casadical.core.reporting.figure import Axis, Figure, Panel, Series
+from casadical.core.reporting.plain import WRITTEN, Key
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of
-from casadical.core.telling.blocks import Block, Table
-from casadical.core.telling.figure import Axis, Figure, Panel, Series
-from casadical.core.telling.plain import WRITTEN, Key
-from casadical.core.telling.result import Result
 from casadical.diagnosis.motion.against import Arbitration, arbitrated, arbitration_tables
 from casadical.diagnosis.motion.effect_table import EffectTable, effect_table
 from casadical.diagnosis.motion.response import Response, fitted
@@ -253,18 +253,33 @@ def replay_figures(replay: Replay) -> Iterator[Figure]:
     errors = {"before: less command": before, "after: less prediction": after}
     loops = {"reading": before, "prediction": 1e3 * (replay.predicted[run] - command)}
     yield _panels(
-        replay, there, "replay/errors", f"{source}: reading less command, and less prediction", "time [s]",
-        "mrad", lambda j, panel: _lines(log.time - log.time[0], errors, j, panel),
-    )  # fmt: skip
+        replay,
+        there,
+        "replay/errors",
+        f"{source}: reading less command, and less prediction",
+        "time [s]",
+        "mrad",
+        lambda j, panel: _lines(log.time - log.time[0], errors, j, panel),
+    )
     yield from _maps(replay)
     yield _panels(
-        replay, replay.moves, "replay/friction", "Friction: what the servo gives beyond load and inertia, over speed",
-        "speed [rad/s]", "N m", lambda j, panel: _friction(replay, j, panel),
-    )  # fmt: skip
+        replay,
+        replay.moves,
+        "replay/friction",
+        "Friction: what the servo gives beyond load and inertia, over speed",
+        "speed [rad/s]",
+        "N m",
+        lambda j, panel: _friction(replay, j, panel),
+    )
     yield _panels(
-        replay, there, "replay/hysteresis", f"{source}: hysteresis, reading less command over the command",
-        "command [rad]", "mrad", lambda j, panel: _lines(command[:, j], loops, j, panel),
-    )  # fmt: skip
+        replay,
+        there,
+        "replay/hysteresis",
+        f"{source}: hysteresis, reading less command over the command",
+        "command [rad]",
+        "mrad",
+        lambda j, panel: _lines(command[:, j], loops, j, panel),
+    )
 
 
 def _panels(
@@ -327,7 +342,10 @@ def _maps(replay: Replay) -> Iterator[Figure]:
     joints = replay.runs[0].joints
     for what, values in cells.items():
         yield Figure(
-            f"replay/map/{what}", f"Where and when the readings are off, {what} [mrad rms, one scale]",
+            f"replay/map/{what}",
+            f"Where and when the readings are off, {what} [mrad rms, one scale]",
             [Series("map", time.round(1), list(range(len(joints))), (1e3 * values.T).round(2), size=largest)],
-            x=Axis("time, run by run [s]"), rows=joints, height=90 + 28 * len(joints),
-        )  # fmt: skip
+            x=Axis("time, run by run [s]"),
+            rows=joints,
+            height=90 + 28 * len(joints),
+        )

@@ -145,9 +145,17 @@ class Response:
             friction, lag, inertia = (each / self.gain for each in (self.friction, self.damping, self.inertia))
             balance = delayed(piece.command, self.delay / piece.step) - (load + self.bias) / self.gain
             q = simulated(
-                _midpoints(balance), len(balance) - 1, piece.position[0], np.array(piece.step), friction, lag, inertia,
-                self.floor, self.gain, limits_of(self.stops, len(self.gain)),
-            )  # fmt: skip
+                _midpoints(balance),
+                len(balance) - 1,
+                piece.position[0],
+                np.array(piece.step),
+                friction,
+                lag,
+                inertia,
+                self.floor,
+                self.gain,
+                limits_of(self.stops, len(self.gain)),
+            )
             t = run.time[0] + piece.step * np.arange(len(q))
             out.append(np.column_stack([np.interp(run.time, t, column) for column in q.T]))
         return np.concatenate(out)
@@ -197,9 +205,13 @@ class Response:
     def drive(self) -> Drive:
         """Return the drive of the given robot with the identified parameters, to four digits."""
         numbers = {
-            "kp": self.gain, "bias": self.bias, "friction": self.friction, "damping": self.damping,
-            "rotor_inertia_at_joint": self.armature, "delay": self.delay,
-        }  # fmt: skip
+            "kp": self.gain,
+            "bias": self.bias,
+            "friction": self.friction,
+            "damping": self.damping,
+            "rotor_inertia_at_joint": self.armature,
+            "delay": self.delay,
+        }
         rounded: dict[str, Any] = {name: [float(f"{v:.4g}") for v in each] for name, each in numbers.items()}
         if self.floor:
             rounded["floor"] = round(self.floor.height, 4)
@@ -232,9 +244,17 @@ def _midpoints(values: Array) -> Array:
 
 
 def simulated(
-    balance: Iterable[Array], steps: int, start: Array, step: Array, friction: Array, lag: Array, inertia: Array,
-    floor: Floor | None = None, gain: Array | None = None, limits: tuple[Array, Array] | None = None,
-) -> Array:  # fmt: skip
+    balance: Iterable[Array],
+    steps: int,
+    start: Array,
+    step: Array,
+    friction: Array,
+    lag: Array,
+    inertia: Array,
+    floor: Floor | None = None,
+    gain: Array | None = None,
+    limits: tuple[Array, Array] | None = None,
+) -> Array:
     """Return simulated joint angles, shape (1 + steps, ...) [rad]; the first ones are `start`.
 
     balance : for each step the angle [rad] at which each joint would come to rest, in the middle of
@@ -342,9 +362,15 @@ class _Problem:
 
         limits = None if self.limits is None else (self.limits[0][:, None], self.limits[1][:, None])
         return simulated(
-            balance(), len(first), self.position[0][..., None], self.step[..., None], friction, lag, inertia,
+            balance(),
+            len(first),
+            self.position[0][..., None],
+            self.step[..., None],
+            friction,
+            lag,
+            inertia,
             limits=limits,
-        )  # fmt: skip
+        )
 
     def residual(self, x: Array) -> tuple[Array, Array]:
         """Return measured minus simulated angles, and the latter's derivatives by the parameters.
@@ -382,11 +408,26 @@ def fitted(robot: Robot, *parts: Sequence[JointLog]) -> list[Response]:
         gain = np.exp(-x[:, 0])
         friction, lag, inertia, delay = np.exp(x[:, 2:]).T
         sources = tuple(log.source for log in logs)
-        responses.append(Response(
-            arm.dynamics, gain, gain * x[:, 1], gain * friction, gain * lag, gain * inertia, delay, sources, _moves(p),
-            _torque_terms_of(arm, r, floor), floor, True, np.column_stack([-x[:, 0], x[:, 2:]]),
-            covariance, problem.width[:, _LOG_PARAMETERS], own,
-        ))  # fmt: skip
+        responses.append(
+            Response(
+                arm.dynamics,
+                gain,
+                gain * x[:, 1],
+                gain * friction,
+                gain * lag,
+                gain * inertia,
+                delay,
+                sources,
+                _moves(p),
+                _torque_terms_of(arm, r, floor),
+                floor,
+                True,
+                np.column_stack([-x[:, 0], x[:, 2:]]),
+                covariance,
+                problem.width[:, _LOG_PARAMETERS],
+                own,
+            )
+        )
     return responses
 
 
@@ -446,10 +487,15 @@ def _together(problems: Sequence[_Problem]) -> _Problem:
     limits = (np.concatenate([low for low, _ in both]), np.concatenate([high for _, high in both]))
     every = [np.pad(p.step, ((0, pieces - len(p.step)), (0, 0)), "edge") for p in problems]
     return _Problem(
-        wide(lambda p: p.command), wide(lambda p: p.position), wide(lambda p: p.weight), wide(lambda p: p.load),
-        np.concatenate(every, axis=1), np.concatenate([p.middle for p in problems]),
-        np.concatenate([p.width for p in problems]), limits if any(p.limits for p in problems) else None,
-    )  # fmt: skip
+        wide(lambda p: p.command),
+        wide(lambda p: p.position),
+        wide(lambda p: p.weight),
+        wide(lambda p: p.load),
+        np.concatenate(every, axis=1),
+        np.concatenate([p.middle for p in problems]),
+        np.concatenate([p.width for p in problems]),
+        limits if any(p.limits for p in problems) else None,
+    )
 
 
 def bodies_and_terms(dynamics: Dynamics, run: JointLog, position: Array) -> tuple[Array, Array]:

@@ -8,10 +8,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from casadical.core.basics import Array, InputError, Show
+from casadical.core.reporting.blocks import Block, Table
+from casadical.core.reporting.plain import WRITTEN, Key
+from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, known_digits
-from casadical.core.telling.blocks import Block, Table
-from casadical.core.telling.plain import WRITTEN, Key
-from casadical.core.telling.result import Result
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.motion.base import (
     COMMANDED_PLAY_WIDTHS_RAD,

@@ -202,10 +202,12 @@ def held_out(case: MotionCase, chosen: Array, own: Array, *, local: bool) -> tup
         few = case.only(columns)
         fit = new_fit(few.white, np.arange(len(columns)), UNIT_NOISE, combined=False)
         others = [fit.estimate_from(np.flatnonzero(folds != k)) for k in parts]
-        errors.append([
-            float((fit.residual(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
-            for k, x in zip(parts, others, strict=True)
-        ])  # fmt: skip
+        errors.append(
+            [
+                float((fit.residual(x)[folds == k] ** 2).sum() / 2 + (x[:P] ** 2).sum() / 2 / len(parts))
+                for k, x in zip(parts, others, strict=True)
+            ]
+        )
         fitted_costs.append((fit.residual(fit.x)[case.of_log] ** 2).sum(axis=1) / 2)
     return tuple(a - b for a, b in zip(*errors, strict=True)), fitted_costs[0] - fitted_costs[1]
 
@@ -238,9 +240,10 @@ def search(case: MotionCase) -> Outcome:
         if one.share >= 1 and not one.named:
             there = 1 - ranking.none
             alike = [
-                (k, ranking.probability[k] / there) for k in ranking.order
+                (k, ranking.probability[k] / there)
+                for k in ranking.order
                 if case.by_label[k].listed and ranking.probability[k] > SETTINGS.min_ambiguous * there
-            ]  # fmt: skip
+            ]
             whole = sum(p for _, p in alike[: SETTINGS.max_ambiguous])
             verdict: Verdict = "ambiguous" if whole > SETTINGS.ambiguous_share and one.listed else "unknown"
             return Outcome(case, last if named else verdict, found, rankings, tuple(alike), one)

@@ -19,10 +19,10 @@ import numpy as np
 from casadical.core.basics import Array, CasadicalError, InputError
 from casadical.core.files import claimed, write_together
 from casadical.core.reading import json_of, read_bytes
-from casadical.core.telling.blocks import Block
-from casadical.core.telling.plain import WRITTEN, Key
-from casadical.core.telling.plain import written as named
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block
+from casadical.core.reporting.plain import WRITTEN, Key
+from casadical.core.reporting.plain import written as named
+from casadical.core.reporting.result import Result
 from casadical.export.c.c_source import FILES_SCHEMA, c_files, comparison_inputs, functions, inside
 from casadical.export.c.coefficients import Real
 from casadical.export.c.kernel import WARNING_FLAGS, Compiler, Shape, build, compilers, remember

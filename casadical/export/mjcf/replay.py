@@ -14,10 +14,10 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, ConvergenceError, InputError, Show, silent
-from casadical.core.telling.blocks import Block, Table, Words, mm
-from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
-from casadical.core.telling.plain import WRITTEN, Key
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Table, Words, mm
+from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, ticks_of_decades
+from casadical.core.reporting.plain import WRITTEN, Key
+from casadical.core.reporting.result import Result
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis
 from casadical.export.mjcf.equilibrium import load_mujoco, positions

@@ -15,8 +15,8 @@ import numpy as np
 
 from casadical.core.basics import Array, Fault, FaultsError, InputError
 from casadical.core.reading import LARGEST_NUMBER
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Shown, html
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.result import Shown, html
 from casadical.measurements.columns import POSSIBLE_RANGES
 
 # Channel that is logged for each joint -> its unit for revolute and for prismatic joints.

@@ -1,6 +1,6 @@
 """The common interface of acceptance tests: their figures, sentences and acceptance."""
 
-from casadical.core.telling.result import Result
+from casadical.core.reporting.result import Result
 
 
 class Acceptance(Result):

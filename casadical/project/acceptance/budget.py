@@ -27,8 +27,8 @@ import numpy as np
 from scipy.special import stdtrit
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import mm
-from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.core.reporting.blocks import mm
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors, residual_mm
 from casadical.identification.identification import calibrated, prepare
 from casadical.identification.remaining_errors import residuals_and_jacobian

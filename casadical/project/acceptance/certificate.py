@@ -16,12 +16,12 @@ from pydantic import Field
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reading import load_json, load_toml
+from casadical.core.reporting.blocks import Page, Section, Table, Words, mm
+from casadical.core.reporting.figure import Axis, Figure, Series
+from casadical.core.reporting.page import provenance_of
+from casadical.core.reporting.pdf import pdf_of
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.core.schema import LENGTH, WHOLE_NUMBER, TomlTable, check
-from casadical.core.telling.blocks import Page, Section, Table, Words, mm
-from casadical.core.telling.figure import Axis, Figure, Series
-from casadical.core.telling.page import provenance_of
-from casadical.core.telling.pdf import pdf_of
-from casadical.core.telling.plain import WRITTEN, Key, written
 from casadical.identification.accuracy import errors
 from casadical.identification.plausibility import check_against
 from casadical.identification.result import LeftOut, rows_in_words

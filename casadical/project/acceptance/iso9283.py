@@ -21,8 +21,8 @@ import numpy as np
 import pandas as pd
 
 from casadical.core.basics import Array, InputError
-from casadical.core.telling.blocks import Table, Words, mm
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key, plain, written
+from casadical.core.reporting.blocks import Table, Words, mm
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, plain, written
 from casadical.identification.accuracy import predicted
 from casadical.measurements.columns import Columns
 from casadical.measurements.measurements import unmeasured

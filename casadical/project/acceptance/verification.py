@@ -13,8 +13,8 @@ from scipy.special import chdtri, fdtri
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import load_json, number_fault
-from casadical.core.telling.blocks import Words, next_step
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
+from casadical.core.reporting.blocks import Words, next_step
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
 from casadical.identification.accuracy import errors
 from casadical.identification.identification import Prepared, calibrated, prepare
 from casadical.identification.result import LeftOut, rows_in_words

@@ -13,8 +13,8 @@ from typing import ClassVar
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.telling.blocks import Table
-from casadical.core.telling.plain import WRITTEN, Key, written
+from casadical.core.reporting.blocks import Table
+from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.identification.identifiability import Unidentifiable, drop_poor
 from casadical.identification.least_squares import INITIAL_SIGMA_ANGLE_RAD, INITIAL_SIGMA_M, LeastSquares
 from casadical.identification.reduction import independent_parameters

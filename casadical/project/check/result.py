@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
 
-from casadical.core.telling.blocks import Block, Table, Words, next_step
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key, written
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Block, Table, Words, next_step
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
+from casadical.core.reporting.result import Result
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
 from casadical.project.check.plausible import JointCoverage

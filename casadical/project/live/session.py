@@ -18,7 +18,7 @@ import tomlkit
 from casadical.core.basics import Array, ConvergenceError, InputError, shown
 from casadical.core.files import csv_text, write_whole
 from casadical.core.reading import read_text
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.identification.identification import lacks_declared_compliance, prepare, with_all_joints_compliant
 from casadical.identification.plausibility import check_against
 from casadical.identification.sessions import with_sessions

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.reporting.blocks import Table, Words
 from casadical.project.live.estimate import MIN_READINGS_OF_FIT
 
 # Minimum number of readings with which the 95 % quantile of their errors is stated.

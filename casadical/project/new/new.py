@@ -18,7 +18,7 @@ from casadical.core.basics import Array, InputError, shown
 from casadical.core.files import claimed, csv_text, write_together
 from casadical.core.parts import lacks_masses, with_estimated_masses
 from casadical.core.reading import read_bytes, read_text, text_fault
-from casadical.core.telling.blocks import Table, Words
+from casadical.core.reporting.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.arrangement import joined, long, with_headings
 from casadical.measurements.columns import Columns, is_ours

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from casadical.core.basics import InputError
 from casadical.core.parts import Joint, Placement
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.export import Sources, Status, command_of, inverse_kinematics, model_corrector, write_c
 from casadical.export.c.kernel import compilers
 from casadical.export.controller.commands import measured_range, poses_of, unreached

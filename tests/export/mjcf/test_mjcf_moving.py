@@ -10,7 +10,7 @@ import pytest
 
 from casadical import Body, InputError, Joint, Robot, read_robot, robot_model, write_robot
 from casadical.core.drive import Drive
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.response import fitted
 from casadical.measurements.logs.log import JointLog

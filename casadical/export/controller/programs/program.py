@@ -12,9 +12,9 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
 from casadical.core.reading import missing, read_bytes
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.result import Result
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.plain import Key, plain
+from casadical.core.reporting.result import Result
 from casadical.export.c.kernel import Manifest
 from casadical.export.controller.commands import (
     Sources,

@@ -13,7 +13,7 @@ import pytest
 from controller_arms import nominal_path, planted, poses, rigid_motion
 from program_texts import BASES, TOOLS, Point, held, joints_of, matrix, pose_of, read, write
 
-from casadical.core.telling.result import plain_text
+from casadical.core.reporting.result import plain_text
 from casadical.export.controller.commands import Sources
 from casadical.export.controller.programs.correction import Cell
 from casadical.export.controller.programs.program import corrected_program, read_target_program

@@ -13,8 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from casadical.core.telling.blocks import Block, Kind, Table, Words, mm
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.blocks import Block, Kind, Table, Words, mm
+from casadical.core.reporting.figure import Figure
 
 if TYPE_CHECKING:
     from jinja2 import Environment, Template

@@ -9,7 +9,7 @@ from math import log10
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from casadical.core.basics import optional
-from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
+from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
 
 # Only type checkers import plotly here; it is loaded when a figure is drawn.
 if TYPE_CHECKING:

@@ -5,10 +5,10 @@ import re
 import pytest
 
 from casadical.cli.terminal import refusal, wrapped
-from casadical.core.telling.blocks import Page, Section, Table, Tile, Words, figures_named
-from casadical.core.telling.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
-from casadical.core.telling.page import html_of
-from casadical.core.telling.result import html, plain_text
+from casadical.core.reporting.blocks import Page, Section, Table, Tile, Words, figures_named
+from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series, Span, ticks_of_decades
+from casadical.core.reporting.page import html_of
+from casadical.core.reporting.result import html, plain_text
 
 TABLE = Table("Errors [mm]", ("model", "mean"), [("before", "1.70"), ("after [KM]", "0.03")], frozenset({1}))
 BLOCKS = [
@@ -77,7 +77,7 @@ def test_a_table_without_names_has_no_head_and_its_words_hang_beneath_each_other
 
 def test_a_figure_is_drawn_as_its_data_say() -> None:
     pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
-    from casadical.core.telling.drawing import COLOURS, draw
+    from casadical.core.reporting.drawing import COLOURS, draw
 
     picture = draw(drawn(marks=[Rule("y", 5.0), Note("here", 2, 1.0), Span(1, 2)]))
     (trace,) = picture.data
@@ -91,7 +91,7 @@ def test_a_figure_is_drawn_as_its_data_say() -> None:
 
 def test_rows_are_words_from_the_top_and_intervals_lie_along_them() -> None:
     pytest.importorskip("plotly", reason="plotly is not installed (extra report)")
-    from casadical.core.telling.drawing import draw
+    from casadical.core.reporting.drawing import draw
 
     dots = Series("points", [1.0, 2.0], range(2), less=[0.5, 0.1], more=[0.2, 0.3])
     picture = draw(Figure("n", "t", [dots], rows=("first", "a and\nb")))

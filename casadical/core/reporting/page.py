@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from casadical.core.basics import InputError, optional
-from casadical.core.telling.blocks import Page
-from casadical.core.telling.drawing import COLOURS, DARK_BY_LIGHT, MISSING_PLOTLY, draw
-from casadical.core.telling.template import pages as pages_of
+from casadical.core.reporting.blocks import Page
+from casadical.core.reporting.drawing import COLOURS, DARK_BY_LIGHT, MISSING_PLOTLY, draw
+from casadical.core.reporting.template import pages as pages_of
 
 # Folder of the templates, style and script of HTML pages.
 TEMPLATES = Path(__file__).parent / "templates"

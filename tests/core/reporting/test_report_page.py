@@ -8,11 +8,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 from casadical import report
-from casadical.core.telling.blocks import Words, mm
-from casadical.core.telling.page import provenance_of
+from casadical.core.reporting.blocks import Words, mm
+from casadical.core.reporting.page import provenance_of
 from casadical.diagnosis.page import diagnosis_page
 from casadical.project.problem import read_problem
-from casadical.project.telling import campaign_files, problem_files
+from casadical.project.reporting import campaign_files, problem_files
 
 ROOT = Path(__file__).parents[3]
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeAlias, overload
 
 from casadical.core.basics import InputError
-from casadical.core.telling.blocks import Page
-from casadical.core.telling.drawing import dark as darkened
-from casadical.core.telling.drawing import draw
-from casadical.core.telling.figure import Figure
-from casadical.core.telling.page import html_of
+from casadical.core.reporting.blocks import Page
+from casadical.core.reporting.drawing import dark as darkened
+from casadical.core.reporting.drawing import draw
+from casadical.core.reporting.figure import Figure
+from casadical.core.reporting.page import html_of
 from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.result import Diagnosis
 from casadical.identification.figures import identification_figures
@@ -20,7 +20,7 @@ from casadical.project.problem import Problem
 from casadical.project.problem_file import problem_file
 
 if TYPE_CHECKING:
-    from casadical.core.telling.drawing import Picture
+    from casadical.core.reporting.drawing import Picture
     from casadical.diagnosis.details import Details
 
 

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from casadical.core.basics import InputError, optional
-from casadical.core.telling.blocks import Page, Table, Words
-from casadical.core.telling.drawing import COLOURS
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.blocks import Page, Table, Words
+from casadical.core.reporting.drawing import COLOURS
+from casadical.core.reporting.figure import Figure
 
 # Only type checkers import fpdf here; it is loaded when a PDF is made.
 if TYPE_CHECKING:

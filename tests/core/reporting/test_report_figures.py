@@ -9,8 +9,8 @@ import pytest
 
 from casadical import plot
 from casadical.core.basics import InputError
-from casadical.core.telling.drawing import COLOURS, draw
-from casadical.core.telling.page import require, safe_json
+from casadical.core.reporting.drawing import COLOURS, draw
+from casadical.core.reporting.page import require, safe_json
 from casadical.identification.figures import most_correlated, residual_quantiles
 from casadical.identification.pose_errors import (
     ModelErrors,

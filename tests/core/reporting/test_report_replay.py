@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.drawing import draw
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.drawing import draw
+from casadical.core.reporting.figure import Figure
 from casadical.diagnosis.diagnose import diagnose
 from casadical.export.mjcf.replay import replay_blocks, replay_figure, stage_names
 from casadical.identification.accuracy import errors

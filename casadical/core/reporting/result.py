@@ -16,10 +16,10 @@ from textwrap import wrap
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from casadical.core.basics import visible
-from casadical.core.telling.blocks import Block, Table, Words
-from casadical.core.telling.figure import Figure
-from casadical.core.telling.plain import Key, plain
-from casadical.core.telling.template import filled, pages, template_blocks
+from casadical.core.reporting.blocks import Block, Table, Words
+from casadical.core.reporting.figure import Figure
+from casadical.core.reporting.plain import Key, plain
+from casadical.core.reporting.template import filled, pages, template_blocks
 
 if TYPE_CHECKING:
     from rich.console import Console, ConsoleOptions, RenderableType, RenderResult

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from casadical.core.telling.figure import Figure
+from casadical.core.reporting.figure import Figure
 
 # Role of a paragraph of a report, which sets its style.
 Kind: TypeAlias = Literal["title", "text", "note", "warning", "error", "verdict"]

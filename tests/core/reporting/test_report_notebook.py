@@ -9,8 +9,8 @@ import pytest
 
 from casadical import plot
 from casadical.core.basics import InputError
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.result import Result, Shown, html
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.result import Result, Shown, html
 
 
 class Cells(HTMLParser):

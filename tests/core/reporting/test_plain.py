@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from casadical.core.telling.blocks import Table, Words
-from casadical.core.telling.plain import IN_MM, WRITTEN, Key, plain, written
-from casadical.core.telling.template import template_blocks
+from casadical.core.reporting.blocks import Table, Words
+from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, plain, written
+from casadical.core.reporting.template import template_blocks
 
 
 class Colour(StrEnum):
