@@ -36,8 +36,10 @@ _CAUSES: dict[str, tuple[float, tuple[float, ...], str]] = {
     "scale of the board": (0.15, (0.001, 0.003, 0.01), "a calliper on the board"),
     "distortion": (0.15, (0.01, 0.05), "stations with the board in the image's corners"),
 }
-# Sizes of the arm's departures [mm and mrad] and factors on the noise over which the posterior is averaged.
-_SIZES, _FACTORS = np.geomspace(0.03, 10.0, 18), np.geomspace(0.75, 1.5, 6)
+# Sizes of the arm's departures, over which the posterior is averaged [mm and mrad].
+_DEPARTURE_SIZES = np.geomspace(0.03, 10.0, 18)
+# Factors on the noise, over which it is averaged, too.
+_NOISE_FACTORS = np.geomspace(0.75, 1.5, 6)
 # Probability from which a side is said to be wrong or right.
 _SURE = 0.9
 # What carries the camera -> what moved, if what the flange carries did, or what stands.
@@ -346,15 +348,15 @@ class _Model(NamedTuple):
                 - 0.5 * np.log1p(value / f**2).sum(axis=1)
                 - count * np.log(f)
                 - 0.5 * (square - (score**2 / (value + f**2)).sum(axis=1)) / f**2
-                for f in _FACTORS
+                for f in _NOISE_FACTORS
             ],
             axis=1,
         )
         weight = np.exp(log_weight - log_weight.max())
         rng = np.random.default_rng(0)
         s, f = np.unravel_index(rng.choice(weight.size, draws, p=weight.ravel() / weight.sum()), weight.shape)
-        root = _FACTORS[f, None] / np.sqrt(value[s] + _FACTORS[f, None] ** 2)
-        z = score[s] * (root / _FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
+        root = _NOISE_FACTORS[f, None] / np.sqrt(value[s] + _NOISE_FACTORS[f, None] ** 2)
+        z = score[s] * (root / _NOISE_FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
         x = sd[s] * np.einsum("sij,sj->si", V[s], z)
         axes_away = lines_of_sight(self.m, noise)[1]
         unit = noise.relative(axes_away)[:, :3] * sigmas[0]
@@ -396,7 +398,7 @@ def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:
     """
     arms = [
         (0.0, PRIOR_PROBABILITY_OF_NONE),
-        *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(_SIZES)) for size in _SIZES),
+        *((size, (1 - PRIOR_PROBABILITY_OF_NONE) / len(_DEPARTURE_SIZES)) for size in _DEPARTURE_SIZES),
     ]
     causes = [[(0.0, 1 - p), *((sd, p / len(sds)) for sd in sds)] for p, sds, _ in _CAUSES.values()]
     sd, log_prior, present = [], [], []
