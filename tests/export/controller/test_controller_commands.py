@@ -60,8 +60,8 @@ def targets(rows):
 def test_what_is_printed_and_what_the_manifest_holds(files, tmp_path, monkeypatch, capfd):
     out = tmp_path / "c"
     arguments = ("export", "c", files / "ur10.toml", "--nominal", nominal_path("ur10"), "--out", out, "--name", "arm")
-    assert run(monkeypatch, *arguments, "--real", "float", "--steps", 1) == 0
-    printed = capfd.readouterr().out
+    assert run(monkeypatch, *arguments, "--real", "float", "--steps", 1, "--details") == 0
+    printed = " ".join(capfd.readouterr().out.split())
     for part in (
         "verified: compiled",
         "rest_um_worst",
@@ -129,7 +129,7 @@ def test_a_corrected_program_keeps_all_but_its_targets(files, exported, tmp_path
     q[9, 5] = robot.joints[5].upper
     q[20] = q[21]  # a repeated target is no mistake
     job, new = program(tmp_path / "job.csv", q), tmp_path / "new.csv"
-    assert run(monkeypatch, "correct", exported, job, "--out", new) == 0
+    assert run(monkeypatch, "correct", exported, job, "--out", new, "--details") == 0
     printed = capfd.readouterr().out
     before, after = table(job), table(new)
     assert list(after[0]) == [*before[0], "correction_status"]
@@ -163,10 +163,10 @@ def test_a_corrected_program_keeps_all_but_its_targets(files, exported, tmp_path
 def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, monkeypatch, capfd):
     job = program(tmp_path / "job.csv", poses(planted("hh800"), 50), "rad")
     assert run(monkeypatch, "correct", exported, job, "--out", tmp_path / "a.csv") == 0
-    model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv")
+    model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv", "--details")
     assert run(monkeypatch, *model) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
-    assert "the real tool off the nominal one, by the model" in capfd.readouterr().out
+    assert "the real tool off the nominal one, by the model" in " ".join(capfd.readouterr().out.split())
     assert run(monkeypatch, *model) == 2
     assert "is there already" in capfd.readouterr().err
     assert run(monkeypatch, *model, "--overwrite") == 0

@@ -75,8 +75,8 @@ def test_a_robot_file_becomes_curves_in_c(robot, tmp_path, monkeypatch, capfd):
         pytest.skip("no C compiler (gcc, clang, cc) on this machine")
     file, out = tmp_path / "robot.toml", tmp_path / "c"
     write_robot(robot, file)
-    assert run(monkeypatch, "export", "c", file, "--what", "curves", "--real", "float", "--out", out) == 0
-    said = capfd.readouterr().out
+    assert run(monkeypatch, "export", "c", file, "--what", "curves", "--real", "float", "--out", out, "--details") == 0
+    said = " ".join(capfd.readouterr().out.split())
     assert "verified: compiled, and the same bits" in said
     assert "command q - dq(q)" in said
     manifest = json.loads((out / "manifest.json").read_text())
