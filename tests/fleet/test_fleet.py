@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,10 @@ def test_a_worker_that_is_killed_midway_loses_nothing(plant: Path, tmp_path: Pat
     killed: list[int] = []
 
     def kill(text: str) -> None:
-        workers = [p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+        workers = []
+        for p in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):  # one that has just ended has no command line
+                workers += [p] if "spawn_main" in " ".join(p.cmdline()) else []
         if text.startswith("robot 1 ") and workers:
             killed.append(workers[0].pid)
             workers[0].kill()
