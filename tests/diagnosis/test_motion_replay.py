@@ -1,6 +1,7 @@
 """Open-loop replay of joint logs: the response of joints found again, and real motions that were not fitted."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,7 +75,11 @@ def test_a_planted_response_is_found_and_predicts_other_runs(arm):
 
 def test_the_effect_table_shows_what_each_effect_costs(arm, monkeypatch):
     """An arm with dry friction, and one without: the row that leaves friction out says so."""
-    found = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)]).effects
+    rough = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)])
+    found, band = rough.effects, int(np.argmax(DRY / GAIN))
+    words = plain_text(rough.blocks(), 400)
+    said = re.search(rf"Dry friction holds {rough.runs[0].joints[band]} up to ([\d.]+) mrad", words)
+    assert float(said[1]) == pytest.approx(1e3 * DRY[band] / GAIN[band], rel=0.1)
     monkeypatch.setattr(f"{__name__}.DRY", np.array([1e-4, 1e-4]))
     slippery = replayed(arm, [moved(arm, seed, 12.0) for seed in (1, 2)])
     with_it, none = (np.sqrt(each.costs()["dry friction"]) for each in (found, slippery.effects))
@@ -82,6 +87,7 @@ def test_the_effect_table_shows_what_each_effect_costs(arm, monkeypatch):
     np.testing.assert_array_less(none, 0.002)
     assert "dry friction" in slippery.effects.sentence.partition("; ")[2]
     assert "dry friction" not in found.sentence.partition("; ")[2]
+    assert "Dry friction holds" not in plain_text(slippery.blocks(), 400)
     written = slippery.to_json()
     assert written["summary"] == slippery.effects.sentence
     np.testing.assert_allclose(written["effects"]["delay"], slippery.effects.without["delay"], rtol=1e-6)

@@ -163,7 +163,16 @@ def test_a_corrected_program_keeps_all_but_its_targets(files, exported, tmp_path
 def test_the_robot_file_corrects_as_its_export_does(files, exported, tmp_path, monkeypatch, capfd):
     job = program(tmp_path / "job.csv", poses(planted("hh800"), 50), "rad")
     assert run(monkeypatch, "correct", exported, job, "--out", tmp_path / "a.csv") == 0
-    model = ("correct", files / "hh800.toml", "--nominal", nominal_path("hh800"), job, "--out", tmp_path / "b.csv", "--details")
+    model = (
+        "correct",
+        files / "hh800.toml",
+        "--nominal",
+        nominal_path("hh800"),
+        job,
+        "--out",
+        tmp_path / "b.csv",
+        "--details",
+    )
     assert run(monkeypatch, *model) == 0
     assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
     assert "the real tool off the nominal one, by the model" in " ".join(capfd.readouterr().out.split())
