@@ -369,7 +369,8 @@ def test_a_law_is_looked_for_where_all_would_be_noise_of_any_size(changed, place
     there = replace(m, position=there.position + predicted(arm, there)[0] - predicted(arm, m)[0])
     found = diagnose(arm, there)
     best = laws_of_diagnosis(found).rounds[0].best
-    assert (found.verdict, found.causes, found.law is None) == ("unknown", (), driver.startswith("heat"))
+    # Where a smooth function or unequal noise ranks first, the verdict is unknown without a law.
+    assert (found.verdict, found.causes, found.law is None) == ("unknown", (), driver != "head")
     assert (best.law.place in places, best.tried.driver.text) == (True, driver)
 
 
