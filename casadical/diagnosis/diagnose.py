@@ -23,7 +23,7 @@ from casadical.diagnosis.observations import Ratios
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
 from casadical.diagnosis.settings import SETTINGS
-from casadical.effects import Effect
+from casadical.effects import Effect, LinkMasses
 from casadical.identification.identification import (
     Prepared,
     calibrate_base_model,
@@ -257,7 +257,12 @@ def _prepared(
     if not sets:
         raise InputError("measurements are missing; give diagnose(robot, measurements), or an identification alone")
     of_masses: Literal["free", "unknown"] = "free" if masses == "nuisance" else "unknown"
-    return with_compliance_if_supported(prepare(robot, sets, prior, masses=of_masses, tool_turns=True))
+    found = with_compliance_if_supported(prepare(robot, sets, prior, masses=of_masses, tool_turns=True))
+    if masses != "nuisance" or any(isinstance(e, LinkMasses) for e in found.robot.effects):
+        return found
+    # The errors of masses act through compliances, which the file need not declare.
+    errors = tuple(LinkMasses.candidates(found.robot))
+    return replace(found, robot=found.robot.with_effect(*errors), free=(*found.free, *(e.label for e in errors)))
 
 
 def _held_against_laws(found: Diagnosis) -> Diagnosis:
