@@ -499,6 +499,10 @@ def _joints(
             groups.setdefault((h.qualifier, h.rest), {}).setdefault(number, h)
     ranked = []
     for (qualifier, rest), members in groups.items():
+        if "by name" in rest and all(str(i) in re.findall(r"\d+", h.name) for i, h in members.items()):
+            # joint1 to joint5 are names of joints of the robot, joint0 is not: all count from 0.
+            like = [g for (q, r), g in groups.items() if (q, r - WORDS["joint"]) == (qualifier, rest - {"by name"})]
+            members = {i: h for group in (*like, members) for i, h in group.items()}
         # With numbers 0 to n and no n + 1, column 0 is no joint of this robot but, for example, a
         # row counter.
         first = 0 if 0 in members and not (n in members and n + 1 not in members) else 1
