@@ -45,7 +45,8 @@ def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
         else:
             yaml = optional("yaml", f"{path}: reading YAML needs PyYAML: pip install pyyaml, or save the table as CSV")
             held = yaml.safe_load(data)
-    arrays = {**_arrays(held)}
+    with foreign(f"{path}: holds no table", "save the poses as CSV, one row each"):
+        arrays = {**_arrays(held)}
     counts = {size for a in arrays.values() for size in a.shape if size > 3}
     if not arrays or not counts:
         raise InputError(f"{path}: holds no table: {_contents(held)}; save the poses as CSV, one row each")
@@ -90,7 +91,8 @@ def _arrays(held: Any, name: str = "") -> Mapping[str, Array]:
             key: value for own in frame for key, value in _arrays([*frame[own]], f"{name}.{own}".strip(".")).items()
         }
     array = held if isinstance(held, np.ndarray) else _stacked(held)
-    return {name: array} if isinstance(array, np.ndarray) and array.ndim and array.dtype.kind in "fiuUO" else {}
+    whole = isinstance(array, np.ndarray) and array.ndim and array.size and array.dtype.kind in "fiuUO"
+    return {name: array} if whole else {}
 
 
 def _stacked(cells: Any) -> Any:

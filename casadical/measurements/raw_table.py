@@ -9,7 +9,7 @@ import re
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -40,8 +40,7 @@ class RawTable:
 
     path : of the file
     header : names of the columns, without blanks around them
-    cells : text of each row's cells, numbers with decimal points; empty if it was not asked for,
-        and for files without text
+    cells : text of each row's cells, numbers with decimal points; empty if it was not asked for
     frame : the rows, numbers where a column holds nothing else
     line : line of the file at which each row begins
     form : how the file writes its table
@@ -95,14 +94,16 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     path = Path(path)
     packed = read_bytes(path) if data is None else data
     if path.suffix.lower() == ".parquet":
-        return _parquet(path, packed)
+        raw = _parquet(path, packed)
+        return replace(raw, cells=_texts(raw.frame)) if keep_text else raw
     data = unpacked(packed, str(path))
     if path.suffix.lower() in ARRAY_FILES:
         table, said = table_of_arrays(path, data)
         refuse_many(path, table.size)
         named = not all(str(name).startswith("column ") for name in table)
         form = table_form.Form(path.suffix.lower()[1:], header_line=int(named))
-        return RawTable(path, tuple(map(str, table)), (), table, np.arange(len(table)) + 1, form, said=(said,))
+        cells, lines = _texts(table) if keep_text else (), np.arange(len(table)) + 1
+        return RawTable(path, tuple(map(str, table)), cells, table, lines, form, said=(said,))
     if not keep_text and (plain := _plain(path, data)) is not None:
         return plain
     sheet = ""
@@ -130,6 +131,12 @@ def read_table(path: str | Path, data: bytes | None = None, *, keep_text: bool =
     except csv.Error as error:
         raise InputError(f"{path}: not a readable CSV table: {error}") from None
     return _table_of(path, records, encoding, separator, sheet)
+
+
+def _texts(frame: pd.DataFrame) -> list[list[str]]:
+    """Return the text of each row's cells of a table without text; "" where a value is missing."""
+    cells: list[list[str]] = frame.astype(object).where(frame.notna(), "").astype(str).to_numpy().tolist()
+    return cells
 
 
 def refuse_many(path: str | Path, numbers: int, most: int = MAX_TABLE_NUMBERS, remedy: str = "") -> None:

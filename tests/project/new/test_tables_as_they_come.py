@@ -2,6 +2,7 @@
 
 import json
 import re
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from casadical import InputError
 from casadical.measurements.raw_table import read_table
 from casadical.project.new import new_problem
+from casadical.project.new.dh_table import robot_text
 from casadical.project.problem import read_campaign, read_problem
 
 ROWS = 30
@@ -332,6 +334,8 @@ def test_arrays_records_and_lists_are_tables(form: str, tmp_path: Path) -> None:
     [
         ("a.json", b'{"robot": "UR5", "ip": "10.0.0.1"}', "holds no table: robot, ip; save the poses as CSV"),
         ("a.yaml", b"just words", "holds no table: str"),
+        ("a.yaml", b"a: &a {b: *a}", "holds no table"),  # it holds itself
+        ("a.json", b'{"columns": 5, "data": 7}', "holds no table"),
         ("a.mat", b"MATLAB 7.3 MAT-file" + bytes(200), "not a readable .mat file"),
         ("a.npy", b"\x93NUMPY", "not a readable .npy file"),
         ("a.h5", b"\x89HDF\r\n\x1a\n\0\0\xd8\xd8\0", "not a readable CSV table: a .h5 file; save it as CSV"),
@@ -341,6 +345,25 @@ def test_files_that_hold_no_table_say_so(name: str, content: bytes, words: str, 
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InputError, match=re.escape(words)):
         read_table(tmp_path / name)
+
+
+def test_dh_rows_in_json_are_those_of_the_csv(tmp_path: Path) -> None:
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    saved_text(tmp_path / "dh.json", {"rows": pd.read_csv(tmp_path / "dh.csv").to_dict("records")})
+    csv, js = (tomllib.loads(robot_text(tmp_path / name, "arm", "modified")) for name in ("dh.csv", "dh.json"))
+    assert js["joint"] == csv["joint"]
+    saved_text(tmp_path / "net.json", {"layers": [{"w": [[1, 2, 3, 4], [5, 6, 7, 8]], "b": [1, 2, 3, 4]}]})
+    with pytest.raises(InputError, match=re.escape("'w[0,0]', 'w[0,1]', 'b[0]' are not known")):
+        robot_text(tmp_path / "net.json", "arm", "modified")
+
+
+def test_joints_by_name_are_counted_from_zero_with_the_one_that_has_no_name(tmp_path: Path) -> None:
+    """A URDF's joints are joint1 to joint6, the table's joint_0 to joint_5."""
+    pytest.importorskip("yourdfpy", reason="the extra urdf is not installed")
+    (tmp_path / "arm.urdf").write_text(first_hour.urdf())
+    READINGS.set_axis([f"joint_{k}" for k in range(6)], axis=1).join(SEEN).to_csv(tmp_path / "t.csv", index=False)
+    (m,) = new_problem(tmp_path / "arm", urdf=tmp_path / "arm.urdf", data=tmp_path / "t.csv").whole
+    np.testing.assert_allclose(np.rad2deg(m.q), Q, atol=1e-4)
 
 
 @pytest.mark.parametrize(
