@@ -128,7 +128,7 @@ def diagnose(
     console = wrapped(quiet)
     given = read_campaigns(problem, campaigns, o.carried_prior(prior, prior_effects, frozen), together=together)
     if given[0].own_effects:
-        console.print(f"Effects of the robot file are in the model, held at their values: {given[0].own_effects}.")
+        console.print(f"Effects of the robot file are in the model, fixed at their values: {given[0].own_effects}.")
     options = Options(
         effects_named(effects),
         seed,

@@ -232,12 +232,17 @@ class CampaignDiagnosis(Result):
         page = diagnosis_page(self.diagnosis, self.campaign.name, self.details, replayed)
         return replace(page, files=campaign_files(self.campaign.folder, self.campaign.tables))
 
+    @property
+    def _tables(self) -> list[dict[str, Any]]:
+        """How the tables of the campaign's folder are interpreted (see `DataTable.interpretation`)."""
+        return [table.interpretation for table in tables_of(self.campaign.folder)]
+
     def to_json(self) -> dict[str, Any]:
         """Return the diagnosis for a JSON file.
 
         The key `laws` is there if expressions for an unlisted effect were searched for.
         """
-        answer = as_json(self.diagnosis, self.campaign.name, self.details)
+        answer = {**as_json(self.diagnosis, self.campaign.name, self.details), "tables": self._tables}
         return {**answer, "laws": self.searched.to_json(self.campaign.name)} if self.searched else answer
 
     def files(self, folder: str | Path, *, unlisted: bool = False) -> Mapping[Path, str | bytes]:
@@ -246,8 +251,7 @@ class CampaignDiagnosis(Result):
         unlisted : whether the description of an unknown cause is one of them
         """
         name = self.campaign.name
-        tables = [table.interpretation for table in tables_of(self.campaign.folder)]
-        texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted, tables=tables)
+        texts = diagnosis_files(folder, self.diagnosis, self.details, name, unlisted=unlisted, tables=self._tables)
         return {**texts, **self.searched.files(Path(folder), name)} if self.searched else texts
 
 

@@ -121,7 +121,7 @@ def test_plan_takes_it_and_frees_what_it_is_asked_for(kept, tmp_path, monkeypatc
     wanted = ["-n", 12, "--out", tmp_path / "plan.csv", "--no-order"]
     assert main(monkeypatch, "plan", kept, *wanted) == 0
     assert "friction_windup" not in words(capfd)
-    assert main(monkeypatch, "plan", kept, *wanted, "--for", "friction_windup@3") == 0
+    assert main(monkeypatch, "plan", kept, *wanted, "--for", "friction_windup@3", "--details") == 0
     assert "friction_windup@3.constant" in words(capfd)
 
 
