@@ -188,12 +188,14 @@ def test_readings_that_problem_toml_makes_are_said_with_the_result() -> None:
         (1.228, 1.484, 80, "grows from 1.228 mm to 1.484 mm with KM (21 % more)"),
         (1.484, 1.228, 80, "falls from 1.484 mm to 1.228 mm with KM (17 % less)"),
         (1.0, 1.0, 80, "is 1.000 mm with KM, 1.000 mm before: these poses cannot tell which is better."),
+        (1.0e-6, 1.26e-6, 80, "is 0.0000 mm, before and with KM."),  # exact data
     ],
 )
 def test_a_difference_within_its_uncertainty_is_none(calibrated, before, after, n, words) -> None:
     """Errors scatter by 0.7 mm: 0.256 mm are twice their standard error at 2 (2 0.7 / 0.256)^2 poses."""
     problem = calibrated("planar").problem
-    placed, found = (Accuracy(n, 1e-3 * mean, 3e-3, 0.7e-3, 2e-3, 3e-3) for mean in (before, after))
+    std = 0.7e-3 * (before > 0.1)
+    placed, found = (Accuracy(n, 1e-3 * mean, 3e-3, std, 2e-3, 3e-3) for mean in (before, after))
     states = {"KM": {"report": {"nominal": placed, "placed": placed, "calibrated": found}}}
     said = " ".join(plain_text(report_blocks(problem, states, block="verdict")).split())
     assert f"the mean position error {words}" in said
