@@ -171,5 +171,5 @@ def test_the_one_missing_column_is_named_with_the_way_to_leave_a_gripper_out(tmp
     )
     (tmp_path / "lift.urdf").write_text(lift_urdf(jaw))
     (tmp_path / "poses.csv").write_text("motor,t1,t2,x_m,y_m,z_m\n" + "0.5,0.1,0.2,0.3,0.1,0.2\n" * 3)
-    with pytest.raises(InputError, match=r"readings of joint 5 'jaw' \(prismatic\); .*--tip-link e$"):
+    with pytest.raises(InputError, match=r"readings of joint 5 'jaw' \(prismatic\); .*--tip-link e; .*<mimic>"):
         new_problem(tmp_path / "arm", urdf=tmp_path / "lift.urdf", data=tmp_path / "poses.csv")

@@ -220,7 +220,10 @@ def _before_gripper(urdf: Path | None, base_link: str | None, tip_link: str | No
     from casadical.robot.urdf.reading import read_chain
 
     link = read_chain(urdf, base_link, tip_link).moving[joint - 1].parent
-    return f". If it is a gripper's, end the arm before it: --tip-link {link}"
+    return (
+        f". If it is a gripper's, end the arm before it: --tip-link {link}; if it follows joints of the arm, as "
+        "the wrist of a palletiser does, give it <mimic> in the URDF, or `follows` in a robot file of DH rows"
+    )
 
 
 def _refuse_missing(raw: RawTable, robot: Robot, found: Understanding, before: Callable[[int], str]) -> None:
