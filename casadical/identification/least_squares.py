@@ -52,9 +52,9 @@ INITIAL_SIGMA_ANGLE_RAD = 1e-4
 # of estimated masses and compliances, or parameters with a prior from another campaign.
 SETTLED_COST_GAIN = 5e-3
 # Number of free parameters with priors above which those of effects are not tested for
-# independence, and a solve starts with Gauss-Newton steps.
+# independence.
 MANY_PARAMETERS = 200
-# Maximum number of Gauss-Newton steps with which a solve of many parameters starts.
+# Maximum number of Gauss-Newton steps, damped ones included, with which a solve starts.
 MAX_APPROACH_STEPS = 8
 # Groups of parameters (frames) that belong to a campaign's set-up, not to the robot.
 FRAME_GROUPS = ("base", "tool")
@@ -285,8 +285,7 @@ class LeastSquares:
         Raises ConvergenceError where Ipopt finds none.
         """
         scale = 0.5 * self.residual_count
-        if start is None and self.priors and len(self.names) > MANY_PARAMETERS:
-            start = self._approached()
+        start = self._approached(np.zeros(self.size) if start is None else start)
         creeps = bool(self.guesses.any() or self.known)
         settled = (lambda v: self.decrement(v) < SETTLED_COST_GAIN) if creeps else None
         solution = minimise(
@@ -297,19 +296,25 @@ class LeastSquares:
         sharp = solution.status == ACCEPTABLE_STATUS and self.decrement(solution.v) < 1e-8
         return replace(solution, message=OPTIMUM_MESSAGE) if sharp else solution
 
-    def _approached(self) -> Array:
-        """Return the variables v, shape (size,), reached from zero by bounded Gauss-Newton steps.
+    def _approached(self, v: Array) -> Array:
+        """Return the variables, shape (size,), reached from v by bounded Gauss-Newton steps.
 
-        Steps end where one lowers the cost by less than SETTLED_COST_GAIN. With many parameters one
-        of them meets its bound on the way, where Ipopt shortens the whole step.
+        Along bounds an active set needs a few steps where Ipopt's interior point needs many. A step
+        that raises the cost is repeated with damping (Levenberg-Marquardt). Steps end where one
+        lowers the cost by less than SETTLED_COST_GAIN.
         """
-        v = np.zeros(self.size)
-        cost = self.cost(v)
+        cost, damping = self.cost(v), 0.0
         for _ in range(MAX_APPROACH_STEPS):
-            closer = v + self.step(v)
-            if not (then := self.cost(closer)) < cost - SETTLED_COST_GAIN:
+            closer = v + self.step(v, damping)
+            gain = cost - (then := self.cost(closer))
+            if gain > 0:
+                v, cost, damping = closer, then, damping / 10
+                if gain < SETTLED_COST_GAIN:
+                    break
+            elif abs(gain) < SETTLED_COST_GAIN or damping > 1:
                 break
-            v, cost = closer, then
+            else:  # also after a cost that is not a number
+                damping = max(10 * damping, 1e-3)
         return v
 
     def cost(self, v: Array) -> float:
@@ -531,13 +536,16 @@ class LeastSquares:
         step = self.step(v)
         return max(0.0, float(-(g + 0.5 * H @ step) @ step))
 
-    def step(self, v: Array) -> Array:
+    def step(self, v: Array, damping: float = 0.0) -> Array:
         """Return the bounded Gauss-Newton step from v, shape (size,).
 
         It leads to the minimum of the problem linearised at v, within the bounds.
+
+        damping : factor of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
         """
-        lower, upper = self.bounds
-        return bounded_step(*self.gradient(v), lower - v, upper - v, self.at_bounds(v))
+        (lower, upper), (g, H) = self.bounds, self.gradient(v)
+        damped = H + damping * np.diag(np.diag(H)) if damping else H
+        return bounded_step(g, damped, lower - v, upper - v, self.at_bounds(v))
 
     def from_points(self, points: Array) -> LeastSquares:
         """Return the problem with other initial positions of the unknown points.

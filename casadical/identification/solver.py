@@ -171,6 +171,9 @@ class _Solver:
                 "nlp_scaling_method": "none",
                 "mu_init": 1e-7,
                 "bound_relax_factor": 0.0,
+                # The start is near the optimum and may be at bounds, from which it is not moved.
+                "bound_push": 1e-8,
+                "bound_frac": 1e-8,
                 # Steps of a millionth of each scale are not searched: the cost is at round-off
                 # there.
                 "tiny_step_tol": 1e-6,
