@@ -19,6 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from casadical.core import sx_instructions
 from casadical.core.basics import Array
 from casadical.core.cache_folder import private_folder
 from casadical.core.subprocesses import COMPILE_SECONDS, run_within, tried
@@ -156,18 +157,24 @@ def compiled(function: ca.Function, *, make: bool = True) -> MachineCode | None:
     """Return a compiled SX function, from the cache or newly built; None where it has none.
 
     There is none without a C compiler or a private cache folder, for unsupported operations, and
-    where a built library fails its test. The library's name contains the hash of source, compiler
-    and flags, so that it is compiled once per machine and never stale, and that of its content.
+    where a built library fails its test. The library's name contains a hash of all that its C source
+    follows from (the function as CasADi serialises it, which takes a sixth of the time that the
+    source takes, and the modules that write the source), of compiler and flags, so that it is
+    compiled once per machine and never stale, and that of its content.
 
     function : dense function whose first input differs between points
     make : whether a library that is not cached is built
     """
-    cc, folder, code = compiler(), private_folder(), source(function)
-    if cc is None or folder is None or code is None:
+    cc, folder = compiler(), private_folder()
+    if cc is None or folder is None:
         return None
-    digest = hashlib.sha256("\n".join((code, cc, *COMPILER_FLAGS)).encode()).hexdigest()[:32]
-    stem = f"{function.name()}-{digest}"
-    library = _cached_library(folder, stem) or (_built_library(folder, stem, cc, code, function) if make else None)
+    key = hashlib.sha256("\n".join((function.serialize(), cc, *COMPILER_FLAGS)).encode())
+    for module in (__file__, sx_instructions.__file__):
+        key.update(Path(module).read_bytes())
+    stem = f"{function.name()}-{key.hexdigest()[:32]}"
+    library = _cached_library(folder, stem)
+    if library is None and make and (code := source(function)) is not None:
+        library = _built_library(folder, stem, cc, code, function)
     return None if library is None else MachineCode(function, library)
 
 

@@ -15,10 +15,12 @@ from casadical.core.compile_cache import MachineCode, compiled
 # Number of points that one mapped function has evaluated before a library compiled earlier is
 # looked up in the cache. Evaluating them takes about as long as the lookup, so that waiting costs
 # at most twice the optimum (the ski rental problem).
-LIBRARY_LOOKUP_POINTS = 10_000
+LIBRARY_LOOKUP_POINTS = 500
 # Number of points that one mapped function has evaluated before a library is compiled for it.
-# Evaluating them takes about as long as the compilation.
-COMPILATION_POINTS = 500_000
+# Evaluating them takes about as long as the compilation, whatever the function: CasADi takes 2.6 ns
+# per instruction and point, gcc half a millisecond per instruction. One solve of a few hundred or
+# thousand poses stays below.
+COMPILATION_POINTS = 200_000
 # Largest number of points that are evaluated at a time; mapping over more of them takes longer.
 MAX_CHUNK_POINTS = 1024
 # Largest number of output numbers that are computed at a time (but see MIN_CHUNK_POINTS): Jacobians

@@ -41,6 +41,13 @@ def test_the_cache_is_the_users_own(cache: Path) -> None:
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
 
 
+def test_a_library_is_found_by_its_function_without_the_source(cache: Path, monkeypatch) -> None:
+    compiled(F)
+    monkeypatch.delattr("casadical.core.compile_cache.source")
+    assert compiled(F) is not None
+    assert compiled(ca.Function("twice", [X], [3 * ca.sin(X), ca.log(-X)]), make=False) is None
+
+
 @pytest.mark.parametrize("size", [0, 100, 9000])
 def test_a_damaged_library_is_made_again(cache: Path, size: int) -> None:
     compiled(F)
