@@ -2,7 +2,8 @@
 
     python docs/studies/users.py --users 60 [--first 0] > docs/studies/users.txt
 
-A user is drawn by its number: a robot, an instrument, a form of the table, and slips in it. Kinematics, deflection and
+A user is drawn by its number: a robot (a third have a URDF), an instrument, a form of the table, and slips in it; in
+a third, one held-out row has a typing error: a coordinate or length with another digit of its decimetres. Kinematics, deflection and
 tables are plain numpy here; casadical is only run, by its commands: new, check, check --repair (where check finds
 faults), calibrate. The rules were committed before the first run that counts:
 
@@ -10,7 +11,7 @@ faults), calibrate. The rules were committed before the first run that counts:
   that of the best model: a least-squares fit of the true forms (rows, base, tool, compliance, masses known) to the rows
   without slips.
 - false: the screen names a slip that is not there or a kind of measurement that it is not, leaves out more than one row
-  in forty that is good, says "ready" before a calibration that fails, or promises an error that is off by more than
+  in forty that is good, does not name the held-out row with the typing error, says "ready" before a calibration that fails, or promises an error that is off by more than
   twice (rows that it calls far off left aside, as it says).
 """
 
@@ -26,7 +27,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from casadical import Robot, read_campaign, read_robot
+from casadical import Robot, read_campaign, read_problem, read_robot
 from casadical.identification import predicted
 
 LIMIT, TESTED, TWICE, FORTIETH = 1.3, 200, 2.0, 0.025
@@ -126,6 +127,8 @@ class User:
     form: str
     slips: dict[str, int]
     anchors: np.ndarray
+    urdf: bool
+    typed: bool
 
     @property
     def noise(self) -> float:
@@ -170,7 +173,10 @@ def drawn(number: int) -> User:
     slips |= {"rows": 2} if rng.random() < 0.4 else {}
     name = f"{kind}, {instrument}, {form}, {'soft' if soft.any() else 'stiff'}"
     anchors = rng.uniform(-2, 2, (3, 3)) + np.array([0, 0, 1.5])
-    user = User(name, nominal, true, limits, q, seen, instrument, form, slips, anchors)
+    later = np.random.default_rng([2613, number])
+    urdf, typed = form == "ROS" or later.random() < 1 / 9, later.random() < 1 / 3
+    name += ", URDF" * urdf
+    user = User(name, nominal, true, limits, q, seen, instrument, form, slips, anchors, urdf, typed)
     seen[:, :3, 3] += rng.normal(0, user.noise, (count, 3))
     if instrument == "camera":
         seen[:, :3, :3] = seen[:, :3, :3] @ np.array([_turn(v) for v in rng.normal(0, 5e-4, (count, 3))])
@@ -238,7 +244,7 @@ def written(folder: Path, name: str, user: User, data: pd.DataFrame) -> Path:
 def robot_file(folder: Path, user: User) -> list[str]:
     """The robot as the user has it: a URDF of seven axes, else a DH table; the option that names it."""
     rows, limits = user.nominal.rows, np.rad2deg(user.limits)
-    if user.form != "ROS":
+    if not user.urdf:
         columns = {"alpha_deg": np.rad2deg(rows[:, 0]), "a_mm": 1e3 * rows[:, 1], "d_mm": 1e3 * rows[:, 2]}
         columns |= {
             "theta_deg": np.rad2deg(rows[:, 3]),
@@ -248,7 +254,7 @@ def robot_file(folder: Path, user: User) -> list[str]:
         pd.DataFrame(columns).round(6).to_csv(folder / "dh.csv", index=False)
         return ["--dh", "dh.csv"]
     parts, parent = ['<link name="base"/>'], "base"
-    for name, (alpha, a, d, theta), (low, high) in zip(NAMES, rows, user.limits, strict=True):
+    for name, (alpha, a, d, theta), (low, high) in zip(NAMES, rows, user.limits, strict=False):
         T = _row(alpha, a, d, np.array([theta]))[0]
         rpy = np.arctan2(T[2, 1], T[2, 2]), -np.arcsin(T[2, 0]), np.arctan2(T[1, 0], T[0, 0])
         xyz, rpy = (" ".join(f"{v:.12g}" for v in vector) for vector in (T[:3, 3], rpy))
@@ -315,8 +321,17 @@ def tried(number: int) -> tuple[str, bool, list[str], float]:
     best = best_error(user, later, truth[:, :3, 3])
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        data = written(folder, "table", user, table(user, user.q, user.seen, wrong=True))
+        poses = table(user, user.q, user.seen, wrong=True)
+        data = written(folder, "table", user, poses)
         robot = robot_file(folder, user)
+        if user.typed and not _run(folder, ["new", "split", *robot, "--data", data.name, "--yes"])[0]:
+            held_out = [r for name, m in read_problem(folder / "split").parts() if "report" in name for r in m.row]
+            wrong_row = int(rng.choice(held_out))
+            user.slips["typed"] = wrong_row
+            column = next(c for c in poses if str(c).startswith(("distance", "tx", "x", "X gemessen")))
+            length = 1.0 if "mm" in column else 1e-3
+            poses.loc[wrong_row - _first_row(user), column] += 300 * length * rng.choice([-1, 1])
+            data = written(folder, "table", user, poses)
         commands = [["new", "arm", *robot, "--data", data.name, "--yes"], ["check", "arm"]]
         said, done = "", 0
         for command in commands:
@@ -399,13 +414,22 @@ def _false(user: User, said: str) -> list[str]:
     # A joint that is turned round and shifted may be said in either order; a zero beyond is no slip of the table.
     if zeros - {user.slips.get("zero", 0)}:
         found.append(f"zeros of joints {sorted(zeros)} said to be off")
-    first = {"German": 3, "tidy": 2, "ROS": 2}[user.form] if user.instrument != "workbook" else 2
+    first = _first_row(user)
     planted = {first + k for k in (7, 21)} if "rows" in user.slips else set()
+    planted |= {user.slips["typed"]} if "typed" in user.slips else set()
     out = re.search(r"Left out as outliers: rows? ([^.]*)\.?", words)
     rows = {int(r) for r in re.findall(r"(\d+) \(", out[1])} if out else set()
+    named = set(re.findall(r"row (\d+) \(", words.partition("Held-out rows that the fit")[2]))
+    if "typed" in user.slips and str(user.slips["typed"]) not in named:
+        found.append(f"held-out row {user.slips['typed']} with a typing error is not named")
     if len(rows - planted) > FORTIETH * len(user.q):
         found.append(f"{len(rows - planted)} good rows left out")
     return found
+
+
+def _first_row(user: User) -> int:
+    """Line of the file with the first pose."""
+    return {"German": 3, "tidy": 2, "ROS": 2}[user.form] if user.instrument != "workbook" else 2
 
 
 def main() -> None:
