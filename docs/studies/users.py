@@ -2,17 +2,19 @@
 
     python docs/studies/users.py --users 60 [--first 0] > docs/studies/users.txt
 
-A user is drawn by its number: a robot (a third have a URDF), an instrument, a form of the table, and slips in it; in
-a third, one held-out row has a typing error: a coordinate or length with another digit of its decimetres. Kinematics, deflection and
-tables are plain numpy here; casadical is only run, by its commands: new, check, check --repair (where check finds
-faults), calibrate. The rules were committed before the first run that counts:
+A user is drawn by its number: a robot (a third have a URDF), an instrument, a form of the table,
+and slips in it; in a third, one held-out row has a typing error: a coordinate or length with
+another digit of its decimetres. Kinematics, deflection and tables are plain numpy here; casadical
+is only run, by its commands: new, check, check --repair (where check finds faults), calibrate. The
+rules were committed before the first run that counts:
 
-- reached: the calibrated robot's true error at 200 poses that were never measured, without noise, is at most 1.3 times
-  that of the best model: a least-squares fit of the true forms (rows, base, tool, compliance, masses known) to the rows
-  without slips.
-- false: the screen names a slip that is not there or a kind of measurement that it is not, leaves out more than one row
-  in forty that is good, does not name the held-out row with the typing error, says "ready" before a calibration that fails, or promises an error that is off by more than
-  twice (rows that it calls far off left aside, as it says).
+- reached: the calibrated robot's true error at 200 poses that were never measured, without noise,
+  is at most 1.3 times that of the best model: a least-squares fit of the true forms (rows, base,
+  tool, compliance, masses known) to the rows without slips.
+- false: the screen names a slip that is not there or a kind of measurement that it is not, leaves
+  out more than one row in forty that is good, does not name the held-out row with the typing error,
+  says "ready" before a calibration that fails, or promises an error that is off by more than twice
+  (rows that it calls far off left aside, as it says).
 """
 
 import argparse
