@@ -18,7 +18,7 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.figure import Axis, Figure, Panel, Series
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
-from casadical.core.statistics import best_of
+from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.motion.against import Arbitration, arbitrated, arbitration_tables
 from casadical.diagnosis.motion.effect_table import EffectTable, effect_table
 from casadical.diagnosis.motion.response import Response, fitted
@@ -180,7 +180,7 @@ class Replay(Result):
         the replay leaves of the joint; else none.
         """
         band = np.where(self.response.moved, self.response.friction / self.response.gain, 0.0)
-        widest = int(np.argmax(band))
+        widest = first_of_best(band)
         far = np.argsort(-band, kind="stable")[:3] if band[widest] > self.after[widest] else ()
         return [(self.runs[0].joints[j], 1e3 * float(band[j])) for j in far if band[j] >= band[widest] / 2]
 
