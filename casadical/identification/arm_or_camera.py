@@ -21,6 +21,7 @@ from casadical.identification.departure import DRAWN_GROUPS, PRIOR_PROBABILITY_O
 from casadical.identification.least_squares import FRAME_GROUPS
 from casadical.identification.result import Identification
 from casadical.measurements.camera_noise import (
+    Camera,
     CameraNoise,
     lines_of_sight,
     refined,
@@ -199,11 +200,7 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
     # Of fewer stations the noise is too uncertain: a right arm was called wrong.
     if others or m.noise is None or frames.sum() < 10 or len(m) < 12:
         return None
-    plain = replace(
-        problem, sets=(replace(m, noise=None),), sigmas=((1.0, 1.0),), loss="linear", priors=False, known=()
-    )
-    (r,), J = plain.evaluate(found.solution.v)
-    J = J.reshape(len(m), 6, -1)
+    r, J = _linear(found)
     nominal = r - J @ found.solution.v
     drawn = np.array([p.group in DRAWN_GROUPS for p in own])
     widths = np.array([0.0 if p.group in DRAWN_GROUPS else max(p.prior / p.scale, 1e-6) for p in own])[~frames]
@@ -218,6 +215,37 @@ def arm_or_camera(found: Identification) -> ArmOrCamera | None:
         own_frame = some[:, :, groups == moved[1]] * (m.row >= moved[0].after)[:, None, None]
         answer = model._replace(frames=np.dstack([some, own_frame])).settled(answer.ratios, answer.sigmas)
     return replace(answer, moved=moved[0] if moved else None)
+
+
+def _linear(found: Identification) -> tuple[Array, Array]:
+    """Return residuals of kind pose, (n, 6) [m, rad], and their derivatives by the variables, (n, 6, k)."""
+    problem = found.problem
+    sets = (replace(problem.sets[0], noise=None),)
+    plain = replace(problem, sets=sets, sigmas=((1.0, 1.0),), loss="linear", priors=False, known=())
+    (r,), J = plain.evaluate(found.solution.v)
+    return r, J.reshape(len(r), 6, -1)
+
+
+def evidence_of(found: Identification, camera: Camera) -> tuple[float, CameraNoise]:
+    """Return the restricted log-likelihood of poses whose noise is that of a camera, and this noise.
+
+    Base, tool and geometry are free. Source of the likelihood: Patterson and Thompson 1971.
+
+    found : an identification of these poses alone; camera : where it is taken to be
+    """
+    r, J = _linear(found)
+    m = replace(found.problem.sets[0], camera=camera)
+    noise, sigmas = CameraNoise(distance=float(np.median(lines_of_sight(m, CameraNoise())[1]))), (1e-3, 1e-3)
+    for last in [False] * 8 + [True]:  # by then they have settled
+        W = whitening(m, noise) / np.repeat(sigmas, 3)[:, None]
+        Q, triangle = np.linalg.qr((W @ J).reshape(r.size, -1))
+        y = (W @ r[:, :, None]).ravel()
+        e, freedom = (y - Q @ (Q.T @ y)).reshape(r.shape), 1 - (Q**2).sum(axis=1).reshape(r.shape)
+        if not last:
+            noise, sigmas = refined(replace(m, noise=noise), e, freedom, sigmas)
+    unit = noise.relative(lines_of_sight(m, noise)[1]) * np.repeat(sigmas, 3)
+    likelihood = -np.log(unit).sum() - np.log(np.abs(np.diag(triangle))).sum() - 0.5 * (e**2).sum()
+    return float(likelihood), noise
 
 
 class _Model(NamedTuple):

@@ -7,7 +7,7 @@ it (lateral) and in the roll about it, and the more, the farther the target is.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
@@ -18,6 +18,8 @@ from casadical.core.reporting.result import Shown
 if TYPE_CHECKING:
     from casadical.measurements.measurements import Measurements
 
+# Where a camera is: on the robot ("in hand") or fixed ("to base"); empty where it is not known.
+Camera = Literal["", "in hand", "to base"]
 # Columns of the whitened residual of a pose with one standard deviation: two lateral, depth, two tilts, roll.
 COMPONENTS = (slice(0, 2), slice(2, 3), slice(3, 5), slice(5, 6))
 

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import Shown, html
-from casadical.measurements.camera_noise import CameraNoise, whitening
+from casadical.measurements.camera_noise import Camera, CameraNoise, whitening
 from casadical.measurements.kinds.registry import find_kind
 
 
@@ -136,7 +136,7 @@ class Measurements(Shown):
     copies: tuple[int, ...] = ()
     lost: tuple[int, ...] = ()
     inverted: bool = False
-    camera: Literal["", "in hand", "to base"] = ""
+    camera: Camera = ""
     clock_offset: float = 0.0
     noise: CameraNoise | None = None
 

@@ -6,18 +6,20 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
-from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-from casadical.core.basics import Array, InputError
+from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.accuracy import errors as position_errors
 from casadical.identification.accuracy import predicted
+from casadical.identification.arm_or_camera import evidence_of
+from casadical.identification.identification import identify
 from casadical.identification.placement import place_frames
 from casadical.identification.plausibility import frame_error, orientation_error
 from casadical.identification.sessions import sessions_in
+from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import ORIENTATION, Columns, Source
 from casadical.measurements.derived_columns import TIME_COLUMN
 from casadical.measurements.headings import Understanding, layout, orientations_in_order, points, understand
@@ -32,8 +34,6 @@ MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
 # Minimum ratio of the orientation error with every other angle convention to that with the best
 # one, with which the best one is accepted without a question.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
-# Where a camera is: on the robot ("in hand") or fixed ("to base"); empty where it is not known.
-Camera = Literal["", "in hand", "to base"]
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
@@ -127,7 +127,9 @@ def _without_other_frame(
     return found
 
 
-def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
+def as_poses(
+    m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "", by_noise: bool = False
+) -> Measurements:
     """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
     Poses that the table gives inverted are inverted; other kinds are returned unchanged.
@@ -135,6 +137,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
     inverted : whether the table has the inverse of these poses; None: it has where only the inverse
         fits the robot, or where both fit and the camera is in hand
     camera : where the camera is; empty: as the poses show
+    by_noise : whether their noise, for which the arm is identified, is asked as well
     Raises InputError: measurements without orientations that are declared to be inverted, or to be
     of a camera.
     """
@@ -150,7 +153,7 @@ def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera
         undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
     m = m.inverse() if inverted else m
-    return _synchronised(replace(m, camera=camera or _camera_of(m)), robot)
+    return _synchronised(replace(m, camera=camera or _camera_of(m, robot if by_noise else None)), robot)
 
 
 def _synchronised(m: Measurements, robot: Robot) -> Measurements:
@@ -195,13 +198,15 @@ def _pose_error(robot: Robot, m: Measurements) -> float:
     return turn + placed_by(robot, m)[1] / robot.reach
 
 
-def _camera_of(m: Measurements) -> Camera:
+def _camera_of(m: Measurements, robot: Robot | None = None) -> Camera:
     """Return where the camera is, by the frame (tool or fixed) that has the other near its z axis.
 
     Empty where that is not clear. A camera sees its target within its field of view; how a target
     is turned has no such limit.
+
+    robot : if given, the noise is judged as well: a camera's depth is worse than its lateral place
     """
-    off = {}
+    off: dict[Camera, float] = {}
     for camera, poses in (("to base", m), ("in hand", m.inverse())):
         assert poses.position is not None
         x, y, z = poses.position.T
@@ -210,9 +215,23 @@ def _camera_of(m: Measurements) -> Camera:
     # A field of view is at most 100 deg wide.
     # A camera is where it has its target at an angle that the other frame exceeds by this factor.
     sure = off[near] < np.deg2rad(50.0) and 1.3 * off[near] < off[far]
-    if not sure:
-        return ""
-    return "in hand" if near == "in hand" else "to base"
+    by_angle: Camera = near if sure else ""
+    # Of fewer poses the noise is too uncertain; more than this are not needed.
+    if robot is None or len(m) < 12:
+        return by_angle
+    base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
+    some = replace(m, camera="", noise=None)[np.unique(np.linspace(0, len(m) - 1, min(len(m), 80)).astype(int))]
+    try:
+        found = identify(replace(robot, base=base, tool=tool), some, method="KM", loss="huber")
+        likely = {camera: evidence_of(found, camera) for camera in off}
+    except (InputError, ConvergenceError, np.linalg.LinAlgError):
+        return by_angle
+    best, other = sorted(likely, key=lambda camera: -likely[camera][0])
+    lateral, depth, _, _ = likely[best][1].ratios
+    # The origin of a board, its corner, may be further off the axis than its middle.
+    if likely[best][0] > likely[other][0] + 5 and depth > lateral and off[best] < np.deg2rad(60.0):
+        return best  # by chance with a probability below 1 %
+    return by_angle if by_angle == best else ""
 
 
 def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: Understanding) -> Understanding:

@@ -97,6 +97,15 @@ def test_poses_are_read_as_the_robot_has_them(inverted: bool, declared: str) -> 
     np.testing.assert_allclose(m.position, seen(False).position, atol=1e-12)
 
 
+def test_a_camera_is_where_its_depth_is_worst() -> None:
+    """A board whose origin is a far corner: outside of any field of view, by the angle alone not told."""
+    rng, there = np.random.default_rng(5), seen(False, poses=25).inverse()
+    p = there.position + there.orientation @ np.array([0.5, 0.4, 0]) + rng.normal(0, [3e-4, 3e-4, 3e-3], (25, 3))
+    m = replace(there, position=p, inverted=True).inverse()
+    assert as_poses(m, ur5e()).camera == ""
+    assert as_poses(m, ur5e(), by_noise=True).camera == "in hand"
+
+
 def test_new_says_and_keeps_what_the_robot_tells(tmp_path: Path) -> None:
     (tmp_path / "dh.csv").write_text(DH)
     said: list[str] = []

@@ -21,6 +21,7 @@ from casadical.core.reading import read_bytes, read_text, text_fault
 from casadical.core.reporting.blocks import Table, Words
 from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.arrangement import joined, long, with_headings
+from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
@@ -34,7 +35,6 @@ from casadical.project.new.dh_table import robot_text
 from casadical.project.new.texts import EXAMPLE_ROBOT, Given, problem_text, readme_text, with_masses, with_measured
 from casadical.project.problem import Problem, read_problem
 from casadical.project.robot_columns import (
-    Camera,
     as_poses,
     computed,
     placed_by,
@@ -308,7 +308,8 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     The angle is NaN where the data do not show it; the poses are None where they cannot be read.
     """
     try:
-        m = as_poses(from_columns(with_coupled(columns, robot), [j.kind for j in robot.joints]), robot, camera=camera)
+        m = from_columns(with_coupled(columns, robot), [j.kind for j in robot.joints])
+        m = as_poses(m, robot, camera=camera, by_noise=True)
         placed, median = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None
