@@ -204,22 +204,26 @@ def _camera_of(m: Measurements, robot: Robot | None = None) -> Camera:
     Empty where that is not clear. A camera sees its target within its field of view; how a target
     is turned has no such limit.
 
-    robot : if given, the noise is judged as well: a camera's depth is worse than its lateral place
+    robot : if given, the noise is judged as well: in the frame of the camera alone, errors of the
+        orientation do not move the target
     """
     off: dict[Camera, float] = {}
-    for camera, poses in (("to base", m), ("in hand", m.inverse())):
+    place: Camera
+    for place, poses in (("to base", m), ("in hand", m.inverse())):
         assert poses.position is not None
         x, y, z = poses.position.T
-        off[camera] = float(np.quantile(np.arctan2(np.hypot(x, y), z), 0.9))
-    near, far = sorted(off, key=off.__getitem__)
+        off[place] = float(np.quantile(np.arctan2(np.hypot(x, y), z), 0.9))
+    near, far = sorted(off, key=lambda camera: off[camera])
     # A field of view is at most 100 deg wide.
     # A camera is where it has its target at an angle that the other frame exceeds by this factor.
     sure = off[near] < np.deg2rad(50.0) and 1.3 * off[near] < off[far]
     by_angle: Camera = near if sure else ""
-    # Of fewer poses the noise is too uncertain; more than this are not needed.
-    if robot is None or len(m) < 12:
+    # A frame that has the other this far off its axis is no camera's, whatever the noise; of fewer
+    # poses the noise is too uncertain.
+    if robot is None or (by_angle and off[far] > np.deg2rad(60.0)) or len(m) < 12:
         return by_angle
     base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
+    # More poses than 80 are not needed.
     some = replace(m, camera="", noise=None)[np.unique(np.linspace(0, len(m) - 1, min(len(m), 80)).astype(int))]
     try:
         found = identify(replace(robot, base=base, tool=tool), some, method="KM", loss="huber")

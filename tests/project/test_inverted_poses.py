@@ -97,11 +97,13 @@ def test_poses_are_read_as_the_robot_has_them(inverted: bool, declared: str) -> 
     np.testing.assert_allclose(m.position, seen(False).position, atol=1e-12)
 
 
-def test_a_camera_is_where_its_depth_is_worst() -> None:
-    """A board whose origin is a far corner: outside of any field of view, by the angle alone not told."""
+def test_a_camera_is_where_errors_of_orientation_do_not_move_its_target() -> None:
+    """The board's origin is a far corner, outside of any field of view: by the angle alone it is not told."""
     rng, there = np.random.default_rng(5), seen(False, poses=25).inverse()
-    p = there.position + there.orientation @ np.array([0.5, 0.4, 0]) + rng.normal(0, [3e-4, 3e-4, 3e-3], (25, 3))
-    m = replace(there, position=p, inverted=True).inverse()
+    p = there.position + there.orientation @ np.array([0.35, 0.25, 0])
+    p = p * (1 + rng.normal(0, 2e-3, (25, 1))) + rng.normal(0, 2e-4, (25, 3))
+    turned = Rotation.from_rotvec(rng.normal(0, 4e-3, (25, 3))).as_matrix() @ there.orientation
+    m = replace(there, position=p, orientation=turned, inverted=True).inverse()
     assert as_poses(m, ur5e()).camera == ""
     assert as_poses(m, ur5e(), by_noise=True).camera == "in hand"
 
