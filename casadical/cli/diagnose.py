@@ -57,7 +57,8 @@ def diagnose(
         help="Search for the law of what no listed effect explains: where it acts, what it "
         "follows, in which form; with --out also discovered.robot.toml, law.effect.toml "
         "(for --effects), discovery.json, discovery.txt. Default: where the verdict is "
-        "unknown, and as a rival of all causes that were found; --no-laws: never.",
+        "unknown for more than the size of the noise, and as a rival of all causes that were "
+        "found; --no-laws: never.",
     ),
     nuisance_masses: bool = Option(
         False,

@@ -35,6 +35,7 @@ class Details:
     floor : mean held-out error by noise alone under the best model of the report [m]
     ruled_out : labels of causes that are ruled out, by multiple of their usual size (see
         `isolability.ruled_out`)
+    laws_skipped : whether no law was searched since only the size of the noise is in doubt
     """
 
     where: Localisation | None = None
@@ -48,6 +49,7 @@ class Details:
     file: str = ""
     floor: float | None = None
     ruled_out: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    laws_skipped: bool = False
 
 
 def analyse(
@@ -67,7 +69,7 @@ def analyse(
     workspace : region in which the next poses may lie
     networks : whether to train networks, instead of the causes and in addition to them
     laws : whether to search the expression of an unlisted effect; by default if the verdict is
-        unknown
+        unknown for more than the size of the noise
     file : name of the file to which the next poses are written, for the report
     show : called with a line of progress
     Raises ConvergenceError: Ipopt finds no optimum.
@@ -86,8 +88,10 @@ def analyse(
     if curved:
         show("joint error curves")
     curves = joint_curves(found) if curved else None
-    search = found.case.one_end and found.verdict == "unknown" if laws is None else laws
-    discovery = laws_of_diagnosis(found, show) if search else None
+    # A law describes the form of a residual: where only the size of the noise is in doubt, there is none.
+    searched = found.case.one_end and found.verdict == "unknown" if laws is None else laws
+    skipped = searched and laws is None and found.only_noise_size_doubted
+    discovery = laws_of_diagnosis(found, show) if searched and not skipped else None
     show("poses to measure next")
     chosen = next_poses(found, poses, workspace=workspace)
     show("what these poses can show")
@@ -100,4 +104,6 @@ def analyse(
     if discovery and discovery.gap.get("law", best) < best:
         best, noise = discovery.gap["law"], discovery.noise
     floor = min(noise_floor(found.case.evidence, noise, found.account.anchor, found.seed), best)
-    return Details(where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out)
+    return Details(
+        where, isolability(found), unlisted, check, gaps, curves, discovery, chosen, file, floor, out, skipped
+    )

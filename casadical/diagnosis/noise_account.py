@@ -45,6 +45,7 @@ class NoiseAccount:
     structures : dependences found in the residual
     like_noise : whether the residual otherwise has Gaussian tails and is isotropic
     doubt : why what is taken as noise may contain an effect, in words; empty without a reason
+    only_size_doubted : whether only the size of the noise is the reason, not its form
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -68,6 +69,7 @@ class NoiseAccount:
     structures: tuple[Structure, ...] = field(metadata=written("structure"))
     like_noise: bool = field(metadata=WRITTEN)
     doubt: str = field(default="", metadata=WRITTEN)
+    only_size_doubted: bool = False
 
     @property
     def anchored(self) -> bool:
@@ -187,7 +189,10 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
     )
     # The residuals of a fit with more columns than poses (error curves) are unequal in any case.
     judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
-    return replace(found, doubt=doubt_of(judged, e.noise_prior.lever, form or likely_form))
+    lever = e.noise_prior.lever
+    doubt = doubt_of(judged, lever, form or likely_form)
+    of_size = doubt_of(replace(judged, excess=0.0, structures=(), like_noise=True), lever, "")
+    return replace(found, doubt=doubt, only_size_doubted=doubt == of_size != "")
 
 
 def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:

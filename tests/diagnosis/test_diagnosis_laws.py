@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cases import case, following_noise, plant, robot
+from cases import case, following_noise, plant, robot, simulated
 from planted import campaign, misread, planted
 from scipy.integrate import solve_ivp
 
@@ -502,11 +502,29 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
 
 
 @pytest.mark.slow
-def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined() -> None:
+def test_laws_are_searched_beside_a_curve_alone_unless_they_are_declined(monkeypatch: pytest.MonkeyPatch) -> None:
     found = diagnose(robot(NAME), from_table(table(5, "stop"), 6), ["joint_error_curve"])
     assert found.verdict == "unknown"
     assert laws_of_diagnosis(found).laws
     assert analyse(found, laws=False).laws is None
+    # A search given curves may find no law that is better than none: it is the last one.
+    monkeypatch.setattr(contest, "search_laws", lambda c, chosen, *rest: [] if len(chosen) else search_laws(c, chosen))
+    assert len(laws_of_diagnosis(found).rounds) == 1
+
+
+@pytest.mark.slow
+def test_no_law_is_searched_where_only_the_size_of_the_noise_is_in_doubt() -> None:
+    """Joints that repeat to 60 urad, which is more than those of any arm should, scatter as independent noise."""
+    m = simulated(NAME, 5, planted("gear_eccentricity", 4, size=400e-6), n=100, noise_mm=0.002)
+    scattered = m.q + 60e-6 * np.random.default_rng(1).standard_normal(m.q.shape)
+    assert m.position is not None
+    shift = predicted(robot(NAME), replace(m, q=scattered))[0] - predicted(robot(NAME), m)[0]
+    found = diagnose(robot(NAME), replace(m, position=m.position + shift))
+    assert (found.verdict, [c.label for c in found.causes]) == ("unknown", ["gear_eccentricity@4"])
+    assert "repeat to" in found.account.doubt
+    more = analyse(found)
+    assert more.laws is None
+    assert "no law was searched" in diagnosis_page(found, more)
 
 
 @pytest.mark.slow
