@@ -31,7 +31,8 @@ def new(
     dh: Path | None = Option(
         None,
         metavar="FILE.csv",
-        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...",
+        help="Take the robot from this table, one row per joint: a_mm, alpha_deg, d_mm, theta_deg, ...; or from "
+        "the YAML of a UR arm's kinematics.",
     ),
     convention: str | None = Option(
         None,

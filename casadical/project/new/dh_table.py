@@ -21,12 +21,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from casadical.core.basics import FaultsError, InputError
+from casadical.core.basics import FaultsError, InputError, optional
+from casadical.core.reading import foreign, read_text
+from casadical.core.transforms import frame, from_rpy, to_rpy
 from casadical.measurements.headings import words_of
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.vocabulary import UNITS, WORDS
 from casadical.project.faults import each_of
 from casadical.project.new.texts import ROBOT_HEAD
+from casadical.robot.axes import Axis, rows_from_axes
 
 # Columns of a table of DH rows that have the DH parameters.
 _ROW_COLUMNS = [
@@ -48,13 +51,15 @@ _BODY_COLUMNS = ["mass_kg", "com_x_mm", "com_y_mm", "com_z_mm"]
 def robot_text(path: Path, name: str, convention: str) -> str:
     """Return the commented text of a robot file for a table of DH rows.
 
-    path : table
+    path : table, or YAML of a UR arm's kinematics (see `_ur_text`)
     name : of the robot
     convention : modified or standard
     Raises InputError that names file, row and column.
     """
     if convention not in ("modified", "standard"):
         raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _ur_text(path, name)
     table = read_table(path)
 
     all_columns = ["joint", *_ROW_COLUMNS, *_LIMIT_COLUMNS, "type", *_BODY_COLUMNS, "compliant", "stiffness_Nm_per_rad"]
@@ -73,6 +78,43 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     _, joints = each_of(steps)
     head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention=convention, table=path.name.replace('"', "'"))
     return f"{head}{joints}"
+
+
+def _ur_text(path: Path, name: str) -> str:
+    """Return the text of a robot file for the kinematics YAML of a UR arm, as its ROS driver extracts it.
+
+    Its links are frames at zero readings, each in the one before; the axes that they have are
+    written as modified DH rows. The hash becomes a comment.
+    """
+    yaml = optional("yaml", f"{path.name}: reading YAML needs PyYAML: pip install pyyaml, or write a DH table as CSV")
+    with foreign(f"{path.name}: not a readable YAML file", "extract it again with ur_calibration"):
+        held = yaml.safe_load(read_text(path))
+    links = held.get("kinematics") if isinstance(held, dict) else None
+    T, frames = np.eye(4), []
+    for link in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"):
+        part = links.get(link) if isinstance(links, dict) else None
+        keys = ("x", "y", "z", "roll", "pitch", "yaw")
+        numbers = [part.get(key) for key in keys] if isinstance(part, dict) else []
+        if not numbers or not all(isinstance(v, int | float) and math.isfinite(v) for v in numbers):
+            raise InputError(
+                f"{path.name}: kinematics: {link}: {part!r}; allowed: numbers {', '.join(keys)} [m, rad], as "
+                "ur_calibration writes them; of another arm give --urdf, or its DH rows as CSV"
+            )
+        T = T @ frame(from_rpy(np.array(numbers[3:])), np.array(numbers[:3]))
+        frames.append(T)
+    chain = rows_from_axes([Axis(T[:3, 3], T[:3, 2]) for T in frames], frames[-1])
+    units = {"a": "m", "alpha": "rad", "d": "m", "theta": "rad", "beta": "rad"}
+    rows = [
+        "\n".join(
+            f"{key}_{unit} = {getattr(row, key)!r}" for key, unit in units.items() if getattr(row, key) is not None
+        )
+        for row in chain.rows
+    ]
+    head = ROBOT_HEAD.format(name=name.replace('"', "'"), convention="modified", table=path.name.replace('"', "'"))
+    said = f"# Hash of the controller's calibration: {links['hash']}\n" if links and "hash" in links else ""
+    base = f"xyz_m = {chain.base[:3, 3].tolist()}\nrpy_rad = {to_rpy(chain.base[:3, :3]).tolist()}\n"
+    text = head.replace("[base] ", f"{said}[base] ", 1).replace('unknown = "pose" ', f'{base}unknown = "pose" ', 1)
+    return text + "\n" + "\n\n".join(f"[[joint]]\n{row}" for row in rows) + "\n"
 
 
 def _refuse_non_finite(table: RawTable) -> None:

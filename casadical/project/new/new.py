@@ -380,7 +380,7 @@ def _robot_files(
     robot = robot_from(tomllib.loads(text), dh.name if dh else "robot.toml")
     if lacks_masses(robot):
         robot = with_estimated_masses(robot)
-        text = with_masses(text, robot, convention == "standard")
+        text = with_masses(text, robot, 'convention = "standard"' in text)
     return {"robot.toml": text}, robot
 
 

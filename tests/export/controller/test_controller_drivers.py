@@ -16,6 +16,8 @@ from casadical.export import Sources, inverse_kinematics
 from casadical.export.controller.commands import own_robots
 from casadical.export.controller.drivers import driver_file
 from casadical.export.controller.inverse import Postures
+from casadical.project.new import new_problem
+from casadical.project.new.dh_table import robot_text
 from casadical.robot.robot_file import read_robot, write_robot
 
 
@@ -61,6 +63,26 @@ def test_the_ur_drivers_yaml_has_the_calibrated_kinematics():
             T = T @ origin([link[k] for k in "xyz"], [link[k] for k in ("roll", "pitch", "yaw")]) @ turned(angle)
         assert np.allclose(T @ own.tool.T, model_pose(own, q), atol=1e-12)
     assert "without them the point is off by" in lost[1]
+
+
+def test_a_ur_yaml_is_read_as_it_was_written(tmp_path):
+    """`new --dh`: the poses are those that scipy composes from the file; another arm's YAML is refused."""
+    real, nominal = planted("ur10"), read_robot(nominal_path("ur10"))
+    path = tmp_path / "arm.yaml"
+    path.write_text(driver_file(Sources(real, nominal), "ur", "calib_1")[0])
+    links = yaml.safe_load(path.read_text())["kinematics"]
+    new_problem(tmp_path / "arm", dh=path)
+    assert "calib_1" in (tmp_path / "arm" / "robot.toml").read_text()
+    read = stiff(read_robot(tmp_path / "arm" / "robot.toml"))
+    for q in poses(read, 20):
+        T = np.eye(4)
+        for name, angle in zip(list(links)[:6], q, strict=True):
+            T = T @ origin([links[name][k] for k in "xyz"], [links[name][k] for k in ("roll", "pitch", "yaw")])
+            T = T @ turned(angle)
+        assert np.allclose(T, model_pose(read, q), atol=1e-9)
+    path.write_text("kinematics:\n  shoulder: {x: 1}\n")
+    with pytest.raises(InputError, match=r"shoulder.*of another arm give --urdf"):
+        robot_text(path, "arm", "modified")
 
 
 def test_the_nominal_yaml_is_the_makers():
