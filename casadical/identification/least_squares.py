@@ -301,11 +301,14 @@ class LeastSquares:
 
         Along bounds an active set needs a few steps where Ipopt's interior point needs many. A step
         that raises the cost is repeated with damping (Levenberg-Marquardt). Steps end where one
-        lowers the cost by less than SETTLED_COST_GAIN.
+        lowers the cost by less than SETTLED_COST_GAIN, or would lower it by less than a hundredth
+        and meets no bound: Ipopt makes the same step.
         """
         cost, damping = self.cost(v), 0.0
         for _ in range(MAX_APPROACH_STEPS):
             closer = v + self.step(v, damping)
+            if not (damping or self.at_bounds(closer).any()) and self.decrement(v) < 0.01 * cost:
+                break
             gain = cost - (then := self.cost(closer))
             if gain > 0:
                 v, cost, damping = closer, then, damping / 10
