@@ -1,4 +1,4 @@
-"""Tables in files of arrays and records (.npy, .npz, .mat, .json, .yaml), and lists in one cell."""
+"""Tables in files of arrays and records (.npy, .npz, .mat, .json, .yaml, .samples), and lists in one cell."""
 
 import io
 import json
@@ -15,7 +15,7 @@ from casadical.core.reading import foreign
 from casadical.measurements.vocabulary import WORDS
 
 # Files that hold arrays or records, by the end of their name.
-ARRAY_FILES = (".npy", ".npz", ".mat", ".json", ".yaml", ".yml")
+ARRAY_FILES = (".npy", ".npz", ".mat", ".json", ".yaml", ".yml", ".samples")
 
 
 def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
@@ -50,6 +50,7 @@ def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
     counts = {size for a in arrays.values() for size in a.shape if size > 3}
     if not arrays or not counts:
         raise InputError(f"{path}: holds no table: {_contents(held)}; save the poses as CSV, one row each")
+    arrays, handeye = _without_flange(path, arrays)
     n = max(counts, key=lambda size: (sum(size in a.shape for a in arrays.values()), size))
     columns: dict[str, Array] = {}
     for name, array in arrays.items():
@@ -57,7 +58,26 @@ def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
             columns |= _columns(name, np.moveaxis(array, array.shape.index(n), 0))
     table = pd.DataFrame(columns)
     used = ", ".join(f"{k or 'array'} ({' x '.join(map(str, a.shape))})" for k, a in arrays.items() if n in a.shape)
-    return table, f"{path.name}: {n} rows of {used}."
+    return table, f"{path.name}: {n} rows of {used}.{handeye}"
+
+
+def _without_flange(path: Path, arrays: Mapping[str, Array]) -> tuple[dict[str, Array], str]:
+    """Return arrays without the flange's poses of easy_handeye2's samples, and what is said of them.
+
+    The controller computed them, they were not measured. Raises InputError without joint readings.
+    """
+    parts = {name: name.removeprefix("samples.").split(".")[0] for name in arrays}
+    if not {"robot", "optical"} <= {*parts.values()}:
+        return {**arrays}, ""
+    if {*parts.values()} == {"robot", "optical"}:
+        raise InputError(
+            f"{path}: samples of easy_handeye2 have poses of the flange (robot) and of the target (optical), no joint "
+            "readings. The errors of an arm act through its joints, and a pose of the flange has several postures: "
+            "add the readings of /joint_states to each sample (joints: [...]), or write a CSV with a row for each: "
+            "j1, j2, ..., x, y, z, qx, qy, qz, qw (of optical)"
+        )
+    said = " Samples of easy_handeye2: poses of the flange (robot) are computed by the controller, and not used."
+    return {name: array for name, array in arrays.items() if parts[name] != "robot"}, said
 
 
 def _contents(held: Any) -> str:

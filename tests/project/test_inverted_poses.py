@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, calibrate, identify, read_problem
@@ -106,6 +107,36 @@ def test_a_camera_is_where_errors_of_orientation_do_not_move_its_target() -> Non
     m = replace(there, position=p, orientation=turned, inverted=True).inverse()
     assert as_poses(m, ur5e()).camera == ""
     assert as_poses(m, ur5e(), by_noise=True).camera == "in hand"
+
+
+@pytest.mark.parametrize("joints", [False, True])
+def test_samples_of_easy_handeye2_need_joint_readings(tmp_path: Path, joints: bool) -> None:
+    """The flange's poses, here wrong ones, are not used."""
+    m = seen(True)
+
+    def pose(xyz: np.ndarray, xyzw: np.ndarray) -> dict[str, dict[str, float]]:
+        parts = {
+            "translation": zip("xyz", xyz.tolist(), strict=True),
+            "rotation": zip("xyzw", xyzw.tolist(), strict=True),
+        }
+        return {"header": {"frame_id": "a"}, "transform": {key: dict(part) for key, part in parts.items()}}
+
+    turns = Rotation.from_matrix(m.orientation).as_quat()
+    samples = [
+        {"robot": pose(p[::-1], turn[::-1]), "optical": pose(p, turn)} | ({"joints": q.tolist()} if joints else {})
+        for q, p, turn in zip(m.q, m.position, turns, strict=True)
+    ]
+    (tmp_path / "cell.samples").write_text(yaml.safe_dump({"samples": samples}))
+    (tmp_path / "dh.csv").write_text(DH)
+    given = {"dh": tmp_path / "dh.csv", "convention": "standard", "data": tmp_path / "cell.samples"}
+    if not joints:
+        with pytest.raises(InputError, match="add the readings of /joint_states to each sample"):
+            new_problem(tmp_path / "arm", **given)
+        return
+    ((_, read), *_) = new_problem(tmp_path / "arm", **given).parts()
+    assert (read.inverted, read.camera) == (True, "in hand")
+    at = [int(np.abs(m.q - q).sum(axis=1).argmin()) for q in read.q]
+    np.testing.assert_allclose(read.position, seen(False).position[at], atol=1e-9)
 
 
 def test_new_says_and_keeps_what_the_robot_tells(tmp_path: Path) -> None:
