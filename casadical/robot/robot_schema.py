@@ -411,19 +411,24 @@ class RobotFile(RobotTables):
 
 
 def refuse_far(robot: Robot) -> None:
-    """Refuse a mass centre too far from its link's frame, as one given in the wrong unit.
+    """Refuse a mass centre too far from its link's frame. Raises InputError; see `far_centre`."""
+    if far := far_centre(robot):
+        number, words = far
+        raise InputError(f"joint[{number}].body.com: {words}. Is it in the unit that the key says?")
 
-    Raises InputError for more than 1 m beyond twice the arm's reach.
+
+def far_centre(robot: Robot) -> tuple[int, str] | None:
+    """Return the first joint, from 1, whose mass centre is too far away, and how far in words.
+
+    Too far is more than 1 m beyond twice the arm's reach, as one given in the wrong unit.
     """
+    most = 2 * robot.reach + 1.0
     for i, joint in enumerate(robot.joints, 1):
         away = float(np.linalg.norm(joint.body.com)) if joint.body else 0.0
-        # A mass centre may be 1 m farther from its joint than twice the arm's reach.
-        if away > (most := 2 * robot.reach + 1.0):
-            raise InputError(
-                f"joint[{i}].body.com: {away:.4g} m from the origin of its frame, of an arm that "
-                f"reaches {robot.reach:.4g} m; allowed: up to {most:.4g} m. Is it in the unit that "
-                "the key says?"
-            )
+        if away > most:
+            words = f"{away:.4g} m from the origin of its frame, of an arm that reaches {robot.reach:.4g} m"
+            return i, f"{words}; allowed: up to {most:.4g} m"
+    return None
 
 
 def _refuse_undefined(robot: Robot) -> None:

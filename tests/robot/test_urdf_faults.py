@@ -41,11 +41,6 @@ FAULTS = {
         {},
         "joint 'j1': rpy = .* of its <origin>: is more than a turn; a URDF has radians",
     ),
-    "a mass centre in millimetres": (
-        robot(ABC.replace('xyz="0.0 0.0 0.0"', 'xyz="0 0 60"'), AB, joint("j2", "revolute", "b", "c", (1, 0, 0))),
-        {},
-        r"joint\[1\].body.com: .* of an arm that reaches .* Is it in the unit",
-    ),
     "a mimic of words": (
         robot(ABC, AB, BC).replace("</joint>", '<mimic joint="j0" offset="x"/></joint>', 1),
         {},

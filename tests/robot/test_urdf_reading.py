@@ -1,10 +1,14 @@
 """A URDF read by casadical moves and weighs what Pinocchio says."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from urdf_arms import UR10, Oracle, joint, link, pose_of, random_arm, readings, robot
 
 from casadical.core.basics import InputError
+from casadical.identification.identification import identify
+from casadical.measurements.reading import read_measurements
+from casadical.project.check import precheck
 from casadical.robot.robot import modified_dh
 from casadical.robot.urdf import read_urdf
 
@@ -145,3 +149,24 @@ def test_a_gripper_is_no_end_of_the_arm(tmp_path, fingers: int, joints: int) -> 
     path = tmp_path / "arm.urdf"
     path.write_text(f'<robot name="arm">{"".join(parts)}</robot>')
     assert read_urdf(path).n == joints
+
+
+def test_a_mass_centre_far_beyond_the_reach_names_its_link_and_stops_no_geometry(tmp_path):
+    """The same arm without that slip has the same geometry, to a rounding, and no remark."""
+    good, bad = tmp_path / "good.urdf", tmp_path / "bad.urdf"
+    good.write_text(UR10)
+    bad.write_text(UR10.replace("0.0 0.0 0.306", "0.0 0.0 500.0"))
+    arm, rng = read_urdf(good), np.random.default_rng(1)
+    q = readings(arm, rng, 40)
+    seen = np.array([pose_of(arm, each)[:3, 3] for each in q]) + rng.normal(0, 2e-5, (40, 3))
+    names = [f"q{i}_rad" for i in range(1, 7)] + ["x_m", "y_m", "z_m"]
+    pd.DataFrame(np.hstack([q, seen]), columns=names).to_csv(tmp_path / "poses.csv", index=False)
+    checks = [precheck(path, tables=[tmp_path / "poses.csv"]) for path in (good, bad)]
+    assert [c.ok for c in checks] == [True, True]
+    said = [[f.text for f in c.of_level("warning") if f.topic == "masses"] for c in checks]
+    assert (said[0], len(said[1])) == ([], 1)
+    assert "link 'upper_arm'" in said[1][0]
+    assert "500 m" in said[1][0]
+    m = read_measurements(tmp_path / "poses.csv", 6)
+    found = [identify(read_urdf(path), m, ["kinematic"]).robot.parameters.values for path in (good, bad)]
+    np.testing.assert_allclose(*found, rtol=0, atol=1e-9)

@@ -219,10 +219,11 @@ def limits_findings(robot: Robot) -> list[Finding]:
 
 
 def set_findings(problem: Problem) -> list[Finding]:
-    """Return findings on targets, turned signs of coordinates, held-out poses, copies of rows, and
-    unused columns.
+    """Return findings on targets, masses, turned signs of coordinates, held-out poses, copies of rows,
+    and unused columns.
     """
     findings = [Finding("error", "targets", text) for text in unfitted(problem.sets)]
+    findings += [Finding("warning", "masses", n) for n in problem.robot.notes if n.startswith("masses left out: ")]
     for table in problem.tables:
         made = {ours[0]: made for ours, made in table.get("columns", {}).items() if ours[0] in "xyz"}
         turned = [c for c, source in made.items() if isinstance(source, Mapping) and source.get("times", 1.0) < 0]

@@ -7,11 +7,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from casadical.core.basics import Array, InputError, errors_of
+from casadical.core.basics import Array, InputError
 from casadical.core.parts import STANDARD_GRAVITY, Body, Coupling, Placement, possible_inertia
 from casadical.robot.axes import Axis, Chain, rows_from_axes
 from casadical.robot.robot import Robot
-from casadical.robot.robot_schema import MAX_JOINTS, refuse_far
+from casadical.robot.robot_schema import MAX_JOINTS, far_centre
 from casadical.robot.urdf.tree import Tree, parse_urdf
 
 
@@ -88,9 +88,15 @@ def read_urdf(
         gravity_frame="base",
         notes=chain.notes,
     )
-    with errors_of(f"{path}: "):
-        refuse_far(robot)
-    return robot
+    if not (far := far_centre(robot)):
+        return robot
+    # Without one of the masses the others give no torque.
+    note = (
+        f"masses left out: the mass centre of link {chain.moving[far[0] - 1].child!r}, or of one fixed to it, is "
+        f"{far[1]}; those of a robot with compliant joints are estimated from its reach"
+    )
+    joints = [replace(j, body=None) for j in robot.joints]
+    return replace(robot, joints=tuple(joints), notes=(*robot.notes, note))
 
 
 def read_chain(path: Path, base_link: str | None, tip_link: str | None) -> UrdfChain:
