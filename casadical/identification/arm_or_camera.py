@@ -118,6 +118,15 @@ class Moved(Shown):
             f"{1e3 * self.turn:.2g} mrad."
         )
 
+    def doubt_in_words(self) -> str:
+        """Return a sentence on a step that is not sure: none, or not tellable."""
+        if self.probability <= 1 - _SURE:
+            return "Hand-eye or board moved between two rows: no."
+        return (
+            f"Hand-eye or board moved between two rows: not tellable (rows {self.before} and {self.after}: "
+            f"probability {self.probability:.2g})."
+        )
+
 
 @dataclass(frozen=True)
 class ArmOrCamera(Shown):
@@ -180,6 +189,8 @@ class ArmOrCamera(Shown):
         )
         if self.moved and self.moved.probability >= _SURE:
             text = f"{self.moved.in_words()} {text}"
+        elif self.moved:
+            text += f" {self.moved.doubt_in_words()}"
         if not self.wrong:
             unsure = [_CAUSES[e.name][2] for e in self.errors if 0.05 < e.probability < _SURE]
             more = unsure if self._sides[1] is None and unsure else ["more stations"]

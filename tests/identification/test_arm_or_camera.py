@@ -44,6 +44,7 @@ def test_the_side_that_is_wrong_is_named_with_its_share(arm: int, focal: float, 
         assert by_name["focal length"].value == pytest.approx(focal, abs=0.003)
         assert "focal length +" in found.in_words()
     assert found.moved.probability < 0.1
+    assert "moved between two rows: no." in found.in_words()
     assert found.total == pytest.approx(np.hypot(np.hypot(found.arm.size, found.camera.size), found.noise), rel=0.4)
 
 
