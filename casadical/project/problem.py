@@ -186,13 +186,18 @@ class Problem(Shown):
     def calibrated_urdf(self, robot: Robot) -> str:
         """Return the problem's URDF with the calibrated geometry and the measured point as a link.
 
+        Where a camera measured poses, its frame is the link casadical_camera.
+
         Raises InputError where the robot is not from a URDF.
         """
         from casadical.robot.urdf import calibrated_urdf_text
 
         if self.urdf is None:
             raise InputError(f"{self.folder}: its robot is not from a URDF; write its robot file, or a new URDF")
-        return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link="casadical_measured_point")
+        place = next((m.camera for _, m in self.parts() if m.camera), "")
+        measured = "casadical_camera" if place == "in hand" else "casadical_measured_point"
+        standing = "casadical_camera" if place == "to base" else None
+        return calibrated_urdf_text(self.robot, robot, *self.urdf, measured_link=measured, measuring_link=standing)
 
 
 def error_groups(names: Iterable[str]) -> dict[str, list[str]]:

@@ -4,6 +4,7 @@ import re
 import tomllib
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pandas as pd
@@ -22,6 +23,7 @@ from casadical.project.new import new_problem
 from casadical.project.robot_columns import as_poses
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_from
+from casadical.robot.urdf.writing import new_urdf
 
 DH = """joint,a_mm,alpha_deg,d_mm,theta_deg
 1,0,90,162.5,0
@@ -228,6 +230,20 @@ def test_the_hand_eye_transform_is_named_and_written(tmp_path: Path) -> None:
     assert max(nominal.std_errors) < 3e-4
     assert "With the nominal arm" in result.files("results")[Path("results/hand_eye_nominal.calib")]
     assert result.to_json()["hand_eye_nominal"]["xyz_mm"] == pytest.approx(1e3 * nominal.T[:3, 3])
+
+
+@pytest.mark.parametrize(("camera", "parent"), [("in hand", "measured"), ("to base", "base_link")])
+def test_the_camera_is_a_frame_of_the_calibrated_urdf(tmp_path: Path, camera: str, parent: str) -> None:
+    (tmp_path / "arm.urdf").write_text(new_urdf(ur5e()))
+    table = written(tmp_path, seen(camera == "in hand"))
+    problem = new_problem(tmp_path / "arm", urdf=tmp_path / "arm.urdf", data=table, camera=camera)
+    given = replace(problem.robot, base=Placement(np.linalg.inv(TARGET), "pose"), tool=Placement(HAND_EYE, "pose"))
+    joints = {j.get("name"): j for j in ElementTree.fromstring(problem.calibrated_urdf(given)).iter("joint")}
+    joint = joints["casadical_camera_joint"]
+    assert joint.find("parent").get("link") == parent
+    xyz, rpy = (np.array(joint.find("origin").get(key).split(), dtype=float) for key in ("xyz", "rpy"))
+    true = HAND_EYE if camera == "in hand" else TARGET
+    np.testing.assert_allclose(frame(Rotation.from_euler("xyz", rpy).as_matrix(), xyz), true, atol=1e-9)
 
 
 def test_errors_of_a_camera_that_stands_are_of_its_place_not_of_the_base() -> None:

@@ -29,6 +29,7 @@ def calibrated_urdf_text(
     tip_link: str | None = None,
     base: Literal["robot", "measuring"] = "robot",
     measured_link: str | None = None,
+    measuring_link: str | None = None,
 ) -> str:
     """Return the text of the URDF `path_in` with the calibrated geometry.
 
@@ -42,6 +43,8 @@ def calibrated_urdf_text(
     base_link, tip_link : as of `read_urdf`
     base : what the base link is: the robot's base or the measuring frame
     measured_link : name of a new link at the measured point; None: the tip link is moved there
+    measuring_link : name of a new link on the base link at the measuring frame, such as a camera
+        that stands still; None: none
     Raises InputError: another robot than that of the file, a closed loop, a tool that has moved
     where no fixed joint can take it, a taken name; and what `read_urdf` raises.
     """
@@ -63,6 +66,8 @@ def calibrated_urdf_text(
             _add_link(document, chain.tip_link, name, tip @ frame(robot_calibrated.tool.T[:3, :3], target.point))
     else:
         _move_tip(document, chain, robot_calibrated.tool.T, str(path_in))
+    if measuring_link:
+        _add_link(document, chain.base_link, measuring_link, foot @ np.linalg.inv(robot_calibrated.base.T))
     _comment(document, robot_calibrated, chain, base)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + "\n".join(node.toxml() for node in document.childNodes) + "\n"
 
