@@ -306,8 +306,10 @@ class LeastSquares:
         """
         cost, damping = self.cost(v), 0.0
         for _ in range(MAX_APPROACH_STEPS):
-            closer = v + self.step(v, damping)
-            if not (damping or self.at_bounds(closer).any()) and self.decrement(v) < 0.01 * cost:
+            step, (g, H) = self.step(v, damping), self.gradient(v)
+            closer = v + step
+            small = -(g + 0.5 * H @ step) @ step < 0.01 * cost
+            if small and not (damping or self.at_bounds(closer).any()):
                 break
             gain = cost - (then := self.cost(closer))
             if gain > 0:
