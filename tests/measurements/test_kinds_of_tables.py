@@ -75,3 +75,14 @@ def test_a_motion_from_a_row_that_is_left_out_does_not_count(row: int, weights: 
 def test_what_is_wrong_with_a_table_is_said(columns: dict[str, list[object]], said: str) -> None:
     with pytest.raises(InputError, match=re.escape(said)):
         from_table(pd.DataFrame(READINGS).assign(**columns), 2)
+
+
+@pytest.mark.parametrize("wrong", [(), (4,), (7,)], ids=str)
+def test_a_wrong_distance_does_not_move_the_unknown_anchor(wrong: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(5)
+    p, anchor = rng.uniform(-0.6, 0.6, (10, 3)), np.array([1.5, -0.8, 1.1])
+    distance = np.linalg.norm(p - anchor, axis=1) + rng.normal(0, 3e-5, len(p))
+    distance[[*wrong]] += 0.3
+    errors = kinds()["distance"].errors({"distance": distance}, p, lambda q: q)
+    assert [*np.flatnonzero(errors > 1e-3)] == [*wrong]
+    assert np.delete(errors, wrong).max() < 1e-4

@@ -7,6 +7,7 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.levenberg_marquardt import Evaluated, levenberg_marquardt
+from casadical.core.statistics import first_of_best
 from casadical.core.transforms import Symbolic
 from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
@@ -54,9 +55,25 @@ class Distance(OfPoints):
     def start(self, arrays: Arrays, p: Array) -> Array:
         """Return the position of one anchor that fits its distances best, shape (3,) [m].
 
+        Single wrong distances, at most a fifth, are left out: by least squares one of 300 mm among
+        ten would move the anchor so far that all ten seem wrong. Two among ten may hide each other.
+
         p : positions of the model in the measuring frame, shape (n, 3) [m]
         """
-        return _far_end(arrays["distance"], p)
+        distance, found = arrays["distance"], _far_end(arrays["distance"], p)
+        for _ in range(len(p) // 5 if len(p) >= 8 else 0):
+            line = found - p
+            length = np.linalg.norm(line, axis=1)
+            J, e = line / length[:, None], distance - length
+            leverage = np.einsum("ni,ij,nj->n", J, np.linalg.pinv(J.T @ J), J)
+            gain = e**2 / np.maximum(1 - leverage, 1e-6)  # by which the sum of squares falls without the row
+            worst = first_of_best(gain)
+            # Ten standard deviations of the others, and more than rounding [m^2].
+            if gain[worst] <= max(100 * (e @ e - gain[worst]) / (len(p) - 4), 1e-12):
+                break
+            distance, p = np.delete(distance, worst), np.delete(p, worst, axis=0)
+            found = _far_end(distance, p)
+        return found
 
     def unit_fault(self, arrays: Arrays, p: Array, positions_at: PositionsAt, reach: float) -> str:
         """Return a sentence if the distances must be in another unit, else an empty text.
