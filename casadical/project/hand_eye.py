@@ -42,9 +42,8 @@ class HandEye(Shown):
     nominal: bool = False
 
     def in_words(self) -> str:
-        """Return the transform as a sentence [mm, quaternion], with the errors that it includes."""
+        """Return the camera's place as a sentence [mm], with the errors that it includes."""
         x, y, z = (f"{1e3 * v:.2f}" for v in self.T[:3, 3])
-        w, *vector = (f"{v:.5f}" for v in quaternion(self.T[:3, :3]))
         sure = ""
         if self.std_errors is not None:
             sure = f" (+- {', '.join(f'{1e3 * s:.2g}' for s in self.std_errors)})"
@@ -52,8 +51,8 @@ class HandEye(Shown):
         if self.nominal:
             return f"With the nominal arm: x {x}, y {y}, z {z} mm{sure}."
         return (
-            f"Hand-eye (camera in the frame of the {self.parent}, eye {self.camera}): x {x}, y {y}, z {z} mm{sure}, "
-            f"quaternion w {w}, xyz {', '.join(vector)}; errors of the {rows[self.parent]} row are part of it."
+            f"Hand-eye (camera in the frame of the {self.parent}, eye {self.camera}): x {x}, y {y}, z {z} mm{sure}; "
+            f"errors of the {rows[self.parent]} row are part of it."
         )
 
     def calib_text(self, name: str) -> str:

@@ -91,7 +91,9 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
         if name.count("/") > 1:  # one table of several: it is a row of its kind's table
             continue
         states = last[name]
-        rows = [("before, base and tool fitted", states["placed"])]
+        turned = states["placed"].turn is not None
+        # Beside two more columns the label has to fit a line.
+        rows = [("before, frames fitted" if turned else "before, base and tool fitted", states["placed"])]
         # Nominal errors this many times larger than those with base and tool fitted only show that
         # the base was not known.
         if states["nominal"].mean < 20 * states["placed"].mean:
@@ -103,7 +105,6 @@ def error_tables(problem: Problem, accuracies: Accuracies, networks: Networks | 
         rows += [(f"after {list(accuracies)[-1]}, {file}", a) for file, a in single.items()]
         use = {"train": "networks learn", "choose": "networks are judged"}.get(name.split("/")[0]) if trained else None
         use = use or ("used" if name.startswith("identify") else "held out")
-        turned = states["placed"].turn is not None
         cells = [
             (label, *(mm(v) for v in (a.mean, a.max, a.std, a.rms, a.p95)), *(_angles(a) if turned else ()))
             for label, a in rows
