@@ -11,7 +11,7 @@ class Settings:
     max_p_nothing : a first cause is detected if the probability of "nothing" is below this, at any
         number of poses, because the noise is that of restricted likelihood. Of 30,000 draws of pure
         noise at 15 to 200 poses (docs/studies/false_alarms.py with seeds 178), 0.4 % are below, 0.2
-        to 0.6 % at each number of poses.
+        to 0.6 % at each number of poses; the study is older than the prior on joint repeatability.
     max_p_nothing_further : the same for an additional cause, once one was found
     min_claim : a cause is claimed alone from this probability on; 98 of 100 claims are to be right,
         including campaigns with unlisted effects

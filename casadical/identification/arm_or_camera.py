@@ -74,8 +74,9 @@ class Share(Shown):
 class CameraError(Shown):
     """An error of the camera: relative for focal length and scale of the board; the coefficient k1 of distortion.
 
-    name : of the error; value, low, high : posterior median, if it exists, and 95 % interval
-    probability : that it exists; tellable : whether the poses determine it better than half of its prior
+    name : "focal length", "scale of the board" or "distortion"
+    value, low, high : posterior median given that it exists, and 95 % interval [-]
+    probability : that it exists; tellable : whether the posterior is narrower than half of the prior
     """
 
     line: ClassVar[str] = " {{ it.name }}"

@@ -19,6 +19,7 @@ from casadical.core.drive import Drive
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import plain_text
 from casadical.diagnosis.motion.result import diagnose_log
+from casadical.diagnosis.motion.search import Found
 from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects
 from casadical.effects.plugins import known_effects
@@ -455,3 +456,10 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
         motion_effects.cache_clear()
     assert found.outcome.rankings[0].order[0] == "toy_tooth@2"
     assert "toy_tooth" not in motion_effects()
+
+
+@pytest.mark.parametrize(("held_out", "confirmed"), [((190.0, 210.0), True), ((4000.0, 5970.0), False)])
+def test_a_held_out_gain_that_no_fit_can_support_is_refused(held_out: tuple[float, ...], confirmed: bool) -> None:
+    """208 nats fitted: 9,970 on the runs left out are the base's extrapolation, not the cause's."""
+    found = Found("coulomb_friction@2", 0, 1.0, 1.0, 208.0, held_out, listed=True, rival=0.0)
+    assert found.confirmed is confirmed
