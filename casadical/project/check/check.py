@@ -18,6 +18,7 @@ from casadical.identification.identification import (
 from casadical.identification.plausibility import check_against
 from casadical.identification.sessions import place_sessions, split_by_session, with_sessions
 from casadical.identification.undetermined import undetermined_at_start
+from casadical.measurements.columns import Source
 from casadical.measurements.measurements import Measurements
 from casadical.project.check import plausible as facts
 from casadical.project.check.findings import (
@@ -69,7 +70,7 @@ def precheck(
     others = facts.other_conventions(problem.robot_file)
     table = split_by_session([problem.table])[0] if problem.table is not None else None
     standard = facts.convention_of(problem.robot_file) == "standard"
-    findings, slips = _data_findings(problem.robot, sets, others, table, standard)
+    findings, slips, readings = _data_findings(problem.robot, sets, others, table, standard)
     usable = not any(f.topic in ("data", "units") and f.level == "error" for f in findings)
     targets = recognised(problem.robot, table) if table is not None else None
     wrong = wrong_names(problem.robot, table) if table is not None else None
@@ -116,6 +117,7 @@ def precheck(
         wrong,
         tuple(map(Path, tables)),
         more_poses(folder, first),
+        readings,
     )
 
 
@@ -189,8 +191,10 @@ def _plausible(
 
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
-) -> tuple[list[Finding], Slips | None]:
-    """Return findings on the fitted data, and the best single slip of the first table or None.
+) -> tuple[list[Finding], Slips | None, dict[str, dict[str, Source]]]:
+    """Return findings on the fitted data, the best single slip of the first table, better readings.
+
+    The slip is None without one; better readings are as of `_reading_findings`, by file.
 
     sets : fitted poses; others, standard : as of `_plausible`
     table : all positions of the only table, held-out poses included; None where there is no such
@@ -198,6 +202,7 @@ def _data_findings(
     """
     findings: list[Finding] = []
     single: Slips | None = None
+    readings: dict[str, dict[str, Source]] = {}
     for k, m in enumerate(sets):
         try:
             check_against(robot, m)
@@ -208,29 +213,43 @@ def _data_findings(
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
             findings += far_rows(robot, table or m)
-            findings += _reading_findings(robot, m)
+            told, better = _reading_findings(robot, m)
+            findings += told
+            readings |= {m.source: better} if better else {}
         known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
         findings += data_findings(robot, m, table or m, known_readings=known_readings)
-    return findings, single
+    return findings, single, readings
 
 
-def _reading_findings(robot: Robot, m: Measurements) -> list[Finding]:
-    """Return a finding on each second set of joint readings in a table, by what it leaves.
+def _reading_findings(robot: Robot, m: Measurements) -> tuple[list[Finding], dict[str, Source]]:
+    """Return a finding on each second set of joint readings in a table, and the sources of better ones.
 
     Angles that a controller reads back may lag behind the joints, and commanded ones may not be
-    reached: those are better that the calibrated robot explains better.
+    reached: those are better that the calibrated robot explains better. Sources are by our column;
+    they are empty where the present readings are the best.
     """
-    findings = []
-    for name, other in facts.other_readings(robot, m):
-        q1, first = next(iter(robot.reading_units)), f"{m.source}: columns {name!r} and on are readings, too"
-        left = [float(np.median(errors(calibrate_base_model(prepare(robot, [by])).robot, by))) for by in (m, other)]
-        figures = f"calibrated by them {1e3 * left[1]:.3g} mm are left (median), by {q1} and on {1e3 * left[0]:.3g} mm"
-        if left[1] < left[0]:
-            line = f'columns = {{ {q1} = "{name}", ... }} for every joint'
-            findings.append(Finding("warning", "readings", f"{first}: {figures}; take them: {line}, in problem.toml"))
+
+    def left(by: Measurements) -> float:
+        """Return the median error of the robot calibrated by some readings [m]."""
+        return float(np.median(errors(calibrate_base_model(prepare(robot, [by])).robot, by)))
+
+    findings, better = list[Finding](), dict[str, Source]()
+    others = facts.other_readings(robot, m)
+    own = least = left(m) if others else 0.0
+    for names, unit, other in others:
+        q1, first = next(iter(robot.reading_units)), f"{m.source}: columns {names[0]!r} and on are readings, too"
+        by_them = left(other)
+        figures = f"calibrated by them {1e3 * by_them:.3g} mm are left (median), by {q1} and on {1e3 * own:.3g} mm"
+        if by_them < own:
+            line = f'columns = {{ {q1} = "{names[0]}", ... }} for every joint'
+            how = f"take them: {line}, in problem.toml (check --repair writes it)"
+            findings.append(Finding("warning", "readings", f"{first}: {figures}; {how}"))
         else:
             findings.append(Finding("note", "readings", f"{first}: {figures}, which are taken"))
-    return findings
+        if by_them < least:
+            least, units = by_them, zip(robot.reading_units.items(), names, strict=True)
+            better = {ours: Source(name, unit / own_unit) for (ours, own_unit), name in units}
+    return findings, better
 
 
 def _noise(given: float | None, sets: tuple[Measurements, ...]) -> tuple[float | None, str]:

@@ -109,8 +109,8 @@ def convention_of(path: Path) -> str:
     return str(load_toml(path).get("convention", "modified")) if path.suffix == ".toml" else "modified"
 
 
-def other_readings(robot: Robot, m: Measurements) -> list[tuple[str, Measurements]]:
-    """Return each second set of joint readings in a table: its first column, and the poses by it.
+def other_readings(robot: Robot, m: Measurements) -> list[tuple[tuple[str, ...], float, Measurements]]:
+    """Return each second set of joint readings in a table: columns, unit [SI], and the poses by it.
 
     They are logged columns that are numbered like the joints and close to the readings, as angles
     that were commanded beside those that the controller read back.
@@ -129,7 +129,7 @@ def other_readings(robot: Robot, m: Measurements) -> list[tuple[str, Measurement
             off = np.abs(factor * given - m.q)
             # Two sets of readings of one pose differ by less than a degree or a centimetre.
             if off.max() > 0 and np.quantile(off, 0.9) < 0.01:
-                found.append((columns[1], replace(m, q=factor * given)))
+                found.append((tuple(columns[j] for j in robot.numbers), factor, replace(m, q=factor * given)))
                 break
     return found
 

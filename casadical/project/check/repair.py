@@ -40,8 +40,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     tables: Any = problem["measurements"]
     table = tables[0]
     raw = read_table(folder / str(table["file"]))
-    given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
-    known = {**understood(raw, robot, given, table.get("kind")).sources, **given}
+    known = _known_columns(folder, table, robot)
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
     # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
     others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
@@ -50,10 +49,7 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     columns = columns if meaning.questions or not again else {**others, **again}
     texts: dict[Path, str] = {}
     if columns != known:
-        made = tomlkit.table()
-        for ours, source in columns.items():
-            made[ours] = as_toml(source)
-        table["columns"] = made
+        table["columns"] = _columns_table(columns)
         texts[path] = tomlkit.dumps(problem)
     other, counted = other_lengths(fit, robot), _counted(fit, robot)
     place = folder / str(problem.get("robot", "robot.toml"))
@@ -67,6 +63,21 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     if fit.hypothesis.rows or fit.hypothesis.lengths or other or (counted and place.suffix != ".urdf"):
         texts[place] = _repaired_robot(place, fit, other or 1.0, counted)
     return texts
+
+
+def _known_columns(folder: Path, table: Any, robot: Robot) -> dict[str, Source]:
+    """Return the columns of a table of problem.toml, declared or inferred, by our name."""
+    raw = read_table(folder / str(table["file"]))
+    given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
+    return {**understood(raw, robot, given, table.get("kind")).sources, **given}
+
+
+def _columns_table(columns: Mapping[str, Source]) -> Any:
+    """Return the table `columns` of problem.toml."""
+    made = tomlkit.table()
+    for ours, source in columns.items():
+        made[ours] = as_toml(source)
+    return made
 
 
 def _counted(fit: Fit, robot: Robot) -> dict[int, dict[str, Any]]:
@@ -228,7 +239,26 @@ def repaired(found: Precheck) -> str:
         return f"{shown}\nrepaired: {1e3 * slips.before.error:.4g} mm before, {after} after{meant}"
     if texts := _inverted_files(found):
         return f"{write_repair(texts)}\nrepaired: each pose is the inverse of the tool's, and the file says so now"
+    if texts := _files_with_better_readings(found):
+        firsts = ", ".join(repr(next(iter(better.values())).name) for better in found.readings.values())
+        return f"{write_repair(texts)}\nrepaired: readings {firsts} and on are taken, which the robot fits better"
     return ""
+
+
+def _files_with_better_readings(found: Precheck) -> dict[Path, str]:
+    """Return problem.toml with the better joint readings of its tables as columns; or {}."""
+    if found.nominal is None or found.tables or not found.readings:
+        return {}
+    path = found.folder / "problem.toml"
+    problem = tomlkit.parse(read_text(path))
+    listed: Any = problem["measurements"]
+    for table in listed:
+        if better := found.readings.get(Path(str(table["file"])).name):
+            joints = re.compile(r"q\d+_(deg|rad|mm|m)")
+            known = _known_columns(found.folder, table, found.nominal)
+            others = {ours: source for ours, source in known.items() if not joints.fullmatch(ours)}
+            table["columns"] = _columns_table({**better, **others})
+    return {path: tomlkit.dumps(problem)}
 
 
 def _inverted_files(found: Precheck) -> dict[Path, str]:

@@ -1,6 +1,6 @@
 """The result of a check before a solve, as sentences and tables, and as plain data."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar
@@ -8,6 +8,7 @@ from typing import ClassVar
 from casadical.core.reporting.blocks import Block, Table, Words, next_step
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key, written
 from casadical.core.reporting.result import Result
+from casadical.measurements.columns import Source
 from casadical.project.check.findings import Finding, Level
 from casadical.project.check.information import Outlook
 from casadical.project.check.plausible import JointCoverage
@@ -35,6 +36,8 @@ class Precheck(Result):
     wrong_names : rows that name another target than was measured; None if there are none
     tables : tables given in place of the folder's own
     more : command that plans more poses
+    readings : columns of joint readings in a table that the robot fits better than the present
+        ones, by our column, by the name of the table's file
     """
 
     report: ClassVar[str] = "check.j2"
@@ -62,6 +65,7 @@ class Precheck(Result):
     wrong_names: WrongNames | None = None
     tables: tuple[Path, ...] = ()
     more: Words | None = None
+    readings: Mapping[str, Mapping[str, Source]] = field(default_factory=dict)
 
     def of_level(self, level: Level) -> tuple[Finding, ...]:
         """Return the findings of a level."""

@@ -20,6 +20,7 @@ from casadical.identification.identification import identify
 from casadical.project.check import Precheck, precheck
 from casadical.project.check.findings import far_rows
 from casadical.project.check.plausible import repeats
+from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.problem import read_problem
 
@@ -331,6 +332,12 @@ def test_two_sets_of_readings_side_by_side_are_compared_and_the_worse_is_never_t
         table[lags.format(j)] = q + 1e-3 * rng.standard_normal(len(q)) * q.diff().fillna(0.0)
     (tmp_path / "data" / "planar").mkdir(parents=True)
     table.to_csv(tmp_path / "data" / "planar" / "planar.csv", index=False)
-    told = [f for f in precheck(made).findings if f.topic == "readings"]
+    found = precheck(made)
+    told = [f for f in found.findings if f.topic == "readings"]
     assert [f.level for f in told] == ["warning" if "meas" in lags else "note"]
     assert ('q1_deg = "q1_cmd_deg"' in told[0].text) == ("meas" in lags)
+    # The repair takes the better ones, and only then.
+    assert ("readings 'q1_cmd_deg' and on are taken" in repaired(found)) == ("meas" in lags)
+    assert [f.level for f in precheck(made).findings if f.topic == "readings"] == ["note"]
+    m = read_problem(made).table
+    assert np.array_equal(m.q[:, 0], np.radians(table["q1_cmd_deg" if "meas" in lags else "q1_meas_deg"]))
