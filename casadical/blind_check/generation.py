@@ -55,8 +55,8 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
     # Some columns of the base model are linearly dependent; without a rank threshold they would add
     # arbitrary directions.
     Q = orth(A / np.maximum(np.linalg.norm(A, axis=0), 1e-300), rcond=1e-9)
-    left = shift.ravel() - Q @ (Q.T @ shift.ravel())
-    return float(np.sqrt(np.mean(left**2)))
+    remaining = shift.ravel() - Q @ (Q.T @ shift.ravel())
+    return float(np.sqrt(np.mean(remaining**2)))
 
 
 # Number of a campaign's additional poses whose positions are only in the key.

@@ -206,7 +206,7 @@ def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
     # Answers with outliers are counted separately: their number among fifty poses is random, and
     # they are no error of the robot.
     wrong, every = shrink_errors([t for t in outcomes if "outliers" not in t.named]), shrink_errors(outcomes)
-    left = [t.after / t.before for t in detectable(outcomes) if t.kind in ("one", "several")]
+    gap_ratios = [t.after / t.before for t in detectable(outcomes) if t.kind in ("one", "several")]
     return {
         "false alarms where there is nothing": (false_alarms(none), "at most .01"),
         "detection, signal >= .5": (detection(hidden, STRONG_SIGNAL), ".99"),
@@ -230,7 +230,7 @@ def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
         "shrink foretold less realised, median": (quantile(wrong, 0.5), "at most .04"),
         "shrink foretold less realised, 90th percentile": (quantile(wrong, 0.9), "at most .12"),
         "the same where outliers are named too": (quantile(every, 0.9), ""),
-        "listed effects, signal >= .35: share of the gap that is left, median": (quantile(left, 0.5), ""),
+        "listed effects, signal >= .35: share of the gap that is left, median": (quantile(gap_ratios, 0.5), ""),
     }
 
 

@@ -187,11 +187,11 @@ def predict(
         if head.key_sha256 != manifest.key_sha256:
             raise InputError(f"{path}: holds answers to another check; name another file by --out")
         done = set(answers)
-    left = [name for name in manifest.campaigns if name not in done]
+    pending = [name for name in manifest.campaigns if name not in done]
     robots = {c.robot: folder / protocol.ROBOTS_FOLDER / f"{c.robot}.robot.toml" for c in manifest.campaigns.values()}
     models = {robot: to_toml(read_robot(path)) for robot, path in robots.items()}
     tasks = []
-    for name in left:
+    for name in pending:
         seen, unseen = (protocol.read_table(folder, name + end) for end in ("", ".unseen"))
         if {"x_mm", "y_mm", "z_mm"} & set(unseen):
             place = folder / name

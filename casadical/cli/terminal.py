@@ -62,9 +62,9 @@ def refusal(error: object) -> None:
         title = f"casadical: {len(error.faults)} faults of the input; of each the worst value and its row first"
         width = None if sys.stderr.isatty() else TABLE_WIDTH_WITHOUT_TERMINAL
         Console(stderr=True, width=width, markup=False, emoji=False).print(terminal([Table(title, columns, rows)]))
-        left = max(0, MAX_FAULTS_SHOWN - len(error.faults))
-        more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:left])
-        lines = [line for text in error.others[:left] for line in text.splitlines()]
+        room = max(0, MAX_FAULTS_SHOWN - len(error.faults))
+        more = len(error.faults) + len(error.others) - len(rows) - len(error.others[:room])
+        lines = [line for text in error.others[:room] for line in text.splitlines()]
         lines += [f"and {more} more"] if more else []
     else:
         lines = f"casadical: {error}".splitlines()

@@ -77,8 +77,8 @@ class IwoSettings:
 
         iteration : number of the generation, 0 to `iterations`
         """
-        left = (self.iterations - iteration) / self.iterations
-        return float(left**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
+        fraction = (self.iterations - iteration) / self.iterations
+        return float(fraction**self.exponent * (self.sigma_initial - self.sigma_final) + self.sigma_final)
 
 
 def seed_counts(losses: Array, seeds_min: int, seeds_max: int) -> Array:

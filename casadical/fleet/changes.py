@@ -186,20 +186,20 @@ class Comparison(Result):
 
         Residuals are unusual if they exceed those of the others, or those of any calibrated robot.
         """
-        left = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
+        fitted = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
         said = []
         # End of a sentence on unusual residuals.
         no_known_cause = (
             "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
         )
-        for k, (c, sigma, freedom) in enumerate(left):
-            others = [(s, f) for _, s, f in left[:k] + left[k + 1 :]]
+        for k, (c, sigma, freedom) in enumerate(fitted):
+            others = [(s, f) for _, s, f in fitted[:k] + fitted[k + 1 :]]
             # Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's
             # reach; a greater one is reported as unusual.
             if sigma > 0.003 * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {no_known_cause}")
-            elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(left)):
+            elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(fitted)):
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {no_known_cause}")
             elif freedom < MIN_FREEDOM and not others:
                 said.append(
@@ -232,8 +232,8 @@ class Comparison(Result):
         named = {function.__name__: function for function in functions}
         lines = []
         for c, at in zip(self.campaigns, _places(self), strict=True):
-            left = "" if c.sigma is None else mm(c.sigma)
-            lines.append((c.label, str(at), str(c.poses), left, f"{c.misfit:.2f}", "; ".join(c.notes)))
+            sigma = "" if c.sigma is None else mm(c.sigma)
+            lines.append((c.label, str(at), str(c.poses), sigma, f"{c.misfit:.2f}", "; ".join(c.notes)))
         head = ("campaign", "day" if self.dated else "number", "poses", "left [mm]", "misfit", "")
         campaigns = Table("Campaigns", head, lines, frozenset({2, 3, 4}))
         return self._report_blocks(tables=[campaigns, seen], tables_of=_tables_of, **named)
@@ -256,8 +256,8 @@ class Comparison(Result):
         step = None if self.dated else 1 + len(self.campaigns) // 12  # between the ticks
         figures = [_course(self, change, step) for change in self.changes]
         if any(c.sigma is not None for c in self.campaigns):
-            left = [None if c.sigma is None else 1e3 * c.sigma for c in self.campaigns]
-            life = (self.campaigns[0].robot.name, _places(self), left, False)
+            sigmas = [None if c.sigma is None else 1e3 * c.sigma for c in self.campaigns]
+            life = (self.campaigns[0].robot.name, _places(self), sigmas, False)
             figures.append(residuals_figure("left", [life], step, height=260, caption=_RESIDUALS_CAPTION))
         return {figure.name: figure for figure in figures}
 
@@ -290,8 +290,8 @@ def exceeded_residual(own: tuple[float, float], others: Sequence[tuple[float, fl
     """
     if not others:
         return 0.0
-    left, free = np.array(others).T
-    usual = float(np.sqrt(np.average(left**2, weights=free)))
+    sigmas, free = np.array(others).T
+    usual = float(np.sqrt(np.average(sigmas**2, weights=free)))
     chance = fdtrc(own[1], free.sum(), (own[0] / (MAX_USUAL_RATIO * usual)) ** 2)
     return usual if chance <= alarms else 0.0
 
@@ -305,8 +305,8 @@ def in_words(found: Comparison, change: Change) -> str:
     """
     since = found.campaigns[change.since].label
     if not change.named:
-        held = np.cumsum([r.probability for r in change.rivals])
-        rivals = " or ".join(r.label for r in change.rivals[: 1 + int(np.searchsorted(held, 0.95))])
+        cumulative = np.cumsum([r.probability for r in change.rivals])
+        rivals = " or ".join(r.label for r in change.rivals[: 1 + int(np.searchsorted(cumulative, 0.95))])
         return f"{rivals}, which these poses do not distinguish, {COURSE_WORDS[change.course]} {since}"
     # Smallest difference at which a parameter of another robot counts as different [standard
     # errors].
@@ -427,13 +427,13 @@ def residuals_figure(
         Series(
             "linked",
             x,
-            list(left),
+            list(sigmas),
             colour="red" if changed else "grey",
             width=2 if changed else 1,
-            facts=[robot] * len(left),
+            facts=[robot] * len(sigmas),
             tip="<b>%{customdata}</b>, %{x}<br>%{y:.4f} mm",
         )
-        for robot, x, left, changed in lives
+        for robot, x, sigmas, changed in lives
     ]
     x, y = Axis("campaign", step=step), Axis("one sigma [mm]", begins=True)
     return Figure(name, "Left in each campaign", series, x, y, **figure)

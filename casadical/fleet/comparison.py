@@ -73,7 +73,7 @@ def compare(
     campaigns = with_common_noise(campaigns)
     names, information, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
     times = times_of(campaigns)
-    accepted, left, swap = changes_in(information, candidates, times, dated=first.day is not None)
+    accepted, remaining, swap = changes_in(information, candidates, times, dated=first.day is not None)
     model = _model_given(information, accepted)
     changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
 
@@ -87,7 +87,7 @@ def compare(
 
     seen, placements = _detectable_sizes(model_before, candidates, first), _placements(campaigns, names, model)
     noted = tuple(dict.fromkeys(notes))
-    return Comparison(tuple(campaigns), names, changes, left, tuple(seen), tuple(placements), noted)
+    return Comparison(tuple(campaigns), names, changes, remaining, tuple(seen), tuple(placements), noted)
 
 
 def shared_information(
@@ -168,18 +168,18 @@ def changes_in(
 
     times : time of each campaign, shape (n,) [years]; dated : whether they come from dates
     """
-    accepted, left, score = _stepwise_changes(
+    accepted, remaining, score = _stepwise_changes(
         information, [c for c in candidates if c.kind != ANOTHER_ROBOT], times, dated
     )
     if len(accepted) < 2:
-        return accepted, left, ("", 0.0)
+        return accepted, remaining, ("", 0.0)
     swapped, more, other = _stepwise_changes(information, candidates, times, dated)
     labels = [a.candidate.label for a in swapped]
     if ANOTHER_ROBOT not in labels:
-        return accepted, left, ("", 0.0)
+        return accepted, remaining, ("", 0.0)
     chance = float(1 / (1 + np.exp(np.clip(score - other, -500, 500))))
     if chance < 0.5:
-        return accepted, left, (ANOTHER_ROBOT, chance)
+        return accepted, remaining, (ANOTHER_ROBOT, chance)
     swap = [a.candidate.label for a in accepted if a.candidate.label not in labels]
     return swapped, more, (" with ".join(swap), 1 - chance)
 

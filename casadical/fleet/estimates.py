@@ -275,14 +275,14 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
     noise has it from the held-out poses of a robot file, too.
     """
     estimates = list(campaigns)
-    left = [k for k, c in enumerate(campaigns) if c.fit is not None]
-    if len(left) == 1:
+    ungrouped = [k for k, c in enumerate(campaigns) if c.fit is not None]
+    if len(ungrouped) == 1:
         held_out = next((c.held_out for c in campaigns if c.held_out), None)
-        estimates[left[0]] = _with_noise_of_file(campaigns[left[0]], held_out)
+        estimates[ungrouped[0]] = _with_noise_of_file(campaigns[ungrouped[0]], held_out)
         return estimates
-    while left:
-        group = [k for k in left if _may_share_instrument(campaigns[left[0]], campaigns[k])]
-        left = [k for k in left if k not in group]
+    while ungrouped:
+        group = [k for k in ungrouped if _may_share_instrument(campaigns[ungrouped[0]], campaigns[k])]
+        ungrouped = [k for k in ungrouped if k not in group]
         for k, own in zip(group, _with_pooled_noise([campaigns[k] for k in group]), strict=True):
             estimates[k] = own
     return estimates

@@ -129,9 +129,9 @@ class Common:
         values = {n: robot.parameters[n].value + d for n, d in zip(names, mean, strict=True)}
         C = self.covariance[np.ix_(own, own)] + np.diag(self.spread[own] ** 2)
         # Parameters that the fleet could not determine stay as drawn: others include their effect.
-        held = [p for p in robot.parameters if p.group in ("geometry", "loop", "compliance") and p.name not in names]
+        fixed = [p for p in robot.parameters if p.group in ("geometry", "loop", "compliance") and p.name not in names]
         blocks = [Covariance(names, (C + C.T) / 2 * np.outer(scale, scale))]
-        blocks += [Covariance((p.name,), np.array([[(MIN_SPREAD * p.scale) ** 2]])) for p in held]
+        blocks += [Covariance((p.name,), np.array([[(MIN_SPREAD * p.scale) ** 2]])) for p in fixed]
         knowledge = Knowledge(tuple(blocks), f"{self.count} robots of the fleet", robots=self.count)
         return replace(robot.with_values(values), knowledge=knowledge)
 

@@ -167,8 +167,8 @@ class Fleet(Result):
             comment = f"What {c.count} robots of one fleet have in common, as the prior of another one of this type."
             prior = replace(c.prior_of(drawn), name=c.name)
             assert prior.knowledge is not None
-            if held := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
-                comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(held)}."
+            if unnamed := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
+                comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(unnamed)}."
             texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(prior, comment, known_alone=True)
         return texts
 
@@ -296,16 +296,16 @@ def without_outlier_notes(notes: str) -> str:
     return "; ".join(note for note in notes.split("; ") if not note.endswith("left out as outliers"))
 
 
-def grown(left: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
+def grown(sigmas: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:
     """Return a sentence if the last campaign has significantly greater residuals than those before.
 
     Else the text is empty. Campaigns without a residual or degrees of freedom do not count.
 
-    left : residual sigma of a coordinate in each campaign [mm]
+    sigmas : residual sigma of a coordinate in each campaign [mm]
     freedom : its degrees of freedom; None: unknown
     alarms : level of significance, the probability of a false alarm
     """
-    both = np.array(np.broadcast_arrays(left, np.array(freedom, dtype=float)))
+    both = np.array(np.broadcast_arrays(sigmas, np.array(freedom, dtype=float)))
     known, free = both[:, np.isfinite(both).all(axis=0)]
     pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
     before = exceeded_residual(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
@@ -413,14 +413,14 @@ def trends(good: pd.DataFrame, grown: Collection[str]) -> Figure:
     lives: list[tuple[str, list[object], list[float], bool]] = []
     for r in records(several):  # by day or, where no robot has days, by number: not both on one axis
         points = zip([date_text(day) if dated else k + 1 for k, day in enumerate(r["days"])], r["left_mm"], strict=True)
-        drawn = [(x, left) for x, left in points if x]
-        lives.append((r["robot"], [x for x, _ in drawn], [left for _, left in drawn], bool(r["changes"])))
+        drawn = [(x, sigmas) for x, sigmas in points if x]
+        lives.append((r["robot"], [x for x, _ in drawn], [sigmas for _, sigmas in drawn], bool(r["changes"])))
     named = [life for life in lives if life[2] and np.isfinite(life[2][-1])]
     if len(named) > MAX_LABELS:
         named = [life for life in named if life[3] or life[0] in grown]
     first = sorted(named, key=lambda life: (not life[3], -life[2][-1]))[:MAX_LABELS]
     named = sorted(first, key=lambda life: -life[2][-1])
-    most = max((v for _, _, left, _ in lives for v in left if np.isfinite(v)), default=1.0)
+    most = max((v for _, _, sigmas, _ in lives for v in sigmas if np.isfinite(v)), default=1.0)
     heights = _apart([life[2][-1] for life in named], MIN_LABEL_DISTANCE * most)
     notes = [
         Note(name, 1, y, "x", colour="red" if changed else "muted", size=12.5)

@@ -64,27 +64,27 @@ def run_fleet(
         stored, damaged = rows(place)
         known = stored.set_index("robot")
         robots, prints, notes = _without_copies(robots, known)
-        left, renamed, said = _to_compute(robots, prints, known, with_diagnosis)
+        pending, renamed, said = _to_compute(robots, prints, known, with_diagnosis)
         for row in records(stored[stored["robot"].isin(renamed)]):
             name = renamed[row["robot"]]
             add(place, {**row, "robot": name, "folder": str(robots[name].resolve())})
-        count, total = len(robots) - len(left), len(robots)
+        count, total = len(robots) - len(pending), len(robots)
         again = f"robots are in {shown(place)}: run the same command again, it continues there"
         show(f"robot {count} of {total}")
         try:
-            for row in _computed(left, robots, scheduler, workers, with_diagnosis) if left else ():
+            for row in _computed(pending, robots, scheduler, workers, with_diagnosis) if pending else ():
                 add(place, row)
                 count += 1
                 show(f"robot {count} of {total}")
         except InputError as error:
             raise InputError(
-                f"{error}; {count} of {total} {again}" if count > total - len(left) else f"{error}"
+                f"{error}; {count} of {total} {again}" if count > total - len(pending) else f"{error}"
             ) from None
         except KeyboardInterrupt:
             raise KeyboardInterrupt(f"interrupted; {count} of {total} {again}") from None
         whole, _ = rows(place)
     whole = whole[whole["robot"].isin(robots)].sort_values("robot", ignore_index=True)
-    return fleet_of(whole, (*damaged, *notes, *said), len(left))
+    return fleet_of(whole, (*damaged, *notes, *said), len(pending))
 
 
 def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
@@ -146,7 +146,7 @@ def _to_compute(
     known : rows of the store, indexed by the robot's name
     with_diagnosis : whether a row without a diagnosis counts as not computed
     """
-    left: list[str] = []
+    pending: list[str] = []
     renamed: dict[str, str] = {}
     gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
     for name in robots:
@@ -154,9 +154,9 @@ def _to_compute(
         if row is None and now in gone:
             renamed[gone[now]] = name
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):
-            left.append(name)
+            pending.append(name)
     words = "{} has the files of {}, whose folder is not there: taken for it, renamed"
-    return left, renamed, [words.format(name, old) for old, name in renamed.items()]
+    return pending, renamed, [words.format(name, old) for old, name in renamed.items()]
 
 
 def _computed(

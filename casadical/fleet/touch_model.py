@@ -358,10 +358,10 @@ class TouchModel:
         chosen = rng.choice(len(flat), size=NUMBER_OF_DRAWS, p=p / p.sum())
         label, since = np.full(NUMBER_OF_DRAWS, "", dtype=object), np.zeros(NUMBER_OF_DRAWS, dtype=int)
         d, extra = np.zeros((NUMBER_OF_DRAWS, len(self.names))), np.zeros(NUMBER_OF_DRAWS)
-        x, left = np.zeros_like(d), [self._conditional_sampler(k, rng) for k in range(len(none))]
+        x, samplers = np.zeros_like(d), [self._conditional_sampler(k, rng) for k in range(len(none))]
         for k in range(len(none)):
             own = np.flatnonzero(chosen == k)
-            x[own] = left[k](np.zeros((len(own), len(self.day))))
+            x[own] = samplers[k](np.zeros((len(own), len(self.day))))
         begins = len(none)
         for h in every:
             inside = chosen[(chosen >= begins) & (chosen < begins + h.logs.size)]
@@ -370,7 +370,7 @@ class TouchModel:
                 row, kappa = divmod(int(number) - begins, len(KAPPAS))
                 a = h.amplitudes(row, float(KAPPAS[kappa]), len(own), rng)
                 label[own], since[own] = h.candidate.label, h.since[row]
-                x[own] = left[h.level](h.factors[row] * (a @ h.Z.T))
+                x[own] = samplers[h.level](h.factors[row] * (a @ h.Z.T))
                 if h.candidate.kind == UNKNOWN:  # displacements of the poses of the last day
                     moved = a.reshape(len(a), -1, 3)[:, np.unique(self._poses[(self.day == len(self.days))[::3]])]
                     extra[own] = np.sqrt((moved**2).sum(axis=2).mean(axis=1))

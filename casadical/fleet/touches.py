@@ -198,8 +198,10 @@ class Touches(Result):
     def why_not_updated(self) -> str:
         """A sentence why the robot is not corrected, with the change before and after."""
         before, after, sure = self.gain
-        left = f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
-        return f"{left}; leaving it is as good"
+        remaining = (
+            f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
+        )
+        return f"{remaining}; leaving it is as good"
 
     def updated_text(self) -> str:
         """Return the text of the corrected robot's TOML file.
@@ -514,8 +516,8 @@ def judge_touches(
         weights=weights,
         dates=tuple(day_of(p) for p, _ in distinct),
     )
-    left = 1e-3 * np.linalg.norm(model.residual_mm, axis=1)
-    today = left[(model.day == len(distinct))[::3]]
+    residual_m = 1e-3 * np.linalg.norm(model.residual_mm, axis=1)
+    today = residual_m[(model.day == len(distinct))[::3]]
     # A greater median distance from the predictions shows another frame or another robot [m].
     if (far := float(np.median(today))) > 0.03:
         raise InputError(

@@ -72,8 +72,8 @@ class Departure(Shown):
         if not self.visible:
             return f"The geometry does not visibly depart from nominal (at most {self.high:.2g} mm and mrad rms)."
         interval = f"{self.size:.2g} mm and mrad rms ({self.low:.2g} to {self.high:.2g})"
-        held = "" if self.prior is None else "; what the poses leave open is held that near to nominal"
-        return f"The geometry departs from nominal by {interval}{held}."
+        prior = "" if self.prior is None else "; what the poses leave open is held that near to nominal"
+        return f"The geometry departs from nominal by {interval}{prior}."
 
 
 def departure_of(problem: LeastSquares, v: Array, variance: float, names: Sequence[str]) -> Departure | None:

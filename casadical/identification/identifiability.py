@@ -60,14 +60,14 @@ class Identifiability:
 
 
 def analyse(
-    J: Array, names: Sequence[str], always: int, held: dict[str, str], moved: str = "moves the measured points"
+    J: Array, names: Sequence[str], always: int, fixed: dict[str, str], moved: str = "moves the measured points"
 ) -> Identifiability:
     """Return which parameters (columns of a Jacobian) are independent, and why others are not.
 
     J : shape (residuals, always + len(names)), in units of sigma per unit of scale
     always : number of first columns (unknown points), which are always variables
     names : parameters of the further columns, the preferred ones first
-    unidentifiable : name -> reason, of parameters that are fixed whatever the data
+    fixed : name -> reason, of parameters that are fixed whatever the data
     moved : verb phrase for the effect of a parameter on the data, in the reasons
     """
     R: Array = np.asarray(np.linalg.qr(J, mode="r")) if len(J) > J.shape[1] else J
@@ -77,38 +77,38 @@ def analyse(
     first = np.linalg.qr(unit[:, :always])[0].T
     basis, size = np.zeros((len(first) + len(names), len(R))), len(first)
     basis[:size] = first
-    kept: list[int] = []
+    independent_columns: list[int] = []
     reasons: dict[int, str] = {}
     for k, (name, column) in enumerate(zip(names, unit.T[always:], strict=True), always):
         if invisible[k]:
             reasons[k] = NO_EFFECT_REASON
             continue
         norm, residual = _projection_residual(basis[:size], column)
-        if name in held:
-            reasons[k] = held[name]
+        if name in fixed:
+            reasons[k] = fixed[name]
         elif norm <= MAX_DEPENDENT_RESIDUAL:
             reasons[k] = ""
         else:
             basis[size] = residual / norm
             size += 1
-            kept.append(k)
-    columns = [*range(always), *kept]
+            independent_columns.append(k)
+    columns = [*range(always), *independent_columns]
     shares, _, _, singular = np.linalg.lstsq(unit[:, columns], unit[:, list(reasons)], rcond=None)
-    shares, independent = np.abs(shares[always:]), [names[j - always] for j in kept]
+    shares, independent = np.abs(shares[always:]), [names[j - always] for j in independent_columns]
     least = np.maximum(0.05 * shares.max(axis=0, initial=0.0), 1e-6)
     alike = [_strongest(share, independent, low) for share, low in zip(shares.T, least, strict=True)]
     dropped = []
     for (k, why), those in zip(reasons.items(), alike, strict=True):
         name, reason = names[k - always], why
-        if name in held:  # fixed whatever the data: the identified ones take up its effect
+        if name in fixed:  # fixed whatever the data: the identified ones take up its effect
             if those and set(re.findall(r"\w+", why)).isdisjoint(those):
                 reason += f"; {' and '.join(those)} {'carries' if len(those) == 1 else 'carry'} it"
         elif not why and those:
             reason = f"it {moved} exactly as {', '.join(those)} {'does' if len(those) == 1 else 'do together'}"
         elif not why:
             reason = "the unknown points absorb it"
-        dropped.append(Unidentifiable(name, reason, those if name in held or not why else ()))
-    condition = float(singular[0] / max(singular[-1], 1e-300)) if kept else 1.0
+        dropped.append(Unidentifiable(name, reason, those if name in fixed or not why else ()))
+    condition = float(singular[0] / max(singular[-1], 1e-300)) if independent_columns else 1.0
     return Identifiability(tuple(independent), tuple(dropped), condition)
 
 
@@ -153,11 +153,11 @@ def drop_poor(
     of the remaining ones in units of their scale, shape (p, p).
     """
     priors = np.array([np.inf if p.guess else p.prior / p.scale for p in parameters])
-    left = list(range(len(H)))
+    remaining = list(range(len(H)))
     poor: list[Unidentifiable] = []
     while True:
-        tested = [k for k in left if k < len(parameters)]
-        covariance = variance * scaled_inverse(H[np.ix_(left, left)])[: len(tested), : len(tested)]
+        tested = [k for k in remaining if k < len(parameters)]
+        covariance = variance * scaled_inverse(H[np.ix_(remaining, remaining)])[: len(tested), : len(tested)]
         errors = np.sqrt(np.diag(covariance))
         ratio = errors / priors[tested]
         if not tested or ratio.max() <= 1:
@@ -176,7 +176,7 @@ def drop_poor(
             verb = "does" if len(partners) == 1 else "do"
             reason += f"; it moves the measured points nearly as {', '.join(partners)} {verb}"
         poor.append(Unidentifiable(p.name, reason, partners))
-        left.remove(tested[worst])
+        remaining.remove(tested[worst])
 
 
 def scaled_solution(H: Array, g: Array) -> Array:

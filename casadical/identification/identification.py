@@ -308,8 +308,8 @@ def calibrated_without_outliers(
     """
     if loss == "auto":
         loss = "huber" if outliers else "linear"
-    kept = replace(prepared, sets=without_poses(prepared.sets, outliers))
-    result = calibrated(kept, loss=loss, screen=False, **options)
+    inliers = replace(prepared, sets=without_poses(prepared.sets, outliers))
+    result = calibrated(inliers, loss=loss, screen=False, **options)
     return replace(result, measurements=prepared.sets, outliers=outliers)
 
 
@@ -336,8 +336,8 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)
     try:
         full = by(replace(wider, method=None, sets=sets))
-        kept = without_poses(sets, full.outliers)
-        rigid = by(replace(prepared, method=None, sets=kept), screen=False)
+        inliers = without_poses(sets, full.outliers)
+        rigid = by(replace(prepared, method=None, sets=inliers), screen=False)
     except (InputError, ConvergenceError):  # too few poses for one of them
         return prepared
     sigmas, squares, freedom = full.problem.sigmas, [], []
@@ -404,8 +404,8 @@ def calibrated(
             "in_camera": in_camera,
         }
         result = calibrated(rest, free, progress=progress, **options)
-        kept = [[i for i in range(len(m)) if (k, i) not in far] for k, m in enumerate(sets)]
-        outliers = tuple(sorted((*far, *((k, kept[k][i]) for k, i in result.outliers))))
+        inliers = [[i for i in range(len(m)) if (k, i) not in far] for k, m in enumerate(sets)]
+        outliers = tuple(sorted((*far, *((k, inliers[k][i]) for k, i in result.outliers))))
         return replace(result, measurements=sets, outliers=outliers)
     plain: Loss = "linear" if loss == "auto" else loss
     seen = tuple(m.in_camera_axes() for m in sets) if in_camera else sets
@@ -456,11 +456,11 @@ def _with_priors(
     names : of the parameters to identify; options : of `calibrated`
     """
     asked = replace(prepared, method=None, free=())
-    held = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
-    judged = held.identifiability
+    shrunk = calibrated_without_outliers(asked, free.outliers, free.loss, free=names, priors=priors, **options)
+    judged = shrunk.identifiability
     others = (u for u in free.identifiability.unidentifiable if u.name not in names)
     judged = replace(judged, unidentifiable=(*judged.unidentifiable, *others))
-    return replace(held, method=free.method, identifiability=judged, departure=free.departure)
+    return replace(shrunk, method=free.method, identifiability=judged, departure=free.departure)
 
 
 def calibrate_base_model(prepared: Prepared, free: Iterable[str] = ("kinematic", "compliance")) -> Identification:

@@ -432,8 +432,8 @@ class LeastSquares:
             rows, y = self.through_loss(k, r, J)
             information += rows.T @ rows
             gradient += rows.T @ y
-        kept = self._joined(residuals) if residuals else None
-        return Sums(0.5 * cost, gradient, information, square, kept, R if triangle else None)
+        joined = self._joined(residuals) if residuals else None
+        return Sums(0.5 * cost, gradient, information, square, joined, R if triangle else None)
 
     def through_loss(self, k: int, r: Array, J: Array) -> tuple[Array, Array]:
         """Return Jacobian (n m, size) and residuals (n m,) of a part, times the root of the weight.

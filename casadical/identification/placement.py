@@ -113,8 +113,8 @@ class PlacementProblem:
         lowest = best_of((self._refined(start, self.prior) for start in starts), lambda placed: -placed.cost)
         H, unit = self._sums(lowest)[0], np.diag(self.prior) ** -0.5
         value, V = np.linalg.eigh(H * np.outer(unit, unit))
-        kept = (V * (value < MIN_FREED_VARIANCE_RATIO)) @ V.T / np.outer(unit, unit)
-        return self._refined(lowest, kept)
+        fixed = (V * (value < MIN_FREED_VARIANCE_RATIO)) @ V.T / np.outer(unit, unit)
+        return self._refined(lowest, fixed)
 
     def starts(self) -> list[FrameEstimate]:
         """Return initial estimates: the file's frames, and the base rotated by right angles.
@@ -251,16 +251,16 @@ def _placed(
     T_M0, t : initial base frame (4, 4) and tool position (3,) [m]
     """
     file = robot.tool.T[:3, 3]
-    held = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
+    placement = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
     starts = []
     if len(p) >= MIN_START_READINGS:
         T, tool = solve_placement(p, R, y, known, T_M0, t)
         starts.append(FrameEstimate(T[:3, :3], T[:3, 3], tool))
-        if held.determined(starts[0]):
+        if placement.determined(starts[0]):
             return T, tool
     T, _ = solve_placement(p, R, y, file, robot.base.T, file)
     starts += [FrameEstimate(T[:3, :3], T[:3, 3], file), FrameEstimate(robot.base.T[:3, :3], robot.base.T[:3, 3], file)]
-    best = held.best(starts)
+    best = placement.best(starts)
     return frame(best.R, best.p), best.t
 
 
@@ -282,8 +282,8 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
         some = m[::step]
         assert some.distance is not None
         readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))
-    held = PlacementProblem(readings, T, tool, tool_known=robot.tool.unknown == "none")
-    best = held.best(held.starts())
+    placement = PlacementProblem(readings, T, tool, tool_known=robot.tool.unknown == "none")
+    best = placement.best(placement.starts())
     T_E = frame(robot.tool.T[:3, :3], best.t)
     return replace(robot, base=replace(robot.base, T=frame(best.R, best.p)), tool=replace(robot.tool, T=T_E))
 

@@ -232,12 +232,12 @@ def frame_error(robot: Robot, m: Measurements) -> float:
     free = replace(robot, tool=replace(robot.tool, unknown="pose"))
     if robot.base.unknown != "pose" or m.position is None or len(m) < MIN_POSES_PER_PART:
         return 0.0
-    kept, placed = np.ones(len(m), dtype=bool), robot
+    inliers, placed = np.ones(len(m), dtype=bool), robot
     for _ in range(EXCLUSION_ROUNDS):
-        placed = place_frames(free, m[kept])
+        placed = place_frames(free, m[inliers])
         length = np.linalg.norm(predicted(placed, m)[0] - m.position, axis=1)
         # Positions with more than five times the median error are excluded.
-        kept = length <= 5.0 * np.median(length)
+        inliers = length <= 5.0 * np.median(length)
     # A model this wrong does not determine the base's orientation.
     if np.median(length) > 0.02 * robot.reach:
         return 0.0

@@ -51,15 +51,15 @@ def covariance_of_all(
     given : the robot as its file has it, with base and tool where they were assumed to be
     """
     solved = ~problem.at_bounds(v)
-    free = [n for n, kept in zip(problem.names, solved, strict=False) if kept]
+    free = [n for n, is_solved in zip(problem.names, solved, strict=False) if is_solved]
     own = covariance(problem, v, variance)
-    held = [p.name for p in problem.robot.parameters if p.name not in free and p.prior > 0]
-    whole = problem.with_names([*free, *held])
+    fixed = [p.name for p in problem.robot.parameters if p.name not in free and p.prior > 0]
+    whole = problem.with_names([*free, *fixed])
     values = problem.values(v)
     start = [(values.get(n, p.value) - p.value) / p.scale for n in whole.names for p in [problem.robot.parameters[n]]]
     at_optimum = np.concatenate([start, v[len(problem.names) :]])
     H = whole.information(at_optimum)
-    f, e = len(free), len(held)
+    f, e = len(free), len(fixed)
     fitted = [*range(f), *range(f + e, len(H))]
     inside = np.flatnonzero(solved)
     P = problem.prior_matrix[np.ix_(inside, inside)]
@@ -67,7 +67,7 @@ def covariance_of_all(
     scale = whole.scale
     A = A[:f] * np.outer(scale[:f], 1 / scale[f:])
     sizes = _prior_size_factors(whole, at_optimum, variance, given)[f : f + e]
-    S = _prior_covariance(problem, held) * np.outer(sizes, sizes)
+    S = _prior_covariance(problem, fixed) * np.outer(sizes, sizes)
     at = inside[inside < len(problem.names)]
     C = np.block([[own[np.ix_(at, at)] + A @ S @ A.T, -A @ S], [-S @ A.T, S]])
     return whole, np.array(start), C
@@ -131,8 +131,8 @@ def _data_information(whole: LeastSquares, v: Array, variance: float, unit: Arra
     value, V = np.linalg.eigh((H - whole.prior_matrix) * np.outer(unit, unit) / variance)
     seen = value > len(v) * np.finfo(float).eps * value[-1]
     # Information relative to the prior is limited, so that squares keep their digits.
-    V, kept = V[:, seen], np.minimum(value[seen], 1e8)
-    return (V * kept) @ V.T, V @ (kept / value[seen] * (V.T @ product))
+    V, information = V[:, seen], np.minimum(value[seen], 1e8)
+    return (V * information) @ V.T, V @ (information / value[seen] * (V.T @ product))
 
 
 def _known_covariances(problem: LeastSquares) -> Iterator[Covariance]:

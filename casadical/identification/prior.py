@@ -194,8 +194,8 @@ def carry_over(
             raise InputError(f"prior {other.name!r}: {p.name} is {value}; it must be a finite number")
     model = model.with_values({p.name: theirs[p.name].value for p in taken})
     if frozen:
-        kept = knowledge.without(set(knowledge.std_errors) - {p.name for p in taken})
-        return replace(model, knowledge=kept), Prior(labels=labels, knowledge=knowledge, frozen=True)
+        remaining = knowledge.without(set(knowledge.std_errors) - {p.name for p in taken})
+        return replace(model, knowledge=remaining), Prior(labels=labels, knowledge=knowledge, frozen=True)
     lost = [label for label in labels if not any(name.startswith(f"{label}.") for name in knowledge.std_errors)]
     if lost or not knowledge.std_errors:
         raise InputError(

@@ -164,23 +164,23 @@ def solve_without_outliers(
     solved = _solve_with_sigmas(problem, progress, optima)
     if problem.loss == "linear":
         return solved, ()
-    kept = [np.arange(len(m)) for m in problem.sets]
+    inliers = [np.arange(len(m)) for m in problem.sets]
     taken_back = [np.zeros(len(m), dtype=bool) for m in problem.sets]
     for _ in range(rounds):
-        masks = zip(outlier_masks(solved[0], solved[1]), taken_back, kept, strict=True)
+        masks = zip(outlier_masks(solved[0], solved[1]), taken_back, inliers, strict=True)
         far = [mask & ~back[index] for mask, back, index in masks]
         if any(mask.any() for mask in far):
-            kept = [index[~mask] for index, mask in zip(kept, far, strict=True)]
+            inliers = [index[~mask] for index, mask in zip(inliers, far, strict=True)]
         else:
-            again = [np.setdiff1d(back, index) for back, index in zip(explained(problem, solved), kept, strict=True)]
+            again = [np.setdiff1d(back, index) for back, index in zip(explained(problem, solved), inliers, strict=True)]
             if not any(map(len, again)):
                 break
             for k, back in enumerate(again):
                 taken_back[k][back] = True
-            kept = [np.union1d(index, back) for index, back in zip(kept, again, strict=True)]
-        sets = _with_noise_of(solved[0], [m[index] for m, index in zip(problem.sets, kept, strict=True)])
+            inliers = [np.union1d(index, back) for index, back in zip(inliers, again, strict=True)]
+        sets = _with_noise_of(solved[0], [m[index] for m, index in zip(problem.sets, inliers, strict=True)])
         solved = _solve_with_sigmas(replace(problem, sets=sets, sigmas=solved[0].sigmas), progress, optima)
-    out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, kept, strict=True)]
+    out = [np.setdiff1d(np.arange(len(m)), index) for m, index in zip(problem.sets, inliers, strict=True)]
     return solved, tuple((k, int(i)) for k, left in enumerate(out) for i in left)
 
 
@@ -324,7 +324,7 @@ def reduce_and_solve(
             "(free=['placement', ...]), or use priors"
         )
     poor: list[Unidentifiable] = []
-    left = 0.0
+    largest_sigma = 0.0
     while reduced.names:
         variables = reduced.names, reduced.labels
         try:
@@ -340,7 +340,7 @@ def reduce_and_solve(
                 raise
         else:
             optima[variables] = solution.v
-            left = left or _largest_residual_sigma(reduced, solution.v)
+            largest_sigma = largest_sigma or _largest_residual_sigma(reduced, solution.v)
             worse = [] if problem.priors else _poorly_determined(reduced, solution.v, variance(reduced, solution.v))
             if not worse:
                 more = _with_visible(reduced, solution.v, analysis, problem.names)
@@ -358,18 +358,18 @@ def reduce_and_solve(
         poor += worse
         gone = {u.name for u in worse}
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
-    if left > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
+    if largest_sigma > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
         frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
         known = " and ".join(name for name, frame in frames if frame.unknown == "none")
         frames_known = f'; known here: {known}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
         raise InputError(
-            f"{problem.sets[0].source}: the model does not fit: {1e3 * left:.3g} mm per coordinate remain after the "
-            "best fit; check the signs and zeros of the joints, their order, units and the DH convention"
+            f"{problem.sets[0].source}: the model does not fit: {1e3 * largest_sigma:.3g} mm per coordinate remain "
+            "after the best fit; check the signs and zeros of the joints, their order, units and the DH convention"
             f"{known and frames_known}"
         )
-    held = (*poor, *analysis.unidentifiable)
-    reasons = "; ".join(f"{u.name}: {u.reason}" for u in held[:MAX_NAMES_IN_MESSAGE]) + (
-        f"; and {len(held) - MAX_NAMES_IN_MESSAGE} more" if len(held) > MAX_NAMES_IN_MESSAGE else ""
+    fixed = (*poor, *analysis.unidentifiable)
+    reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:MAX_NAMES_IN_MESSAGE]) + (
+        f"; and {len(fixed) - MAX_NAMES_IN_MESSAGE} more" if len(fixed) > MAX_NAMES_IN_MESSAGE else ""
     )
     raise InputError(
         f"{problem.sets[0].source}: these measurements determine none of the parameters to be identified. {reasons}"
@@ -402,8 +402,8 @@ def _with_visible(
     if visible != hidden:
         wider, at = _with_added_parameters(problem, v, visible, order)
     # The variance is that after one step: what the added parameters explain is not noise.
-    left = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
-    worse = {u.name for u in _poorly_determined(wider, at, left * variance(problem, v), tilts)}
+    cost_ratio = max(0.0, 1 - wider.decrement(at) / max(wider.cost(at), 1e-300))
+    worse = {u.name for u in _poorly_determined(wider, at, cost_ratio * variance(problem, v), tilts)}
     if not visible & worse:
         return wider, at
     return None if visible <= worse else _with_added_parameters(problem, v, visible - worse, order)
@@ -467,9 +467,9 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     robot, names, p = problem.robot, problem.names, len(problem.names)
     loaded = any(j.compliance is not None for j in robot.joints) or bool(robot.effects)
     own = [robot.parameters[n] for n in names]
-    held = {parameter.name: parameter.fixed_reason for parameter in own if parameter.fixed_reason}
+    fixed = {parameter.name: parameter.fixed_reason for parameter in own if parameter.fixed_reason}
     if not any(find_kind(m.kind).at_rest(m.arrays) for m in problem.sets):
-        held |= dict.fromkeys(_WHOLE_ROBOT, GAUGE_REASON)
+        fixed |= dict.fromkeys(_WHOLE_ROBOT, GAUGE_REASON)
     of_effects = {e.label for e in robot.effects}
     wide = bool(problem.priors) and p > MANY_PARAMETERS  # effects with priors need no test of independence
     asked = [k for k, parameter in enumerate(own) if not (wide and parameter.group in of_effects)]
@@ -485,7 +485,7 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
         # There are too few data to find confounded parameters without the priors.
         R = np.concatenate([R, np.diag(np.sqrt(np.diag(problem.prior_matrix)))[:, columns]])
     points = 3 * len(problem.labels)
-    analysis = analyse(R, [names[k] for k in asked], points, held)
+    analysis = analyse(R, [names[k] for k in asked], points, fixed)
     if wide:
         dropped = {u.name for u in analysis.unidentifiable}
         return replace(analysis, independent=tuple(n for n in names if n not in dropped))
@@ -495,8 +495,8 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
     longest = best_of(known, lambda n: abs(_length(problem, n))) if known else ""
     if not longest or not _scale_is_free(problem):
         return analysis
-    held[longest] = "contacts without known separations do not determine the scale; this length is its reference"
-    return analyse(R, names, points, held)
+    fixed[longest] = "contacts without known separations do not determine the scale; this length is its reference"
+    return analyse(R, names, points, fixed)
 
 
 def _length(problem: LeastSquares, name: str) -> float:

@@ -284,7 +284,7 @@ class Identification(Result):
         for i in poses[:20] if m.position is not None else ():  # of more rows no list is read
             one = m[[i]]
             square = residual_mm(self.robot, one)[0] ** 2
-            left = dict(zip("xyz", square.sum() - square, strict=True))
+            remaining = dict(zip("xyz", square.sum() - square, strict=True))
             for j in range(one.q.shape[1]):
                 moved = one
                 for _ in range(8):  # Gauss-Newton steps in one reading
@@ -292,9 +292,9 @@ class Identification(Result):
                     r = residual_mm(self.robot, moved)[0]
                     slope = (residual_mm(self.robot, replace(moved, q=moved.q + step))[0] - r) / 1e-6
                     moved = replace(moved, q=moved.q - 1e6 * step * (slope @ r) / max(slope @ slope, 1e-12))
-                left[f"q{j + 1}"] = float((residual_mm(self.robot, moved)[0] ** 2).sum())
+                remaining[f"q{j + 1}"] = float((residual_mm(self.robot, moved)[0] ** 2).sum())
             # Two coordinates are left over, which noise alone makes larger once in a thousand.
-            enough = [name for name, rest in left.items() if rest < chdtri(2, 1e-3) * (1e3 * sigma) ** 2]
+            enough = [name for name, rest in remaining.items() if rest < chdtri(2, 1e-3) * (1e3 * sigma) ** 2]
             columns[i] = enough[0] if len(enough) == 1 else ""
         return [LeftOut(m.source, int(m.row[i]), float(e[i]), columns[i]) for i in poses]
 
@@ -518,9 +518,11 @@ class Identification(Result):
             text += f"; AT BOUNDS: {', '.join(self.at_bounds)} - widen the bounds or doubt the model"
         if self.outliers:
             text += f"; left out as outliers: {rows_in_words(self.left_out, of=self.sources)}"
-        left = max(sigma for sigma, _ in self.sigmas)
-        if left > MAX_RESIDUAL_OF_REACH * self.robot.reach:
-            text += f"; THE MODEL DOES NOT FIT: {1e3 * left:.3g} mm remain - check joint signs, zeros and units"
+        largest_sigma = max(sigma for sigma, _ in self.sigmas)
+        if largest_sigma > MAX_RESIDUAL_OF_REACH * self.robot.reach:
+            text += (
+                f"; THE MODEL DOES NOT FIT: {1e3 * largest_sigma:.3g} mm remain - check joint signs, zeros and units"
+            )
         return f"{text}. {self.solution.message}"
 
 
@@ -536,17 +538,17 @@ def learnt_from(found: Identification, before: Knowledge) -> Knowledge:
     labels = {e.label for e in found.robot.effects}
     groups = [found.robot.parameters[name].group for name in found.names]
     owners = [group if group in labels else "" for group in groups]
-    kept = before.without(found.names)
+    remaining = before.without(found.names)
     own = blocks(found.names, owners, found.covariance)
     if labels and not any(owners):
-        return replace(kept, covariance=(*own, *kept.covariance))
+        return replace(remaining, covariance=(*own, *remaining.covariance))
     sets = found.problem.sets
     q = np.concatenate([m.q for m in sets])
     columns = (*found.robot.conditions, *(c for e in found.robot.effects for c in e.needs))
     logged = {c: [m.conditions[c] for m in sets if c in m.conditions] for c in columns}
     ranges = {c: (float(min(map(min, v))), float(max(map(max, v)))) for c, v in logged.items() if v}
     readings = np.column_stack([q.min(axis=0), q.max(axis=0)])
-    return Knowledge((*own, *kept.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
+    return Knowledge((*own, *remaining.covariance), ", ".join(m.source for m in sets), len(q), readings, ranges)
 
 
 def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) -> tuple[Measurements, ...]:
@@ -554,5 +556,5 @@ def without_poses(sets: Sequence[Measurements], out: Iterable[tuple[int, int]]) 
 
     out : (set, pose) indices of the poses to be removed, from 0
     """
-    left = set(out)
-    return tuple(m[[i for i in range(len(m)) if (k, i) not in left]] for k, m in enumerate(sets))
+    excluded = set(out)
+    return tuple(m[[i for i in range(len(m)) if (k, i) not in excluded]] for k, m in enumerate(sets))

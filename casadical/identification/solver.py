@@ -299,24 +299,24 @@ def bounded_step(g: Array, H: Array, lower: Array, upper: Array, at_bounds: Arra
         default
     """
     step, free = np.zeros(len(g)), np.ones(len(g), dtype=bool) if moves is None else moves
-    held = np.where(-lower < upper, g >= 0, g <= 0) & at_bounds & free
+    fixed = np.where(-lower < upper, g >= 0, g <= 0) & at_bounds & free
     best, least, own = step, 0.0, free
     # The active set is updated at most 60 times, at first by all violations at once.
     for turn in range(60):
-        free = own & ~held
+        free = own & ~fixed
         step = np.where(free, 0.0, step)
         step[free] = -scaled_solution(H[np.ix_(free, free)], (g + H @ step)[free])
         inside = np.clip(step, lower, upper)
         if (cost := float((g + 0.5 * H @ inside) @ inside)) < least:
             best, least = inside, cost
         beyond, slope = free & (inside != step), g + H @ inside
-        drawn = held & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
+        drawn = fixed & np.where(inside - lower < upper - inside, slope < 0, slope > 0)
         wrong = beyond | drawn
         if not wrong.any():
             break
         if turn > 8:  # with one change at a time the method cannot cycle (Murty 1974)
             wrong &= np.arange(len(g)) == wrong.argmax()
-        step, held = np.where(held | beyond & wrong, inside, 0.0), held ^ wrong
+        step, fixed = np.where(fixed | beyond & wrong, inside, 0.0), fixed ^ wrong
     return best
 
 

@@ -230,9 +230,11 @@ class Columns:
         missing = sorted(set(rows) - set(self.row.tolist()))
         if missing:
             raise InputError(f"{self.source}: row {missing[0]}, named in {why}, is no row of the table")
-        kept = ~np.isin(self.row, list(rows))
-        left_out = (*self.left_out, *self.row[~kept].tolist())
-        return replace(self, table=self.table[kept].reset_index(drop=True), row=self.row[kept], left_out=left_out)
+        remaining = ~np.isin(self.row, list(rows))
+        left_out = (*self.left_out, *self.row[~remaining].tolist())
+        return replace(
+            self, table=self.table[remaining].reset_index(drop=True), row=self.row[remaining], left_out=left_out
+        )
 
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:
         """Return the columns with a column `tool` that names each row's target.
@@ -447,8 +449,8 @@ class Columns:
         observations : patterns of the columns that the kinds of measurement read
         """
         used = re.compile("|".join([_NO_CONDITION_NAME, *observations]))
-        left = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
-        return (*left, *self.empty)
+        unread = (n for n in map(str, self.table) if n not in (*conditions, *self.taken) and not used.fullmatch(n))
+        return (*unread, *self.empty)
 
 
 def _name(cell: str) -> str:

@@ -235,17 +235,17 @@ class Measurements(Shown):
         Separations of points without a pose are dropped.
         """
         index = np.atleast_1d(np.arange(len(self))[which])
-        kept = self.separations
+        separations = self.separations
         if self.label is not None:
             present = set(self.label[index])
-            kept = tuple(s for s in kept if s[0] in present and s[1] in present)
+            separations = tuple(s for s in separations if s[0] in present and s[1] in present)
         given = [name for name in ("q", *FIELDS, "weight", "row") if getattr(self, name) is not None]
         return replace(
             self,
             **{name: getattr(self, name)[index] for name in given},
             conditions={name: values[index] for name, values in self.conditions.items()},
             extra={name: values[index] for name, values in self.extra.items()},
-            separations=kept,
+            separations=separations,
         )
 
     def condition_matrix(self, names: Sequence[str], declared: Array) -> Array:

@@ -153,7 +153,9 @@ def prepare(
         A = A.reshape(-1, A.shape[2])
         return A.T @ A * (total / len(m)) + before(identified)
 
-    names, held = independent(robot, wanted, instrument.sets(some) if instrument else (some,), information, prior)
+    names, undetermined = independent(
+        robot, wanted, instrument.sets(some) if instrument else (some,), information, prior
+    )
     if prior is None and numbers * total < (unknowns := len(names) + extra):
         raise InputError(
             f"{total} poses give {numbers * total} numbers, but {len(names)} parameters are to be "
@@ -182,7 +184,7 @@ def prepare(
         circumstances,
         noise,
         names,
-        held,
+        undetermined,
         measured,
         goal,
         ready,

@@ -99,10 +99,10 @@ def independent(
     identifiable = list(analysis.independent)
     if prior is not None:
         return tuple(identifiable), analysis.unidentifiable
-    left, poor, _ = drop_poor([robot.parameters[n] for n in identifiable], information(identifiable))
-    if not left:
+    determined, poor, _ = drop_poor([robot.parameters[n] for n in identifiable], information(identifiable))
+    if not determined:
         raise InputError(f"{robot.name}: poses like these determine none of {', '.join(names)}; free other parameters")
-    return tuple(identifiable[k] for k in left), (*analysis.unidentifiable, *poor)
+    return tuple(identifiable[k] for k in determined), (*analysis.unidentifiable, *poor)
 
 
 def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:

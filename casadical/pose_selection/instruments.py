@@ -205,8 +205,8 @@ def _exchanged(K: int, count: int, variance: Callable[[Iterable[int]], float]) -
     pairs = list(combinations(range(K), min(count, 2)))
     chosen = list(pairs[first_of_best([-variance(pair) for pair in pairs])])
     while len(chosen) < count:
-        left = [k for k in range(K) if k not in chosen]
-        chosen.append(left[first_of_best([-variance([*chosen, k]) for k in left])])
+        unchosen = [k for k in range(K) if k not in chosen]
+        chosen.append(unchosen[first_of_best([-variance([*chosen, k]) for k in unchosen])])
     value = variance(chosen)
     while True:
         others = [[*chosen[:i], k, *chosen[i + 1 :]] for i in range(count) for k in range(K) if k not in chosen]

@@ -393,8 +393,10 @@ def calibrate(
             show(f"part {part} of {count}: {text}")
 
         skcm, names = results["SKCM"], problem.networks
-        left = iter(used.values())
-        inliers = replace(problem, sets={k: tuple(next(left) for _ in parts) for k, parts in problem.sets.items()})
+        inlier_sets = iter(used.values())
+        inliers = replace(
+            problem, sets={k: tuple(next(inlier_sets) for _ in parts) for k, parts in problem.sets.items()}
+        )
         trained = train_networks(inliers, skcm, names, seed=problem.seed, show=progress)
     sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}

@@ -412,10 +412,10 @@ def _by_position(robot: Robot, m: Measurements) -> dict[str, tuple[Array, Array]
             return {}
         check_against(alone, m)
         tried = [_scattered(free, m, which) for which in _starts(robot, free, m)]
-        points, which, left = min(
+        points, which, ratio = min(
             tried, key=lambda t: t[2] / MAX_ERROR_RATIO ** len(t[0]), default=(np.empty((0, 3)), m.row, one)
         )
-        if left >= MAX_ERROR_RATIO ** len(points) * one:
+        if ratio >= MAX_ERROR_RATIO ** len(points) * one:
             return {}
     names = _names_of(points, robot)
     return {name: (points[k], np.flatnonzero(which == k)) for k, name in enumerate(names)}

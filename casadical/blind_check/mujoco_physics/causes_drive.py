@@ -74,9 +74,9 @@ def joint_coupling(mechanism: Mechanism, plant: Plant, *, joint: int, source: in
     joint, source : numbers of the joints, from 1; size : ratio of the coupling
     """
     name, other = f"joint{joint}", f"joint{source}"
-    held = mechanism.joint(name)
-    bevel = Shaft(f"bevel{joint}", {name: 1.0, other: -size}, held.stiffness, motor=joint)
-    loose = replace(held, stiffness=0.0, motor=None)
+    bare = mechanism.joint(name)
+    bevel = Shaft(f"bevel{joint}", {name: 1.0, other: -size}, bare.stiffness, motor=joint)
+    loose = replace(bare, stiffness=0.0, motor=None)
     shafts = [replace(s, joints={**s.joints, other: -size}) if s.motor == joint else s for s in mechanism.shafts]
     return replace(mechanism.with_joints(name, loose), shafts=(*shafts, bevel))
 
@@ -117,8 +117,8 @@ def encoder_pit(plant: Plant, stops: Stops, *, joint: int, size: float, at_rad: 
     width_rad : distance in reading from there at which the error vanishes [rad]
     """
     q = stops.q[:, joint - 1]
-    beside = np.abs((q - at_rad + np.pi) % (2 * np.pi) - np.pi) / width_rad
-    return size * np.where(beside < 1, (1 - beside**2) ** 2, 0.0)
+    distance = np.abs((q - at_rad + np.pi) % (2 * np.pi) - np.pi) / width_rad
+    return size * np.where(distance < 1, (1 - distance**2) ** 2, 0.0)
 
 
 @acts("motors")

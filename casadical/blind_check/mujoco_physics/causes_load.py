@@ -40,10 +40,10 @@ def friction_windup(mechanism: Mechanism, plant: Plant, *, joint: int, size: flo
     size : largest deflection of the spring by the friction of the joint without load [rad]
     load_share : relative increase of the friction at the rated torque
     """
-    j, held = joint - 1, mechanism.joint(f"joint{joint}")
+    j, sprung = joint - 1, mechanism.joint(f"joint{joint}")
     idle = size * float(plant.stiffness[j])
-    held = replace(held, friction=idle, rubbing=load_share * idle / float(rated_torque(plant)[j]))
-    return replace(mechanism.with_joints(held.name, held), travels=True)
+    sprung = replace(sprung, friction=idle, rubbing=load_share * idle / float(rated_torque(plant)[j]))
+    return replace(mechanism.with_joints(sprung.name, sprung), travels=True)
 
 
 @acts("built")
@@ -62,17 +62,17 @@ def nonlinear_stiffness(
     linear : linear part a x of the flexible wheel's torque at the rated torque, divided by it
     """
     name, rated = f"joint{joint}", rated_torque(plant)[joint - 1]
-    held = mechanism.joint(name)
+    sprung = mechanism.joint(name)
     if knee > 0:
-        k, at = held.stiffness, knee * rated
+        k, at = sprung.stiffness, knee * rated
         soft = at * k / (size * k + at)
         second = Shaft(f"second{joint}", {name: 1.0}, k - soft, motor=joint, slack=at / soft)
         calm = spring(name, soft, inertia_of=max(3 * soft, k / 16))
-        held = replace(held, stiffness=soft, inertia=calm.inertia, damping=calm.damping)
-        return replace(mechanism.with_joints(name, held), shafts=(*mechanism.shafts, second))
+        sprung = replace(sprung, stiffness=soft, inertia=calm.inertia, damping=calm.damping)
+        return replace(mechanism.with_joints(name, sprung), shafts=(*mechanism.shafts, second))
     a, b = linear * rated / size, (1 - linear) * rated / size**3
     wheel = spring(f"flexible{joint}", a, hardening=b, inertia_of=3 * a)
-    return mechanism.with_joints(name, held, wheel)
+    return mechanism.with_joints(name, sprung, wheel)
 
 
 @acts("built")

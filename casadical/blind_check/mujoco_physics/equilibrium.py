@@ -206,7 +206,7 @@ class Engine:
         stop : the pose
         """
         m, d = self.model, self.data
-        kept = d.qpos[self._keeps].copy()
+        saved = d.qpos[self._keeps].copy()
         self.mujoco.mj_resetData(m, d)
         for name, value in self._built.items():
             getattr(m, name)[:] = value
@@ -219,7 +219,7 @@ class Engine:
             self.mujoco.mj_resetData(m, d)
         for joint, value in stop.start.items():
             d.qpos[self._row[joint]] = value
-        d.qpos[self._keeps] = kept
+        d.qpos[self._keeps] = saved
 
     def _set(self, setting: Setting) -> None:
         """Apply one setting to the compiled model, in addition to those before."""

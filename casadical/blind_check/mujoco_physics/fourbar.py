@@ -106,8 +106,8 @@ def close_loop(plant: Plant, crank: Array) -> ClosedLoop:
             "drop the pose"
         )
     unit = reach / d[:, None]
-    left = np.stack([-unit[:, 1], unit[:, 0]], -1)
-    D = P + along[:, None] * unit - np.sqrt(aside_2)[:, None] * left
+    normal = np.stack([-unit[:, 1], unit[:, 0]], -1)
+    D = P + along[:, None] * unit - np.sqrt(aside_2)[:, None] * normal
     passive = np.arctan2(D[:, 1] - P[1], D[:, 0] - P[0]) + bar.passive_offset_rad
     return ClosedLoop(C, D, P, passive)
 

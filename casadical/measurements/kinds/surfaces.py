@@ -220,9 +220,9 @@ def _axis(p: Array, reading: Array) -> tuple[Array, float]:
     Source: the secular equation of least squares on a sphere (Golub and Van Loan 2013, 6.2.1),
     solved by bisection.
     """
-    local, left = p - p.mean(axis=0), reading - reading.mean()
+    local, centred = p - p.mean(axis=0), reading - reading.mean()
     value, V = np.linalg.eigh(local.T @ local)
-    b = V.T @ (local.T @ left)
+    b = V.T @ (local.T @ centred)
     low, high = -value[0] + 1e-12 * value[-1], -value[0] + np.linalg.norm(b) + value[-1]
     for _ in range(200):
         middle = 0.5 * (low + high)

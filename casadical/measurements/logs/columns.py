@@ -210,8 +210,8 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
     # Words without a meaning of their own in a heading.
     filler_words = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
     known = filler_words | _COMMANDED | frozenset().union(*_QUANTITIES.values())
-    left = [word for word in words if word not in known]
-    return " ".join(str(int(w)) if is_number(w) else w for w in left), [w for w in words if w not in left]
+    remaining = [word for word in words if word not in known]
+    return " ".join(str(int(w)) if is_number(w) else w for w in remaining), [w for w in words if w not in remaining]
 
 
 def is_number(word: str) -> bool:

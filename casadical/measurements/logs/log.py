@@ -85,17 +85,17 @@ class JointLog(Shown):
         if not self.kinds:
             object.__setattr__(self, "kinds", ("revolute",) * len(self.joints))
         for name in ("time", "run", "row", *self.arrays):
-            kept = np.asarray(getattr(self, name)).view()
-            kept.flags.writeable = False
-            object.__setattr__(self, name, kept)
+            view = np.asarray(getattr(self, name)).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
         _refuse_malformed(self)
 
     @property
     def _line(self) -> str:
         """The summary in the repr: source, numbers of rows and joints, duration [s], channels."""
         seconds = sum(run.time[-1] - run.time[0] for run in self.runs())
-        kept = ", ".join(name.replace("_", " ") for name in self.arrays)
-        return f" {self.source}: {len(self)} rows, {seconds:.1f} s, {len(self.joints)} joints: {kept}"
+        channels = ", ".join(name.replace("_", " ") for name in self.arrays)
+        return f" {self.source}: {len(self)} rows, {seconds:.1f} s, {len(self.joints)} joints: {channels}"
 
     def _repr_html_(self) -> str:
         """Return HTML for a notebook: the findings, and the ranges of all channels."""

@@ -138,12 +138,12 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
         raise InputError(f"{log.source}: no column holds the positions of joints; there are {there}. {NAMING_ADVICE}")
     keys, names, notes = _joints(log, robot)
     kinds = _kinds(log, keys, robot)
-    time, run, kept, odd = _clock(log)
+    time, run, used, odd = _clock(log)
     arrays: dict[str, Any] = {}
     for channel in CHANNELS:
         if columns := log.channels.get(channel):
             none = np.full(len(log.time), np.nan)
-            arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[kept]
+            arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[used]
             lost = np.isnan(arrays[channel]).all(axis=0)
             # The diagnosis needs commands, torques and currents of all joints of a robot, or of
             # none.
@@ -166,10 +166,10 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
         efforts = [channel for channel in ("torque", "current") if channel in arrays]
         arrays |= {channel: arrays[channel] @ np.linalg.inv(A) for channel in efforts}
         notes += (f"the rows' angles q are made of the controller's readings J: {robot.readings_in_words}",)
-    arrays |= {name: log.scalars[name][kept] for name in ("voltage", "payload") if name in log.scalars}
+    arrays |= {name: log.scalars[name][used] for name in ("voltage", "payload") if name in log.scalars}
     arrays["current_unsigned"] = "abs" in {log.units.get(("current", key)) for key in keys}
     said = (*log.notes, *notes, *odd)
-    return JointLog(time, names, **arrays, run=run, kinds=kinds, row=log.row[kept], source=log.source, findings=said)
+    return JointLog(time, names, **arrays, run=run, kinds=kinds, row=log.row[used], source=log.source, findings=said)
 
 
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
@@ -191,9 +191,9 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
             f"{robot.name!r} has {robot.n} ({', '.join(own)}); take the model of this arm, or name "
             "the columns as its joints"
         )
-    left = [key for key in there if key not in keys]
-    said = f"{'columns of joints' if numbered else 'joints'} {', '.join(left)} are not of the robot {robot.name!r}"
-    return keys, tuple(own), (f"{said} and were left out",) if left else ()
+    unread = [key for key in there if key not in keys]
+    said = f"{'columns of joints' if numbered else 'joints'} {', '.join(unread)} are not of the robot {robot.name!r}"
+    return keys, tuple(own), (f"{said} and were left out",) if unread else ()
 
 
 def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
@@ -273,15 +273,15 @@ def _clock(log: Logged) -> tuple[Array, Array, Array, tuple[str, ...]]:
     if stands.any():
         k = int(np.flatnonzero(stands)[0])
         said.append(f"row {log.row[k]}: the time of the row before, as {stands.sum()} rows: left out as repeated")
-    kept = np.flatnonzero(~stands)
-    several = np.bincount(starts[kept])[starts[kept]] > 1
+    used = np.flatnonzero(~stands)
+    several = np.bincount(starts[used])[starts[used]] > 1
     if several.any() and not several.all():
-        lone = log.row[kept[~several]]
+        lone = log.row[used[~several]]
         said.append(f"row {lone[0]}: a run of its own ({len(lone)} such): left out, a motion has two rows at least")
-        kept = kept[several]
-    given = numbers[kept].astype(np.int64) if run is not None and not (back | ahead).any() else starts[kept] + 1
+        used = used[several]
+    given = numbers[used].astype(np.int64) if run is not None and not (back | ahead).any() else starts[used] + 1
     start = log.time[0] if abs(log.time[0]) > 1e6 else 0.0
-    return log.time[kept] - start, given, kept, tuple(said)
+    return log.time[used] - start, given, used, tuple(said)
 
 
 def _into_si(

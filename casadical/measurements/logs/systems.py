@@ -203,13 +203,13 @@ def joined(logs: Sequence[Logged]) -> Logged:
     first, *others = logs
     start = first.time[0]
     channels: dict[str, Mapping[str, Array]] = dict(first.channels)
-    units, notes, kept = dict(first.units), [*first.notes], np.ones(len(first.time), dtype=bool)
+    units, notes, complete = dict(first.units), [*first.notes], np.ones(len(first.time), dtype=bool)
     for other in others:
         last = np.searchsorted(other.time, first.time, side="right") - 1
         more = {name: columns for name, columns in other.channels.items() if {*columns} - {*channels.get(name, ())}}
         if not more:
             continue
-        kept &= last >= 0
+        complete &= last >= 0
         for name, columns in more.items():
             channels[name] = {j: c[np.maximum(last, 0)] for j, c in columns.items()} | dict(channels.get(name, {}))
             units |= {(name, joint): other.units.get((name, joint), "") for joint in columns}
@@ -220,9 +220,9 @@ def joined(logs: Sequence[Logged]) -> Logged:
                 f"{what}: of another stream, {np.median(age):.1f} ms (at most {age.max():.0f} ms) before its row"
             )
         notes += [note for note in other.notes if note not in notes]
-    if not kept.any():
+    if not complete.any():
         raise InputError(f"{first.source}: its streams do not overlap in time; record them together")
-    which = np.flatnonzero(kept)
+    which = np.flatnonzero(complete)
     return replace(
         first,
         time=(first.time - start)[which],

@@ -267,8 +267,8 @@ def _by_evidence(
         root = root_of_inverse(np.diag(P) + prior_information)
         values, V = np.linalg.eigh(root @ G @ root.T)
         along = (V.T @ (root @ (b - G @ at))) ** 2
-        left = square - 2 * float(at @ b) + float(at @ G @ at)
-        logs[i] = -0.5 * left / noise_grid_mm**2 - len(y) * np.log(noise_grid_mm)
+        residual_square = square - 2 * float(at @ b) + float(at @ G @ at)
+        logs[i] = -0.5 * residual_square / noise_grid_mm**2 - len(y) * np.log(noise_grid_mm)
         logs[i] += gain(noise_grid_mm**2, noise_grid_mm, np.maximum(values, 0.0)[None], along[None])[0]
     weights = np.exp(logs - logs.max())
     evidence = normal + float(logs.max() + np.log(weights.sum()))

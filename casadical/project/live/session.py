@@ -445,8 +445,8 @@ class LiveSession:
         course = self.course
         rows: list[Sequence[str]] = [course.header, *([course.units] if course.units else [])]
         write_whole(self.folder / TABLE_FILE, csv_text([*rows, *(r.cells for r in course.readings)]))
-        left = self._unreadable | {r.number: r.struck for r in course.readings if r.struck}
-        struck = {n + 1 + bool(course.units): why for n, why in left.items()}
+        reasons = self._unreadable | {r.number: r.struck for r in course.readings if r.struck}
+        struck = {n + 1 + bool(course.units): why for n, why in reasons.items()}
         path = self.folder / "problem.toml"
         text = read_text(path)
         document = tomlkit.parse(text)
@@ -483,13 +483,17 @@ class LiveSession:
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
             known: dict[str, Any] | None = None
             if estimate is not None:
-                left, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
-                promise = np.quantile(left, 0.95, method="higher") if len(left) >= MIN_READINGS_FOR_QUANTILE else None
+                errors_mm, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
+                promise = (
+                    np.quantile(errors_mm, 0.95, method="higher")
+                    if len(errors_mm) >= MIN_READINGS_FOR_QUANTILE
+                    else None
+                )
                 known = {
                     "readings": len(estimate),
                     "noise_mm": 1e3 * estimate.sigma,
                     "expected_mm": 1e3 * estimate.expected(task),
-                    "left_out_mean_mm": float(left.mean()) if len(left) >= MAX_REFITTED_READINGS else None,
+                    "left_out_mean_mm": float(errors_mm.mean()) if len(errors_mm) >= MAX_REFITTED_READINGS else None,
                     "promise_mm": None if promise is None else float(promise),
                 }
             # Poses that touch something are not planned.

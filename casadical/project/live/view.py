@@ -58,7 +58,7 @@ def answer(state: Mapping[str, Any], number: int) -> str:
     state : as of `LiveSession.state`
     """
     reading = next(r for r in state["readings"] if r["number"] == number)
-    left = state["known"] and state["known"]["left_out_mean_mm"]
+    usual = state["known"] and state["known"]["left_out_mean_mm"]
     words = {"good": "plausible", "doubtful": "DOUBTFUL"}.get(reading["state"], reading["state"])
     text = f"{number}: {words}"
     if off := _off(reading):
@@ -67,8 +67,8 @@ def answer(state: Mapping[str, Any], number: int) -> str:
         text += f": {reading['why']}"
     elif state["known"] is None:
         text += f"; judged from reading {MIN_READINGS_OF_FIT + 1} on"
-    if reading["state"] in ("good", "doubtful") and left is not None:
-        text += f"; {left:.3f} mm mean of readings left out one by one"
+    if reading["state"] in ("good", "doubtful") and usual is not None:
+        text += f"; {usual:.3f} mm mean of readings left out one by one"
     return text
 
 

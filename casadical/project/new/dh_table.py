@@ -88,8 +88,8 @@ def _ur_text(path: Path, name: str) -> str:
     """
     yaml = optional("yaml", f"{path.name}: reading YAML needs PyYAML: pip install pyyaml, or write a DH table as CSV")
     with foreign(f"{path.name}: not a readable YAML file", "extract it again with ur_calibration"):
-        held = yaml.safe_load(read_text(path))
-    links = held.get("kinematics") if isinstance(held, dict) else None
+        document = yaml.safe_load(read_text(path))
+    links = document.get("kinematics") if isinstance(document, dict) else None
     T, frames = np.eye(4), []
     for link in ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3"):
         part = links.get(link) if isinstance(links, dict) else None

@@ -299,8 +299,8 @@ def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
             if np.array_equal(T, identity):
                 lines.append(f"the controller's {what} is the robot file's {of}")
     if any(r.target.joints and (r.target.tool is None or cell.sources is None) for r in results if r.fine):
-        held = "the tool of the export" if cell.sources is None else "the tool of the robot file"
-        lines.append(f"where joint targets have no known tool, {held} is held")
+        tool_words = "the tool of the export" if cell.sources is None else "the tool of the robot file"
+        lines.append(f"where joint targets have no known tool, {tool_words} is held")
     return lines
 
 
