@@ -79,11 +79,11 @@ def draw_plans(
     kinds = shuffled(rng, in_shares(n, shares))
     lacking = shuffled(rng, in_shares(n, {True: struck, False: 1 - struck}))
     names, sizes, columns = turns(rng, robots), turns(rng, poses), turns(rng, tuple(COLUMN_PREFIXES))
-    known, foreign = (turns(rng, pool) for pool in words)
+    listed, foreign = (turns(rng, pool) for pool in words)
     plans = []
     for k, kind in enumerate(kinds):
         count = {"none": 0, "one": 1, "unlisted": 1}.get(kind) if kind != "several" else int(rng.integers(2, 4))
-        pool, names_of = (foreign, words[1]) if kind == "unlisted" else (known, words[0])
+        pool, names_of = (foreign, words[1]) if kind == "unlisted" else (listed, words[0])
         robot, effects = next(names), dict[str, None]()
         while len(effects) < min(count or 0, len(set(names_of))):
             effects[next(pool)] = None

@@ -135,7 +135,7 @@ def calibrate(
         from casadical.project import calibration as work
 
     console = wrapped(quiet)
-    known = o.carried_prior(prior, prior_effects, frozen)
+    carried = o.carried_prior(prior, prior_effects, frozen)
     done: list[work.Calibration] = []
     texts: dict[Path, Any] = {}
     given = o.problems_of(problems)
@@ -147,7 +147,7 @@ def calibrate(
                     method=method,
                     loss=loss,
                     seed=seed,
-                    carried=known,
+                    carried=carried,
                     tables=tables,
                     show=show,
                 )

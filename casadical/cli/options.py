@@ -42,8 +42,8 @@ def _completion_of(module: str, name: str, *, listed: bool = False) -> Callable[
 
     def complete(incomplete: str) -> list[str]:
         """Return the completions of what was typed so far."""
-        known = getattr(import_module(f"casadical.{module}"), name)
-        words: Iterable[str] = known() if callable(known) else known
+        names = getattr(import_module(f"casadical.{module}"), name)
+        words: Iterable[str] = names() if callable(names) else names
         before, comma, last = incomplete.rpartition(",") if listed else ("", "", incomplete)
         return [f"{before}{comma}{word}" for word in words if word.lower().startswith(last.lower())]
 

@@ -131,8 +131,8 @@ def named(robot: Robot, names: Iterable[str], extra: Iterable[Candidate] = ()) -
     for name in names:
         hit = lists.get(name) or [c for c in every if name in (c.name, c.label)]
         if not hit:
-            known = ", ".join([*lists, *sorted({c.name for c in every})])
-            raise InputError(f"no effect {name!r} of this robot; there are {known}; with a joint: backlash@5")
+            choices = ", ".join([*lists, *sorted({c.name for c in every})])
+            raise InputError(f"no effect {name!r} of this robot; there are {choices}; with a joint: backlash@5")
         chosen += hit
     # A user's own effect replaces the listed one with the same label.
     unique = {c.label: c for c in reversed(chosen)}

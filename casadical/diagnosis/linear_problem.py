@@ -183,9 +183,9 @@ class Case:
         Jq = np.concatenate([self.whole.Jq, share * self.lags[:, :, None]], axis=2)
         return replace(self, whole=replace(self.whole, Jq=Jq))
 
-    def _with_evidence(self, known: Evidence) -> Case:
+    def _with_evidence(self, evidence: Evidence) -> Case:
         """Store `known` as the linear model of the inlier poses, and return the case itself."""
-        self.selected[:] = [known]
+        self.selected[:] = [evidence]
         return self
 
     def prior_parts(self, prior: Prior) -> tuple[Array, Array, list[tuple[Array, Array]]]:
@@ -201,21 +201,21 @@ class Case:
         places = {name: k for k, name in enumerate(self.given.parameters.names)}
         for name, (value, width) in prior.means.items():
             mean[places[name]], sigma[places[name]] = value - self.values[places[name]], width
-        known = []
+        blocks = []
         for names, matrix in prior.known:
             own = [k for k, name in enumerate(names) if self.given.parameters[name].group in prior.labels]
             if own:
-                known.append((np.array([places[names[k]] for k in own]), matrix[np.ix_(own, own)]))
-        return mean, sigma, known
+                blocks.append((np.array([places[names[k]] for k in own]), matrix[np.ix_(own, own)]))
+        return mean, sigma, blocks
 
     def with_prior(self, prior: Prior, reference: float) -> Case:
         """Return the case with the prior of another campaign on its base parameters.
 
         reference : noise standard deviation at which the priors hold [m]
         """
-        mean, sigma, known = self.prior_parts(prior)
+        mean, sigma, blocks = self.prior_parts(prior)
         units = np.eye(len(mean))
-        for at, matrix in known:
+        for at, matrix in blocks:
             L = np.linalg.cholesky(matrix)
             units[np.ix_(at, at)], sigma[at], mean[at] = L, 1.0, np.linalg.solve(L, mean[at])
         whole = replace(self.whole, J=self.base.J @ units, delta0=mean, prior=sigma, reference=reference)
@@ -385,10 +385,12 @@ class Case:
             if self.whole.cause_prior is None
             else np.append(self.whole.cause_prior, E.prior_sigma[self.whole.width :])
         )
-        more, known = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
+        more, evidence = replace(self, m=m, candidates=candidates, columns=columns), self.evidence
         more = replace(more, whole=replace(self.whole, E=E, cause_prior=cause_prior))
         more._with_evidence(
-            replace(known, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior).with_extended_cache(known)
+            replace(evidence, E=E.at(np.flatnonzero(self.inliers)), cause_prior=cause_prior).with_extended_cache(
+                evidence
+            )
         )
         if self.form is not WHITE_FORM:
             more.judged.with_extended_cache(self.judged)
@@ -401,9 +403,9 @@ def _changed_rows(case: Case, other: Case) -> Array:
     They are the inliers of `case`, in the order of measuring, that have another predecessor in
     `other` or are no inliers there.
     """
-    known = set(map(tuple, other._successions.tolist()))
+    others = set(map(tuple, other._successions.tolist()))
     return np.array(
-        [k for k, pair in enumerate(case._successions.tolist()) if tuple(pair) not in known], dtype=np.int64
+        [k for k, pair in enumerate(case._successions.tolist()) if tuple(pair) not in others], dtype=np.int64
     )
 
 
@@ -509,10 +511,10 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
     masks, declared = [], False
     for m, poses, places in zip(seen.sets, seen.layout.poses, seen.layout.places, strict=True):
         lengths = find_kind(m.kind).lengths
-        for part, known in ((places[:, :lengths], m.sigma), (places[:, lengths:], m.sigma_angle)):
+        for part, sigma in ((places[:, :lengths], m.sigma), (places[:, lengths:], m.sigma_angle)):
             mask = np.zeros(seen.r.shape, dtype=bool)
             mask[poses, part] = seen.measured[poses, part]
-            if known:
+            if sigma:
                 declared = True
             elif mask.any():
                 masks.append(mask)
@@ -533,14 +535,14 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     seen = case.observations
     if seen.plain:
         return None
-    fit, known = fit_of(case.evidence, columns, noise), seen.ratios
+    fit, ratios = fit_of(case.evidence, columns, noise), seen.ratios
     left, pull = (
         fit.whitened_residual.reshape(case.evidence.r.shape) ** 2,
         fit.leverage(np.arange(len(case.evidence.r))),
     )
     freedom = seen.measured[case.inliers] - np.diagonal(pull, axis1=1, axis2=2)
     place, sigmas = np.cumsum(case.inliers) - 1, []
-    each = zip(seen.sets, known.sigmas, seen.layout.poses, seen.layout.places, strict=True)
+    each = zip(seen.sets, ratios.sigmas, seen.layout.poses, seen.layout.places, strict=True)
     for m, (length, angle), poses, places in each:
         own, kind = case.inliers[poses[:, 0]], find_kind(m.kind)
         poses, places = place[poses[own]], places[own]
@@ -551,7 +553,7 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
         ]
         sigmas.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))
     more = Ratios(tuple(sigmas))
-    change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), known.of_set(k))])
+    change = np.log([a for k in range(len(sigmas)) for a in np.divide(more.of_set(k), ratios.of_set(k))])
     counts = [bool(n) for m in seen.sets for n in (find_kind(m.kind).lengths, find_kind(m.kind).angles)]
     # Ratios count as assumed if their logarithms change by at most 0.2.
     return more if np.abs(change[counts]).max() > 0.2 else None

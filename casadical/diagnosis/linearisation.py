@@ -147,8 +147,8 @@ class Linearisation:
         for own in (condition_of_reading(name, turn), name):
             if own in self.conditions:
                 return self.conditions[own]
-        known = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
-        return np.full(len(self.q), known[name])
+        values = dict(zip(self.robot.conditions, self.robot.declared, strict=True))
+        return np.full(len(self.q), values[name])
 
 
 def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:

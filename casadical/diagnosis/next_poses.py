@@ -230,15 +230,15 @@ def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] 
     """
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
-    known = {c.label: c for c in case.candidates}
+    by_label = {c.label: c for c in case.candidates}
     causes: list[_Cause] = []
     for label in dict.fromkeys((*labels, *beside)):
         if label == NO_CAUSE:
             causes.append(_Cause(NO_CAUSE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
             continue
-        if label not in known:
-            raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(known)}")
-        variants = known[label].variants
+        if label not in by_label:
+            raise InputError(f"cause {label!r} is no candidate of this case; there are none, {', '.join(by_label)}")
+        variants = by_label[label].variants
         grids = case.evidence.log_grids([case.group(v) for v in variants]) + np.log(KAPPA_WEIGHTS)
         likely = np.logaddexp.reduce(grids.reshape(len(variants), -1), axis=1)
         # Settings less likely than the best ones by 4 nats are not compared.

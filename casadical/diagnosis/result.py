@@ -307,15 +307,15 @@ class Diagnosis(Result):
         They are those of an ambiguous cause, else of a possible additional one, else the two most
         probable ones.
         """
-        known = {c.label for c in self.case.candidates}
+        labels = {c.label for c in self.case.candidates}
         for cause in self.causes:
-            if cause.indistinguishable and cause.label in known:
+            if cause.indistinguishable and cause.label in labels:
                 return (cause.label, *cause.indistinguishable)
         further = self.cause_set.further if self.cause_set else {}
-        if len(names := [k for k in further if k in known]) > 1:
+        if len(names := [k for k in further if k in labels]) > 1:
             return tuple(names[k] for k in ranked([further[k] for k in names]))
         last = self.rankings[-1].probability
-        order = [k for k in self.rankings[-1].order if k in known]
+        order = [k for k in self.rankings[-1].order if k in labels]
         # Two labels are not in question if one has more than 0.99 of their common probability.
         certain = len(order) > 1 and last[order[0]] > 0.99 * (last[order[0]] + last[order[1]])
         return tuple(order[:2]) if self.verdict in ("ambiguous", "unknown") and not certain else ()

@@ -320,7 +320,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
     while len(state.steps) < SETTINGS.max_causes:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
         state = state.with_shown().ranked()
-        ranking, known = state.rankings[-1], len(state.steps)
+        ranking, steps = state.rankings[-1], len(state.steps)
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
         end, labels = next_cause(state, ranking, p_nothing)
@@ -337,7 +337,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
         if not labels:
             break
         before, state = state, state.with_cause(labels)
-        if state is before and len(state.steps) == known:
+        if state is before and len(state.steps) == steps:
             end = "unknown" if _detected(state, state.rankings[-1], p_nothing) else "none"
             break
         state = state.revisited()

@@ -38,9 +38,9 @@ def left_out(robot: Robot, omissions: Iterable[Omission], target: str, leave_out
             else:
                 parts = [n for e in effects for n in e.sizes() if n in omission.parts or not omission.parts]
                 mean, largest = displacement_without(robot, [f"{omission.label}.{part}" for part in parts])
-                known = robot.knowledge and len(robot.knowledge.readings)
+                has_readings = robot.knowledge and len(robot.knowledge.readings)
                 line += f"; lost without it: {1e3 * mean:.4f} mm on average, {1e3 * largest:.4f} mm at most"
-                line += f" over the {'learnt range' if known else 'range of the joints'}"
+                line += f" over the {'learnt range' if has_readings else 'range of the joints'}"
             refused.append(line)
         lines.append(line)
     if refused and not leave_out:

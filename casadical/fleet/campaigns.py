@@ -73,12 +73,12 @@ def compare_files(
         files = [begun, *later]
     if robot and all(path.is_dir() or path.suffix in (".toml", ".urdf") for path in files):
         raise InputError("--robot is that by which tables are understood, and none is given; leave it out")
-    known = robot or _understood_by(files)
-    estimates = estimates_of(files, known, show)
+    arm = robot or _understood_by(files)
+    estimates = estimates_of(files, arm, show)
     usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
-        raise _with_what_few_poses_tell(*errors[0], known)
+        raise _with_what_few_poses_tell(*errors[0], arm)
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(usable) < 2:
         where = (
@@ -93,7 +93,7 @@ def compare_files(
     compared = compare(ordered, same_tool=same_tool, same_frame=same_frame, notes=notes)
     path_of = {e.label: path for path, e in zip(files, estimates, strict=True) if isinstance(e, Estimate)}
     last = path_of[ordered[-1].label]
-    own = (Path(known), last) if known and last.is_file() and last.suffix != ".toml" else ()
+    own = (Path(arm), last) if arm and last.is_file() and last.suffix != ".toml" else ()
     return replace(compared, name=name_of(files, begun or robot), sources=own)
 
 

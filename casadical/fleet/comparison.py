@@ -229,14 +229,14 @@ def _most_probable_change(
     candidates: Sequence[Candidate],
     times: Array,
     dated: bool,
-    known: Sequence[_Accepted],
+    accepted: Sequence[_Accepted],
 ) -> _Accepted:
     """Return the most probable additional change, given known ones.
 
     times, dated : as of `changes_in`
     """
-    model = _model_given(information, known)
-    if any(a.candidate.kind == ANOTHER_ROBOT for a in known):
+    model = _model_given(information, accepted)
+    if any(a.candidate.kind == ANOTHER_ROBOT for a in accepted):
         candidates = [c for c in candidates if c.kind != ANOTHER_ROBOT]
     hypotheses: list[_Hypotheses] = []
     prior = 0.0

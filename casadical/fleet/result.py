@@ -306,10 +306,10 @@ def grown(sigmas: Sequence[float], freedom: Sequence[float] | float | None, alar
     alarms : level of significance, the probability of a false alarm
     """
     both = np.array(np.broadcast_arrays(sigmas, np.array(freedom, dtype=float)))
-    known, free = both[:, np.isfinite(both).all(axis=0)]
-    pairs = [*zip(known.tolist(), free.tolist(), strict=True)]
+    finite, free = both[:, np.isfinite(both).all(axis=0)]
+    pairs = [*zip(finite.tolist(), free.tolist(), strict=True)]
     before = exceeded_residual(pairs[-1], pairs[:-1], alarms) if pairs else 0.0
-    return f"the last campaign leaves {known[-1]:.3f} mm per coordinate, those before {before:.3f}" if before else ""
+    return f"the last campaign leaves {finite[-1]:.3f} mm per coordinate, those before {before:.3f}" if before else ""
 
 
 def fleet_of(

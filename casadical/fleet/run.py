@@ -62,9 +62,9 @@ def run_fleet(
         if not os.access(place, os.W_OK):
             raise InputError(f"{shown(place)}: this store cannot be written to; change its permissions or its place")
         stored, damaged = rows(place)
-        known = stored.set_index("robot")
-        robots, prints, notes = _without_copies(robots, known)
-        pending, renamed, said = _to_compute(robots, prints, known, with_diagnosis)
+        stored_rows = stored.set_index("robot")
+        robots, prints, notes = _without_copies(robots, stored_rows)
+        pending, renamed, said = _to_compute(robots, prints, stored_rows, with_diagnosis)
         for row in records(stored[stored["robot"].isin(renamed)]):
             name = renamed[row["robot"]]
             add(place, {**row, "robot": name, "folder": str(robots[name].resolve())})
@@ -108,7 +108,9 @@ def robots_in(folders: Iterable[str | Path]) -> dict[str, Path]:
     return robots
 
 
-def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[str, Path], dict[str, str], list[str]]:
+def _without_copies(
+    robots: dict[str, Path], stored_rows: pd.DataFrame
+) -> tuple[dict[str, Path], dict[str, str], list[str]]:
     """Return the robots whose files differ, the fingerprints of all by name, and notes on copies.
 
     Of robots with equal files the one that the store already has is returned.
@@ -122,7 +124,7 @@ def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[
             prints[name] = fingerprint(folder)
         except OSError:
             prints[name] = ""
-    stored, first = known["fingerprint"].to_dict(), dict[str, str]()
+    stored, first = stored_rows["fingerprint"].to_dict(), dict[str, str]()
     for name in sorted(robots, key=lambda n: (stored.get(n) != prints[n], n)):
         first.setdefault(prints[name] or name, name)
     of = {name: first[prints[name] or name] for name in robots}
@@ -135,7 +137,7 @@ def _without_copies(robots: dict[str, Path], known: pd.DataFrame) -> tuple[dict[
 
 
 def _to_compute(
-    robots: dict[str, Path], prints: dict[str, str], known: pd.DataFrame, with_diagnosis: bool
+    robots: dict[str, Path], prints: dict[str, str], stored_rows: pd.DataFrame, with_diagnosis: bool
 ) -> tuple[list[str], dict[str, str], list[str]]:
     """Return the names of robots to compute, new names of renamed robots by old ones, and notes.
 
@@ -148,9 +150,9 @@ def _to_compute(
     """
     pending: list[str] = []
     renamed: dict[str, str] = {}
-    gone = {now: str(name) for name, now in known["fingerprint"].items() if name not in prints and now}
+    gone = {now: str(name) for name, now in stored_rows["fingerprint"].items() if name not in prints and now}
     for name in robots:
-        row, now = known.loc[name] if name in known.index else None, prints[name]
+        row, now = stored_rows.loc[name] if name in stored_rows.index else None, prints[name]
         if row is None and now in gone:
             renamed[gone[now]] = name
         elif row is None or row.fingerprint != now or row.status != "ok" or (with_diagnosis and not row.verdict):

@@ -141,8 +141,8 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         compared = compare(ordered, notes=notes)
         changes = "; ".join(in_words(compared, c) for c in compared.changes)
         row |= {"changes": changes, "details": json_text(compared.to_json())}
-    known = np.array([(e.day, e.sigma, e.freedom) for e in estimates], dtype=float)  # not a number for None
-    days, sigmas, free = (known * (1.0, 1e3, 1.0)).T.tolist()
+    rows = np.array([(e.day, e.sigma, e.freedom) for e in estimates], dtype=float)  # not a number for None
+    days, sigmas, free = (rows * (1.0, 1e3, 1.0)).T.tolist()
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": sigmas, "left_free": free}
     return row | own | shared_columns(estimates[-1], read_campaign_robot(place))
 

@@ -168,8 +168,8 @@ class TouchModel:
                 "covariance beside --noise-mm); write it with `casadical calibrate --out` from 30 "
                 "positions or more"
             )
-        known = robot.knowledge.conditions.get(TEMPERATURE) if robot.knowledge else None
-        reference = None if known is None else float(np.mean(known))
+        temperatures = robot.knowledge.conditions.get(TEMPERATURE) if robot.knowledge else None
+        reference = None if temperatures is None else float(np.mean(temperatures))
         own = own / scale[:, None]
         stated = None if noise is None else MM_PER_M * noise
         return TouchModel(wide, tuple(days), names, own, MM_PER_M * rest, noise=stated, reference=reference, **more)
@@ -311,8 +311,8 @@ class TouchModel:
         ]
         T2, roots = np.array(own).transpose(1, 0, 2)
         # Log likelihood of the days before each day.
-        known = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots
-        weight = np.exp(known - np.logaddexp.reduce(known, axis=0))
+        log_odds = np.cumsum(-0.5 * T2 - roots, axis=1) + 0.5 * T2 + roots
+        weight = np.exp(log_odds - np.logaddexp.reduce(log_odds, axis=0))
         tail = np.clip((weight * chdtrc(numbers, T2)).sum(axis=0), 1e-300, 1 - 1e-12)
         return np.asarray(chdtri(numbers, tail))
 

@@ -130,8 +130,8 @@ class Touches(Result):
 
         They are in units of scale; samples with an unknown change are excluded.
         """
-        known = self.draws.d[self.draws.label != UNKNOWN]
-        return known.mean(axis=0), np.atleast_2d(np.cov(known.T))
+        draws = self.draws.d[self.draws.label != UNKNOWN]
+        return draws.mean(axis=0), np.atleast_2d(np.cov(draws.T))
 
     @cached_property
     def gain(self) -> tuple[float, float, float]:

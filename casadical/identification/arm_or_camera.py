@@ -177,9 +177,9 @@ class ArmOrCamera(Shown):
             "neither": "Neither arm nor camera is visibly wrong",
             "": "Whether arm or camera is wrong is not tellable from these poses",
         }[self.wrong]
-        for side, other, (known, unknown) in (("arm", "camera", self._sides), ("camera", "arm", self._sides[::-1])):
-            if known is not None and unknown is None:
-                verb = "is wrong" if known else "is not visibly wrong"
+        for side, other, (found, unknown) in (("arm", "camera", self._sides), ("camera", "arm", self._sides[::-1])):
+            if found is not None and unknown is None:
+                verb = "is wrong" if found else "is not visibly wrong"
                 head = f"The {side} {verb}; whether the {other} is, is not tellable from these poses"
         named = "; ".join(e.in_words() for e in self.errors if e.probability >= 0.5)
         errors = f" ({named})" if named else ""

@@ -289,11 +289,11 @@ def parameter_tables(result: Identification, whole: bool = False) -> list[Table 
     rows: list[tuple[str, ...]] = []
     for r in _shown_rows(result):
         status = "" if r["status"] == "identified" else "AT BOUND" if r["status"] == "at bound" else r["status"]
-        known = status in ("", "AT BOUND")
-        if not (known or whole):
+        determined = status in ("", "AT BOUND")
+        if not (determined or whole):
             continue
         if status:
-            (strong if known else faint).add(len(rows))
+            (strong if determined else faint).add(len(rows))
         sure = not math.isnan(r["std_error"])
         interval = (f"{r['std_error']:.2g}", f"{r['low']:.4f}", f"{r['high']:.4f}") if sure else ("-", "-", "-")
         rows.append((r["name"], f"{r['nominal']:.4f}", f"{r['value']:.4f}", *interval, f"{r['unit']} {status}".strip()))

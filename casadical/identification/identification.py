@@ -125,9 +125,9 @@ def prepare(
     sets = _sets_of(measurements)
     if isinstance(prior, Robot):
         robot, prior = carry_over(robot, prior)
-    known = prior or Prior()
-    if known.frozen:
-        known.refuse_uncovered(sets)
+    given = prior or Prior()
+    if given.frozen:
+        given.refuse_uncovered(sets)
     knowledge, free = robot.knowledge or Knowledge(), tuple[str, ...]()
     if method is not None:
         robot, free = with_method(robot, method, sets)
@@ -145,7 +145,7 @@ def prepare(
         robot = replace(robot, tool=replace(robot.tool, unknown="pose"))
         turned = frame(place_frames(robot, oriented).tool.T[:3, :3], robot.tool.T[:3, 3])
         robot = replace(robot, tool=replace(robot.tool, T=turned))
-    return Prepared(robot, sets, (*free, *sessions), known, knowledge, method)
+    return Prepared(robot, sets, (*free, *sessions), given, knowledge, method)
 
 
 def _sets_of(measurements: Measurements | Sequence[Measurements]) -> tuple[Measurements, ...]:

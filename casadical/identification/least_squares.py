@@ -357,11 +357,11 @@ class LeastSquares:
         are computed along with it.
         """
         last = self.cache.sums
-        known: Sums | None = last.answer if last.holds(v) else None
-        if known is None or known.triangle is None:
-            known = last.keep(v, self._summed(v, triangle=True))
-        assert known.triangle is not None
-        return known.triangle
+        cached: Sums | None = last.answer if last.holds(v) else None
+        if cached is None or cached.triangle is None:
+            cached = last.keep(v, self._summed(v, triangle=True))
+        assert cached.triangle is not None
+        return cached.triangle
 
     def undefined(self, v: Array) -> tuple[Measurements, Array] | None:
         """Return the first set with a residual or derivative that is not finite at v, and its mask.

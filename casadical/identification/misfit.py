@@ -322,10 +322,10 @@ def misfit_of(found: Identification) -> float:
         fit = wide_fit(found)
     except InputError:
         return 1.0
-    known = np.flatnonzero(np.isfinite(np.diag(found.covariance)))  # a parameter at its bound has no variance
-    at = fit.doubts.solved[known]
+    determined = np.flatnonzero(np.isfinite(np.diag(found.covariance)))  # a parameter at its bound has no variance
+    at = fit.doubts.solved[determined]
     scale = np.array([fit.robot.parameters[fit.doubts.names[k]].scale for k in at])
-    own = found.covariance[np.ix_(known, known)] / np.outer(scale, scale)
+    own = found.covariance[np.ix_(determined, determined)] / np.outer(scale, scale)
     here = fit.best.sums.H[np.ix_(at, at)] / (fit.best.s2 * fit.misfit)
     return float(max(1.0, len(at) / np.sum(own * here)))
 

@@ -224,14 +224,14 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
         return robot
     if robot.targets:
         return _with_targets(robot, m)
-    known = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
+    tool_position = None if robot.tool.unknown != "none" else robot.tool.T[:3, 3]
     compliant = robot.gravity_frame == "measuring" and any(j.compliance for j in robot.joints)
     T_M0, t = robot.base.T, robot.tool.T[:3, 3]
     for _ in range(
         3 if compliant else 1
     ):  # deflections depend on the direction of gravity in the base frame, so iterate
         p, R = _flange(robot, m, T_M0)
-        T_M0, t = _placed(p, R, m.position, known, T_M0, t, robot)
+        T_M0, t = _placed(p, R, m.position, tool_position, T_M0, t, robot)
     turn = robot.tool.T[:3, :3]
     if robot.tool.unknown == "pose" and m.orientation is not None:
         turn = nearest_rotation(np.einsum("nji,kj,nkl->il", R, T_M0[:3, :3], m.orientation))
@@ -239,7 +239,7 @@ def place_frames(robot: Robot, m: Measurements | Sequence[Measurements]) -> Robo
 
 
 def _placed(
-    p: Array, R: Array, y: Array, known: Array | None, T_M0: Array, t: Array, robot: Robot
+    p: Array, R: Array, y: Array, tool_position: Array | None, T_M0: Array, t: Array, robot: Robot
 ) -> tuple[Array, Array]:
     """Return base frame T_M0 (4, 4) and tool position (3,) [m] that fit measured positions.
 
@@ -251,10 +251,10 @@ def _placed(
     T_M0, t : initial base frame (4, 4) and tool position (3,) [m]
     """
     file = robot.tool.T[:3, 3]
-    placement = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=known is not None)
+    placement = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=tool_position is not None)
     starts = []
     if len(p) >= MIN_START_READINGS:
-        T, tool = solve_placement(p, R, y, known, T_M0, t)
+        T, tool = solve_placement(p, R, y, tool_position, T_M0, t)
         starts.append(FrameEstimate(T[:3, :3], T[:3, 3], tool))
         if placement.determined(starts[0]):
             return T, tool
@@ -270,15 +270,15 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
     Without such distances the tool is fitted to unknown places (`_by_unknown_places`). Robots with
     several tools, and with fewer than MIN_START_READINGS distances, are returned unchanged.
     """
-    known = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
-    if robot.targets or sum(map(len, known or sets)) < MIN_START_READINGS:
+    informed = [m[m.weight > 0] for m in sets if m.distance is not None and m.target is not None]
+    if robot.targets or sum(map(len, informed or sets)) < MIN_START_READINGS:
         return robot
-    if not known:
+    if not informed:
         return _by_unknown_places(robot, sets)
-    step = max(1, sum(len(m) for m in known) // MAX_START_POSES)
+    step = max(1, sum(len(m) for m in informed) // MAX_START_POSES)
     T, tool = robot.base.T, robot.tool.T[:3, 3]
     readings = []
-    for m in known:
+    for m in informed:
         some = m[::step]
         assert some.distance is not None
         readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))

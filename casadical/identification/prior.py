@@ -205,10 +205,10 @@ def carry_over(
     sizes = {p.name: p.scale for p in taken}
     blocks = (block.only(sizes) for block in knowledge.covariance)
     wider = (1.0, 0.0) if knowledge.robots else (PRIOR_VARIANCE_FACTOR, CHANGE_SIGMA_OF_SCALE)
-    known = tuple((block.names, _widened_covariance(block, sizes, *wider)) for block in blocks if block.names)
-    errors = {name: float(s) for names, C in known for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
+    covariances = tuple((block.names, _widened_covariance(block, sizes, *wider)) for block in blocks if block.names)
+    errors = {name: float(s) for names, C in covariances for name, s in zip(names, np.sqrt(np.diag(C)), strict=True)}
     means = {p.name: (theirs[p.name].value, errors.get(p.name, p.prior)) for p in taken}
-    return model, Prior(tuple(means), means, known, labels, knowledge)
+    return model, Prior(tuple(means), means, covariances, labels, knowledge)
 
 
 def _widened_covariance(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:

@@ -278,8 +278,8 @@ def explained(problem: LeastSquares, solved: Solved) -> list[Array]:
     fitted, solution, _ = solved
     whole = replace(fitted, sets=_with_noise_of(fitted, problem.sets))
     x, u = fitted.separate(solution.v)
-    known = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
-    places = [known.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]
+    fitted_points = dict(zip(fitted.labels, fitted.points + POINT_SCALE * u, strict=True))
+    places = [fitted_points.get(name, start) for name, start in zip(whole.labels, whole.points, strict=True)]
     v = np.concatenate([x, ((np.array(places).reshape(-1, 3) - whole.points) / POINT_SCALE).ravel()])
     spread = [
         robust_std(r / np.sqrt(np.maximum(f, MIN_REDUNDANCY)))
@@ -360,12 +360,14 @@ def reduce_and_solve(
         reduced = reduced.with_names([n for n in reduced.names if n not in gone])
     if largest_sigma > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
         frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
-        known = " and ".join(name for name, frame in frames if frame.unknown == "none")
-        frames_known = f'; known here: {known}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
+        fixed_frames = " and ".join(name for name, frame in frames if frame.unknown == "none")
+        frames_known = (
+            f'; known here: {fixed_frames}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
+        )
         raise InputError(
             f"{problem.sets[0].source}: the model does not fit: {1e3 * largest_sigma:.3g} mm per coordinate remain "
             "after the best fit; check the signs and zeros of the joints, their order, units and the DH convention"
-            f"{known and frames_known}"
+            f"{fixed_frames and frames_known}"
         )
     fixed = (*poor, *analysis.unidentifiable)
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:MAX_NAMES_IN_MESSAGE]) + (
@@ -491,8 +493,8 @@ def independent_parameters(problem: LeastSquares) -> Identifiability:
         return replace(analysis, independent=tuple(n for n in names if n not in dropped))
     if any(find_kind(m.kind).has_scale or m.separations for m in problem.sets):
         return analysis
-    known = analysis.independent
-    longest = best_of(known, lambda n: abs(_length(problem, n))) if known else ""
+    determined = analysis.independent
+    longest = best_of(determined, lambda n: abs(_length(problem, n))) if determined else ""
     if not longest or not _scale_is_free(problem):
         return analysis
     fixed[longest] = "contacts without known separations do not determine the scale; this length is its reference"

@@ -48,10 +48,10 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
     Raises InputError where a table does not state its session and others do, and for a session with
     too few poses.
     """
-    known = tuple(e.label for e in robot.effects if isinstance(e, Session))
+    labels = tuple(e.label for e in robot.effects if isinstance(e, Session))
     names = sessions_in(sets)
-    if known or not names:
-        return robot, known
+    if labels or not names:
+        return robot, labels
     for m in sets:
         if not any(c.startswith(SESSION_PREFIX) for c in m.conditions):
             raise InputError(

@@ -113,6 +113,6 @@ def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: 
     names : the parameters; prior : prior of another campaign
     size : number of all variables; less than the number of parameters: that number
     """
-    means, known = (prior.means, prior.known) if prior is not None else (False, ())
-    matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=known).prior_matrix
+    means, covariances = (prior.means, prior.known) if prior is not None else (False, ())
+    matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=covariances).prior_matrix
     return np.pad(matrix, (0, max(0, size - len(names))))

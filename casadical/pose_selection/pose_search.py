@@ -238,8 +238,8 @@ def forecast(
     )
     design = problem.design(problem.pool, 0.0)
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
-    known = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
-    p = len(problem.weight) - sum(name in known for name in problem.names)
+    with_prior = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
+    p = len(problem.weight) - sum(name in with_prior for name in problem.names)
     # Measurements at one reading have nearly the same information: only the first of them counts
     # here.
     if numbers * before < 1.2 * p:

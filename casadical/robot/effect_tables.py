@@ -420,8 +420,8 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
     if not (file.effect or file.definition):
         raise InputError(f"{path.name}: neither [[effect]] nor [[definition]]; one at least is needed")
     with errors_of(f"{path.name}: "):
-        known, values, _ = effects_of(file.effect, file.definition, effects)
-    return Effects(known, values, file.robot, new_effects(file.definition))
+        chosen, values, _ = effects_of(file.effect, file.definition, effects)
+    return Effects(chosen, values, file.robot, new_effects(file.definition))
 
 
 def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, known_alone: bool = False) -> str:

@@ -49,13 +49,13 @@ def found_in(log: JointLog) -> tuple[str, ...]:
 
 
 def _understood(log: JointLog) -> Iterator[str]:
-    """Yield sentences on channels and joints, and on what missing channels leave undetermined."""
+    """Yield sentences on names and joints, and on what missing names leave undetermined."""
     units = {"rad": "rad"} | {unit: unit for k in range(len(log.joints)) for unit in (log.unit("position", k),)}
-    known = [name.replace("_", " ") for name in log.arrays]
+    names = [name.replace("_", " ") for name in log.arrays]
     if log.current_unsigned:
-        known[known.index("current")] = "current (unsigned)"
+        names[names.index("current")] = "current (unsigned)"
     kinds = "" if len(units) == 1 else f" ({', '.join(log.kinds)})"
-    yield f"{len(log)} rows of {len(log.joints)} joints{kinds}, {', '.join(log.joints)}: {', '.join(known)}; SI units"
+    yield f"{len(log)} rows of {len(log.joints)} joints{kinds}, {', '.join(log.joints)}: {', '.join(names)}; SI units"
     if log.torque is None and (log.current is None or log.current_unsigned):
         yield (
             "no torque and no signed current: causes are identified from the response to commands alone; "
@@ -283,8 +283,8 @@ def with_signs(log: JointLog) -> JointLog:
             "its sign"
         )
         changed: dict[str, Array | None] = {"torque": None if channel == "torque" else log.torque, "current": values}
-        known = {"current_unsigned": True, "signs_lost": channel, "findings": (*log.findings, said)}
-        return replace(log, **changed, **known)  # type: ignore[arg-type]
+        lost = {"current_unsigned": True, "signs_lost": channel, "findings": (*log.findings, said)}
+        return replace(log, **changed, **lost)  # type: ignore[arg-type]
     return log
 
 

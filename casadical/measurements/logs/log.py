@@ -153,8 +153,8 @@ def joined(logs: Sequence[JointLog]) -> JointLog:
     shared: dict[str, Any] = dict.fromkeys(first.arrays)
     for name in shared:
         parts = [log.arrays.get(name) for log in logs]
-        known = [part for part in parts if part is not None]
-        shared[name] = np.concatenate(known) if len(known) == len(logs) else None
+        present = [part for part in parts if part is not None]
+        shared[name] = np.concatenate(present) if len(present) == len(logs) else None
     counts = np.cumsum([0, *(int(log.run.max()) for log in logs)])
     shared |= {name: np.concatenate([getattr(log, name) for log in logs]) for name in ("time", "row")}
     shared["run"] = np.concatenate([log.run + before for log, before in zip(logs, counts, strict=False)])

@@ -145,8 +145,8 @@ def verify(
     if others:
         kinds = ", ".join([kind, *others])
         raise InputError(f"{', '.join(m.source for m in sets)}: tables of kinds {kinds}; check one at a time")
-    known = (_in_metres(promised_mm, "promised_mm"), 0) if promised_mm is not None else promised_rms(place, kind)
-    promised, judged = known
+    promise = (_in_metres(promised_mm, "promised_mm"), 0) if promised_mm is not None else promised_rms(place, kind)
+    promised, judged = promise
     arm, named, notes = with_targets_of_rows(arm, sets)
     prepared = prepare(arm, [m.positions_alone() if m.position is not None else m for m in named])
     placing = _Refit.needed_by(prepared)

@@ -195,7 +195,7 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
         "other_pose",
     )
     for name in conditions:
-        near = [known for known in known_columns if known.startswith(f"{name}_")]
+        near = [candidate for candidate in known_columns if candidate.startswith(f"{name}_")]
         # At 0.84 a height is not taken for a weight (0.83), but temperature_C for temperature_degC.
         near = near or difflib.get_close_matches(name.casefold(), known_columns, 1, 0.84)
         if name not in known_columns and near and not name.startswith(("warmth_", "approach")):

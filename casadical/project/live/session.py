@@ -481,7 +481,7 @@ class LiveSession:
         with self.lock:
             read, estimate = self._read(), self.estimate
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
-            known: dict[str, Any] | None = None
+            figures: dict[str, Any] | None = None
             if estimate is not None:
                 errors_mm, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
                 promise = (
@@ -489,7 +489,7 @@ class LiveSession:
                     if len(errors_mm) >= MIN_READINGS_FOR_QUANTILE
                     else None
                 )
-                known = {
+                figures = {
                     "readings": len(estimate),
                     "noise_mm": 1e3 * estimate.sigma,
                     "expected_mm": 1e3 * estimate.expected(task),
@@ -507,7 +507,7 @@ class LiveSession:
                     "readings": readings,
                     "said": [*([self.unread] if self.unread else []), *self.said[-5:], *self._of_table],
                     "table": self._of_table,
-                    "known": known,
+                    "known": figures,
                     "next": None if self.plan is None or touches else self._next_json(),
                 }
             )

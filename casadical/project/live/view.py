@@ -16,26 +16,30 @@ def with_words(data: Mapping[str, Any]) -> dict[str, Any]:
     data : as `LiveSession.state` assembles it. Added keys are about, known_words, `words` of each
         reading, and `figures` of what is known.
     """
-    known = data["known"]
+    figures = data["known"]
     good = sum(r["state"] == "good" for r in data["readings"])
     origin = "measured" if data["data"] == "real" else "SYNTHETIC"
     readings = []
     for reading in data["readings"]:
         soon = (
-            f"judged from reading {MIN_READINGS_OF_FIT + 1} on" if known is None and reading["state"] == "good" else ""
+            f"judged from reading {MIN_READINGS_OF_FIT + 1} on"
+            if figures is None and reading["state"] == "good"
+            else ""
         )
         readings.append({**reading, "words": "; ".join(filter(None, (_off(reading), reading["why"], soon)))})
     known_words = f"{MIN_READINGS_OF_FIT} readings are needed"
-    if known is not None:
-        known_words = f"{known['readings']} readings tell of the robot; they scatter by {known['noise_mm']:.3f} mm a "
+    if figures is not None:
+        known_words = (
+            f"{figures['readings']} readings tell of the robot; they scatter by {figures['noise_mm']:.3f} mm a "
+        )
         known_words += "coordinate" + (
-            f"; a promise from {MIN_READINGS_FOR_QUANTILE} on" if known["promise_mm"] is None else ""
+            f"; a promise from {MIN_READINGS_FOR_QUANTILE} on" if figures["promise_mm"] is None else ""
         )
     return {
         **data,
         "about": f"{data['folder']}, {origin}: {good} of {len(readings)} readings count",
         "readings": readings,
-        "known": known and {**known, "figures": _figures(known)},
+        "known": figures and {**figures, "figures": _figures(figures)},
         "known_words": known_words,
     }
 
@@ -45,9 +49,9 @@ def summary(state: Mapping[str, Any]) -> list[Words | Table]:
 
     state : as of `LiveSession.state`
     """
-    known = state["known"]
+    figures = state["known"]
     blocks: list[Words | Table] = [Words(f"{state['about']}.", "verdict"), Words(f"{state['known_words']}.")]
-    blocks += [Table("", ("known by now", ""), known["figures"], frozenset({1}))] if known else []
+    blocks += [Table("", ("known by now", ""), figures["figures"], frozenset({1}))] if figures else []
     blocks += [Words(answer(state, r["number"]), "warning") for r in state["readings"] if r["state"] != "good"]
     return [*blocks, *(Words(text, "warning") for text in state["table"])]
 

@@ -160,7 +160,7 @@ def _placed(target: Target, frames: tuple[str, str], given: Given, steps: dict[s
     if number in steps:
         target = target.leave(f"line {steps[number]} moves by it (INC), not to it")
     tool, base = (
-        known.get(pick, np.eye(4) if pick == "0" else known.get(""))
-        for pick, known in zip(frames, (given.tools, given.bases), strict=True)
+        transforms.get(pick, np.eye(4) if pick == "0" else transforms.get(""))
+        for pick, transforms in zip(frames, (given.tools, given.bases), strict=True)
     )
     return replace(target, tool=tool, base=base, about=f"tool {frames[0]}, base {frames[1]}")

@@ -217,8 +217,8 @@ class _Frames:
             for what, chosen in self.chosen.items()
         }
         tool, base = (
-            self._frame(what, picks[what], known)
-            for what, known in (("TOOL", self.given.tools), ("BASE", self.given.bases))
+            self._frame(what, picks[what], transforms)
+            for what, transforms in (("TOOL", self.given.tools), ("BASE", self.given.bases))
         )
         names = [p if isinstance(p, str) else "given" if p is not None else "?" for p in picks.values()]
         return replace(target, tool=tool, base=base, about=f"tool {names[0]}, base {names[1]}")
