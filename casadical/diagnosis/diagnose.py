@@ -203,10 +203,17 @@ class _Question:
     def answer(self) -> Diagnosis:
         """Return the diagnosis; the search is repeated if the noise differs from that assumed.
 
-        Raises InputError where the noise lies beyond the widest grid.
+        Raises InputError where the base model can absorb all that was measured, or where the noise
+        lies beyond the widest grid.
         """
         prior = self.prepared.prior
         case, unchanged, changed = self.case(), prior, tuple[Change, ...]()
+        e = case.evidence
+        if e.count - e.absorbed < 1:  # less than one degree of freedom
+            raise InputError(
+                f"{case.m.source}: base and geometry can absorb all that its {len(case.m)} rows measure, so that no "
+                "residual remains to be diagnosed; measure more poses (casadical plan)"
+            )
         if prior.free:
             self.show("what changed since the campaign of the prior")
             changed, unchanged = changes(case, prior)

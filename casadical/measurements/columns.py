@@ -88,7 +88,7 @@ def _column_of_source(table: pd.DataFrame, source: Source) -> pd.Series:
         return table[source.name]
     terms = {source.name: source.times + source.add.get(source.name, 0.0)}
     terms |= {n: source.add[n] for n in source.add if n != source.name}
-    number = {name: pd.to_numeric(table[name], errors="coerce") for name in terms}
+    number = {name: pd.Series(numbers_of(table[name]), table.index) for name in terms}
     total = sum((factor * number[name] for name, factor in terms.items()), start=pd.Series(source.plus, table.index))
     words = table[source.name].where(number[source.name].isna())
     return total.where(words.isna(), words).shift(-source.rows)
@@ -472,7 +472,9 @@ def is_ours(name: str, pattern: str) -> bool:
 
 
 def numbers_of(cells: pd.Series) -> Array:
-    """Return cells as numbers, shape (n,), NaN for those that are none."""
+    """Return cells as numbers, shape (n,), NaN for those that are none, such as truth values."""
+    if cells.dtype in (bool, object):
+        cells = cells.map(lambda cell: str(cell) if isinstance(cell, bool | np.bool_) else cell)
     return pd.to_numeric(cells, errors="coerce").to_numpy(dtype=float)
 
 

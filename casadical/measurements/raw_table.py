@@ -188,8 +188,6 @@ def _parquet(path: Path, data: bytes) -> RawTable:
         header = tuple(str(name).strip() for name in table.column_names)
         refuse_repeated_names(header, str(path))
         frame = table.to_pandas(ignore_metadata=True).set_axis(header, axis=1)
-        # Truth values are words, as they are in a text file; pandas would take them for 0 and 1.
-        frame = frame.astype(dict.fromkeys(frame.select_dtypes(bool).columns, str))
     if not len(frame):
         raise InputError(f"{path}: no rows; at least one is needed")
     return RawTable(path, header, (), frame, np.arange(len(frame)) + 2, table_form.Form("parquet"))

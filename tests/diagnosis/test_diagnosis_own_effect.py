@@ -74,6 +74,12 @@ def test_an_effect_of_a_column_that_is_not_there_is_refused(ask: Callable[..., o
         ask(robot("ur10e"), with_cable(0.0), effects=effects)
 
 
+@pytest.mark.parametrize("n", [1, 5])
+def test_poses_that_base_and_geometry_absorb_are_refused(n: int) -> None:
+    with pytest.raises(InputError, match=rf"absorb all that its {n} rows measure.*measure more poses"):
+        diagnose(robot("ur10e"), with_cable(0.0)[:n], effects=["backlash"])
+
+
 def test_unknown_name_lists_those_that_exist() -> None:
     with pytest.raises(InputError, match="no effect 'backlsh'") as error:
         diagnose(robot("ur10e"), with_cable(0.0), effects=["backlsh"])

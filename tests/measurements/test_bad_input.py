@@ -23,6 +23,7 @@ from casadical import (
 from casadical.core.basics import FaultsError
 from casadical.core.transforms import frame
 from casadical.identification.plausibility import check_against
+from casadical.measurements.columns import Source
 
 N = 24
 ARM = Robot(
@@ -114,6 +115,10 @@ TABLES = [
     Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
     # cells
     Bad("a word", lambda _: read(changed("y_mm", 5, "12,7")), ("row 5", "'y_mm'", "'12,7'", "not a finite number")),
+    Bad("truth values", lambda tmp: file(tmp, table(q1_deg=np.arange(N) % 2 == 0).to_csv(index=False)),
+        ("row 2", "'q1_deg'", "True is not a finite number")),
+    Bad("truth values times a factor", lambda _: read(table(z_mm=None, up=np.ones(N, bool)),
+        columns={"z_mm": Source("up", times=1e3)}), ("row 2", "'z_mm'", "not a finite number")),
     Bad("an empty cell", lambda _: read(changed("q3_deg", 9, np.nan)), ("row 9", "'q3_deg'", "an empty cell")),
     Bad("a direction that is none", lambda _: read(table(approach2=np.full(N, 0.5))),
         ("row 2", "'approach2'", "0.5 is not possible", "allowed: -1 or 1")),

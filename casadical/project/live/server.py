@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 # Time within which a client must send its request, headers and body each [s].
 REQUEST_TIMEOUT_S = 10.0
+# Maximum number of open connections: far fewer than the files that a process may open.
+MAX_CONNECTIONS = 100
 # Maximum length of a command from the page [bytes].
 MAX_COMMAND_BYTES = 100_000
 # Time between two queries of a source for new readings [s].
@@ -199,7 +201,7 @@ class LivePage:
                 return json_response({"error": why}, 413, {"Connection": "close"})  # type: ignore[no-any-return]
             said = await asyncio.to_thread(self._done, _command(body))
             response = json_response({"said": said})
-        except (InputError, ConvergenceError, ValueError, TimeoutError) as error:
+        except (InputError, ConvergenceError, TimeoutError) as error:
             why = str(error) or f"the command did not arrive within {REQUEST_TIMEOUT_S:.0f} s"
             response = json_response({"error": why}, 400)
         else:
@@ -227,7 +229,8 @@ class LivePage:
         if not isinstance(number, int) or isinstance(number, bool):
             raise InputError(f"{do}: give the number of a reading, a whole number")
         if do == "strike":
-            session.strike(number, str(asked.get("why", "")))
+            why = asked.get("why", "")
+            session.strike(number, why if isinstance(why, str) else "")
         else:
             (session.restore if do == "restore" else session.repeat)(number)
         return ""
@@ -252,12 +255,12 @@ async def _body(request: Request) -> bytes | None:
 def _command(body: bytes) -> dict[str, Any]:
     """Return the JSON object in the body of a request, with `do` and its values.
 
-    Raises InputError or ValueError for anything else.
+    Raises InputError for anything else.
     """
     try:
         asked = json.loads(body)
         json.dumps(asked, ensure_ascii=False).encode()  # lone surrogates could not be kept in a file
-    except RecursionError:
+    except (RecursionError, ValueError):
         asked = None
     if not isinstance(asked, dict):
         raise InputError("a command is a JSON object of a few plain values")
@@ -310,11 +313,16 @@ def serve(
 
         def connection_made(self, transport: asyncio.Transport) -> None:
             super().connection_made(transport)
-            self.loop.call_later(REQUEST_TIMEOUT_S, self._close_without_request)
+            if len(self.connections) > MAX_CONNECTIONS:
+                transport.close()
+            self.loop.call_later(REQUEST_TIMEOUT_S, self._close_without_request, None)
 
-        def _close_without_request(self) -> None:
-            if self.cycle is None:
+        def _close_without_request(self, last: Any) -> None:
+            """Close the connection if its last request is answered and no other one has come whole."""
+            if self.cycle is last and (last is None or last.response_complete):
                 self.transport.close()
+            elif not self.transport.is_closing():
+                self.loop.call_later(REQUEST_TIMEOUT_S, self._close_without_request, self.cycle)
 
     with bound(host, port) as opened:
         at = f"[{host}]" if ":" in host else host
