@@ -68,7 +68,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
         yield shrinks(d)
     yield from parameter_figures(d.identification)
     measured = d.case.evidence.measured
-    residual = d.left if measured is None else d.left[measured]
+    residual = d.residual if measured is None else d.residual[measured]
     poses = {"poses of the campaign": (d.case.m[d.case.inliers],)}
     yield from fit_figures(d.identification, poses, residual / float(np.sqrt((residual**2).mean())))
 

@@ -153,7 +153,7 @@ def next_poses(
     labels: Sequence[str] = (),
     seed: int = 0,
     *,
-    beside: Sequence[str] | None = None,
+    against: Sequence[str] | None = None,
     workspace: Workspace | None = None,
     payloads: Sequence[float] = (),
     pool: int = 800,
@@ -171,7 +171,7 @@ def next_poses(
         the diagnosis has in question (`Diagnosis.in_question`), with an empty table if there are
         none
     seed : seed of the drawn poses
-    beside : other labels from which each of these is to be distinguished as well, but not from each
+    against : other labels from which each of these is to be distinguished as well, but not from each
         other; by default "none", and with the default labels the most probable other cause
     workspace : region in which poses may lie; by default the robot's own ranges, with loops as open
         as in the campaign
@@ -193,7 +193,7 @@ def next_poses(
             return pd.DataFrame()
         candidate_labels = {c.label for c in case.candidates}
         others = tuple(k for k in found.rankings[-1].order if k in candidate_labels and k not in labels)[:1]
-    causes = causes_in_question(case, labels, (NO_CAUSE, *others) if beside is None else beside)
+    causes = causes_in_question(case, labels, (NO_CAUSE, *others) if against is None else against)
     noise = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))
     columns = dict.fromkeys((*case.robot.conditions, *(c for e in effects for c in e.conditions)))
@@ -220,19 +220,19 @@ class _Cause(NamedTuple):
     noise: Noise
 
 
-def causes_in_question(case: Case, labels: Sequence[str], beside: Sequence[str] = ()) -> list[_Cause]:
+def causes_in_question(case: Case, labels: Sequence[str], against: Sequence[str] = ()) -> list[_Cause]:
     """Return the causes of some labels, each with its most likely and two other likely settings.
 
     The cause with the least noise comes first.
     labels : causes to distinguish, two or more; `NO_CAUSE` for none
-    beside : other labels, with their most likely settings only
+    against : other labels, with their most likely settings only
     Raises InputError: fewer than two labels, or one that is no candidate.
     """
     if len(set(labels)) < 2:
         raise InputError(f"causes {list(labels)}; give two or more to distinguish")
     by_label = {c.label: c for c in case.candidates}
     causes: list[_Cause] = []
-    for label in dict.fromkeys((*labels, *beside)):
+    for label in dict.fromkeys((*labels, *against)):
         if label == NO_CAUSE:
             causes.append(_Cause(NO_CAUSE, (), likely_noise(case.evidence.log_base(), case.evidence.sigmas)))
             continue

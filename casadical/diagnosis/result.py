@@ -394,7 +394,7 @@ class Diagnosis(Result):
         return self._pose_errors("Held-out poses", tuple(models))
 
     @cached_property
-    def left(self) -> Array:
+    def residual(self) -> Array:
         """Return the inliers' residuals of a fit with the causes, shape (n_inliers, numbers) [m].
 
         Lengths and angles are scaled to equal noise.
@@ -410,8 +410,8 @@ class Diagnosis(Result):
         base, vectors, size = self.case.lengths, self.case.vectors, self.case.evidence.size
         models = [ModelErrors("base model", np.linalg.norm(base, axis=1), vectors)]
         if self.columns.size:
-            length = np.linalg.norm(self.left if size is None else self.left * size, axis=1)
-            models.append(ModelErrors("with causes", length, None if vectors is None else self.left[:, :3]))
+            length = np.linalg.norm(self.residual if size is None else self.residual * size, axis=1)
+            models.append(ModelErrors("with causes", length, None if vectors is None else self.residual[:, :3]))
         return self._pose_errors("All poses fitted", tuple(models))
 
     def _pose_errors(self, name: str, models: tuple[ModelErrors, ...]) -> PoseErrors:

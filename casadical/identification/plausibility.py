@@ -325,7 +325,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         first, last = (int(k) for k in np.searchsorted(rows, (begin, end)))
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
-        def beside(k: int, few: Array = few) -> bool:
+        def in_other_unit(k: int, few: Array = few) -> bool:
             """Return whether a pose beside a faulty part is in another unit, too.
 
             k : place of the pose in `by_row`; few : places of sample poses of the part
@@ -334,9 +334,9 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
             which = by_row[[*few, *[k] * (len(few) + 1)]]
             return bool(_unit_fault(robot, m, p, which))
 
-        while first > 0 and beside(first - 1):
+        while first > 0 and in_other_unit(first - 1):
             first -= 1
-        while last + 1 < len(rows) and beside(last + 1):
+        while last + 1 < len(rows) and in_other_unit(last + 1):
             last += 1
         runs.append((int(rows[first]), int(rows[last])))
     return list(dict.fromkeys(runs))

@@ -90,7 +90,7 @@ def test_table_can_be_taken_to_the_robot(doubtful) -> None:
     "labels", [["nonlinear_stiffness@2", "backlash@2"], ["frame_drift", "thermal_growth"], ["backlash@2", "none"]]
 )
 def test_chosen_poses_tell_more_than_random_ones(doubtful, labels: list[str]) -> None:
-    best = next_poses(doubtful, 8, labels, beside=(), pool=400)["separation"].iloc[-1]
+    best = next_poses(doubtful, 8, labels, against=(), pool=400)["separation"].iloc[-1]
     causes = causes_in_question(doubtful, labels)
     least = causes[0].noise
     effects = tuple(dict.fromkeys(e for cause in causes for e in cause.variant))

@@ -244,19 +244,19 @@ class SimulatedSource:
     words = "simulated"
 
     def __init__(self, robot: Robot, pose: Callable[[], Array], count: int, seed: int = 0) -> None:
-        self._pose, self.left, self._rng = pose, count, np.random.default_rng(seed)
+        self._pose, self._remaining, self._rng = pose, count, np.random.default_rng(seed)
         self._robot = as_built(robot, self._rng)
 
     @property
     def ended(self) -> bool:
         """Return whether all readings were given."""
-        return self.left == 0
+        return self._remaining == 0
 
     def news(self) -> News:
         """Return the next simulated reading as a row; none after the last."""
         if self.ended:
             return News()
-        self.left -= 1
+        self._remaining -= 1
         q = self._pose()
         place = expected(self._robot, q[None], {}, self.words).position
         assert place is not None
