@@ -6,7 +6,7 @@ The hash of the key is published with the campaigns.
 import secrets
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -16,7 +16,7 @@ from scipy.linalg import orth
 
 from casadical.blind_check import protocol
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, Plant
-from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS, TRUE_COLUMNS
+from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
 from casadical.blind_check.prediction import nominal
 from casadical.blind_check.recording import COLUMN_PREFIXES, POSE_COUNTS, Plan, Record, Subject, draw_plans, record
 from casadical.blind_check.worker_pool import completed, workers
@@ -59,26 +59,8 @@ def unabsorbed_rms(J: Array, shift: Array) -> float:
     return float(np.sqrt(np.mean(remaining**2)))
 
 
-# Number of a campaign's additional poses whose positions are only in the key.
-UNSEEN_POSES = 50
 # Smallest number of measured poses of a campaign; with fewer no robot can be identified.
 MIN_POSES = 20
-
-
-@dataclass(frozen=True, eq=False)
-class Campaign:
-    """A campaign before it is written.
-
-    name : name of the campaign
-    seen : CSV text of the measured poses
-    unseen : CSV text of the unseen poses, without positions
-    secret : what the campaign hides
-    """
-
-    name: str
-    seen: str
-    unseen: str
-    secret: protocol.Secret
 
 
 def make(
@@ -100,8 +82,7 @@ def make(
     folder, key : new folders of the campaigns and of the key
     seed : seed of everything drawn, which the key contains; None: a random one, which a real test
         needs
-    poses : possible numbers of measured poses of a campaign; each has 50 more whose positions are
-        only in the key
+    poses : possible numbers of poses of a campaign
     project : folder with problems/ and data/
     executor : executor of `concurrent.futures`; None: a process for each core
     show : called with a campaign's name, the number of campaigns done, and that of all
@@ -132,18 +113,18 @@ def make(
             )
         model = to_toml(read_campaign_robot(Path(project) / "problems" / name))
         subjects[name] = Subject(Plant.from_dict(load_json(path)), model)
-    made: dict[str, Campaign] = {}
+    made: dict[str, tuple[str, protocol.Secret]] = {}
     with workers(executor) as pool:
         tasks = [(subjects[p.robot], p) for p in todo]
-        for done, campaign in enumerate(completed(pool, campaign_of, tasks), 1):
-            made[campaign.name] = campaign
-            show(campaign.name, done, len(todo))
+        for done, (name, table, secret) in enumerate(completed(pool, campaign_of, tasks), 1):
+            made[name] = table, secret
+            show(name, done, len(todo))
     inside = protocol.Key(
         salt=protocol.sha256(f"casadical withheld {seed}".encode()),
         seed=seed,
         reality="mujoco",
         versions=versions,
-        campaigns={p.name: made[p.name].secret for p in todo},
+        campaigns={p.name: made[p.name][1] for p in todo},
     )
     manifest = protocol.Manifest(
         key_sha256=protocol.sha256(inside.text().encode()),
@@ -154,8 +135,7 @@ def make(
     texts |= {
         folder / protocol.ROBOTS_FOLDER / f"{name}.robot.toml": subject.model for name, subject in subjects.items()
     }
-    texts |= {folder / f"{c.name}.csv": c.seen for c in made.values()}
-    texts |= {folder / f"{c.name}.unseen.csv": c.unseen for c in made.values()}
+    texts |= {folder / f"{name}.csv": table for name, (table, _) in made.items()}
     texts |= {folder / protocol.MANIFEST_FILE: manifest.model_dump_json(indent=1) + "\n"}
     with claimed([folder, key_folder]):
         write_together({**texts, **also(manifest)})
@@ -173,76 +153,40 @@ def engine_versions() -> dict[str, str]:
         raise InputError(f"the engine {error.name} is not installed: pip install 'casadical[withheld]'") from None
 
 
-def campaign_of(subject: Subject, plan: Plan) -> Campaign:
-    """Return the simulated campaign of a plan; this runs in a worker process.
+def campaign_of(subject: Subject, plan: Plan) -> tuple[str, str, protocol.Secret]:
+    """Return a plan's simulated campaign: its name, its table as CSV text, and what it hides.
+
+    This runs in a worker process.
 
     Raises ConvergenceError: no equilibrium in six attempts with different draws.
     """
-    rng = np.random.default_rng([plan.seed, 2])
-    # Unseen poses lie between measured ones, so that no time or temperature is extrapolated.
-    is_seen = np.ones(plan.poses + UNSEEN_POSES, dtype=bool)
-    is_seen[1 + rng.choice(len(is_seen) - 2, UNSEEN_POSES, replace=False)] = False
-    poses = None if subject.poses is None else with_poses_between(subject.poses, is_seen)
     # If a session finds no equilibrium, everything but the plan is drawn again, up to five times.
     for retry in range(6):
         plan = replace(plan, seed=plan.seed + min(retry, 1))
         try:
-            recorded = record(subject, plan, plan.poses + UNSEEN_POSES, poses)
+            recorded = record(subject, plan)
             break
         except ConvergenceError:
             if retry == 5:
                 raise
     struck = [c for word in plan.not_logged for c in recorded.session if str(c).startswith(COLUMN_PREFIXES[word])]
-    shown = recorded.session.drop(columns=[*struck, *TRUE_COLUMNS])
-    unseen = recorded.session[~is_seen]
-    return Campaign(
-        name=plan.name,
-        seen=shown[is_seen].to_csv(index=False),
-        unseen=shown[~is_seen].drop(columns=MEASURED_COLUMNS).to_csv(index=False),
-        secret=_secret(plan, recorded, is_seen, subject.model, unseen),
-    )
+    table = recorded.session.drop(columns=struck).to_csv(index=False)
+    return plan.name, table, _secret(plan, recorded, subject.model)
 
 
-def with_poses_between(poses: pd.DataFrame, is_seen: Array) -> pd.DataFrame:
-    """Return a table with the given poses where the mask is true, and intermediate poses elsewhere.
-
-    The latter are between the pose before and the next one, with the payload of the former and the
-    approach directions of the latter.
-
-    poses : table with a row for each true entry of the mask
-    is_seen : mask of the rows of the result, shape (rows,); the first is true
-    """
-    place = np.cumsum(is_seen) - 1.0
-    for k in np.flatnonzero(~is_seen):
-        place[k] = (place[k - 1] + np.floor(place[k - 1]) + 1) / 2
-    before = np.floor(place).astype(int)
-    after = np.minimum(before + 1, len(poses) - 1)
-    share = place - before
-    columns = {}
-    for name in map(str, poses):
-        values = poses[name].to_numpy(float)
-        columns[name] = (1 - share) * values[before] + share * values[after]
-        if name.startswith("approach"):
-            columns[name] = np.where(share > 0, values[after], values[before])
-        if name == "payload_kg":
-            columns[name] = values[before]
-    return pd.DataFrame(columns)
-
-
-def _secret(plan: Plan, recorded: Record, is_seen: Array, model: str, unseen: pd.DataFrame) -> protocol.Secret:
+def _secret(plan: Plan, recorded: Record, model: str) -> protocol.Secret:
     """Return what a campaign hides, with the visible size of each effect.
 
-    is_seen : mask of the measured poses; model : text of the nominal robot's file
-    unseen : table of the unseen poses, with positions
+    model : text of the nominal robot's file
     """
     robot = nominal(model)
-    clean = from_table(recorded.clean[is_seen].drop(columns=TRUE_COLUMNS), [j.kind for j in robot.joints], "position")
+    clean = from_table(recorded.clean, [j.kind for j in robot.joints], "position")
     J = base_jacobian(robot, clean)
 
     def seen(table: pd.DataFrame) -> float:
         """Return the visible size [m] of the effects in a table; see `unabsorbed_rms`."""
         shift = table[MEASURED_COLUMNS].to_numpy(float) - recorded.clean[MEASURED_COLUMNS].to_numpy(float)
-        return round(unabsorbed_rms(J, 1e-3 * shift[is_seen]), 9)
+        return round(unabsorbed_rms(J, 1e-3 * shift), 9)
 
     together = seen(recorded.session)
     alone = [seen(t) for t in recorded.alone] or [together] * len(recorded.hidden)
@@ -258,11 +202,4 @@ def _secret(plan: Plan, recorded: Record, is_seen: Array, model: str, unseen: pd
         noise=plan.noise,
         repeatability=plan.repeatability,
         visible=together,
-        measured_mm=_rows(unseen, MEASURED_COLUMNS),
-        true_mm=_rows(unseen, TRUE_COLUMNS),
     )
-
-
-def _rows(table: pd.DataFrame, columns: list[str]) -> tuple[tuple[float, float, float], ...]:
-    """Return three columns of a table [mm] as tuples of numbers rounded to 1e-4, one per row."""
-    return tuple((round(x, 4), round(y, 4), round(z, 4)) for x, y, z in table[columns].to_numpy(float).tolist())

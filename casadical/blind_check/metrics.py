@@ -8,14 +8,13 @@ are Wilson's score intervals (1927), those of means and quantiles come from the 
 judged.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 
 import numpy as np
 
 from casadical.blind_check.protocol import Answer, Kind, Secret
-from casadical.core.basics import Array
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,6 @@ class Outcome:
     named : labels of the causes that the answer names
     alike : first named cause and up to two that the answer cannot distinguish from it
     probability : probability that the answer gives to the truth, the mean over several labels
-    predicted, realised : relative reduction of the mean error by the named causes, as predicted by
-        the answer and at the unseen poses
-    before, after : mean error at the unseen poses [m], of the base model and with the named causes
     """
 
     name: str
@@ -53,10 +49,6 @@ class Outcome:
     named: tuple[str, ...]
     alike: tuple[str, ...]
     probability: float
-    predicted: float
-    realised: float
-    before: float
-    after: float
 
     @property
     def detected(self) -> bool:
@@ -90,7 +82,6 @@ def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
     name : name of the campaign
     """
     named = tuple(dict.fromkeys(c.label for c in answer.causes))
-    before, after = unseen_errors(secret, answer, "outliers" in named)
     wanted = secret.truth or ("none" if secret.kind == "none" else "unknown",)
     probability = answer.probabilities
     return Outcome(
@@ -107,36 +98,14 @@ def outcome(name: str, secret: Secret, answer: Answer) -> Outcome:
         named=named,
         alike=(named[0], *answer.causes[0].alike)[:3] if named else (),
         probability=float(np.mean([probability.get(text, 0.0) for text in wanted])),
-        predicted=1 - answer.gap_mm.after / answer.gap_mm.before,
-        realised=1 - after / before,
-        before=before,
-        after=after,
     )
-
-
-def unseen_errors(secret: Secret, answer: Answer, outliers_named: bool) -> tuple[float, float]:
-    """Return the mean errors at the unseen poses [m], of the base model and with the named causes.
-
-    If the answer names outliers, those of the instrument are excluded from the second, because they
-    are no error of the robot.
-
-    outliers_named : whether the answer names outliers
-    """
-    measured, true = np.array(secret.measured_mm), np.array(secret.true_mm)
-    base, better = np.array(answer.unseen.base_mm), np.array(answer.unseen.with_causes_mm)
-    before, after = np.linalg.norm(measured - base, axis=1), np.linalg.norm(measured - better, axis=1)
-    if outliers_named:
-        noise = np.abs(measured - true)
-        # A coordinate beyond eight robust standard deviations is an outlier of the instrument.
-        after = after[noise.max(axis=1) <= 8.0 * 1.4826 * float(np.median(noise))]
-    return 1e-3 * float(before.mean()), 1e-3 * float(after.mean())
 
 
 @dataclass(frozen=True)
 class Estimate:
     """An estimate and its 95 % interval; without data these are None.
 
-    value : fraction, mean or quantile
+    value : fraction or mean
     low, high : ends of its 95 % interval
     n : number of campaigns or claims
     hits : number of positive ones, for a fraction; else None
@@ -166,57 +135,43 @@ def fraction(hits: Sequence[bool]) -> Estimate:
     return Estimate(p, max(0.0, low), min(1.0, high), n, count)
 
 
-def bootstrap(values: Sequence[float], statistic: Callable[[Array], Array]) -> Estimate:
-    """Return a statistic of values with its bootstrap interval.
-
-    statistic : function of arrays that reduces their last axis, along which the values are
-    """
+def mean(values: Sequence[float]) -> Estimate:
+    """Return the mean with its bootstrap interval."""
     if not len(values):
         return Estimate(None, None, None, 0)
     data = np.asarray(values, dtype=float)
-    draws = statistic(data[np.random.default_rng(0).integers(0, len(data), (2000, len(data)))])
+    draws = data[np.random.default_rng(0).integers(0, len(data), (2000, len(data)))].mean(axis=-1)
     low, high = np.quantile(draws, [0.025, 0.975])
-    return Estimate(float(statistic(data)), float(low), float(high), len(data))
+    return Estimate(float(data.mean()), float(low), float(high), len(data))
 
 
-def mean(values: Sequence[float]) -> Estimate:
-    """Return the mean with its bootstrap interval."""
-    return bootstrap(values, lambda x: np.asarray(x.mean(axis=-1)))
-
-
-def quantile(values: Sequence[float], q: float) -> Estimate:
-    """Return the quantile of values at a probability q, 0 to 1, with its bootstrap interval."""
-    return bootstrap(values, lambda x: np.asarray(np.quantile(x, q, axis=-1)))
-
-
-# Smallest signal (rms over noise, see `Outcome`) of a strong effect.
-STRONG_SIGNAL = 0.5
-# Smallest signal of an effect that should be detected.
+# Smallest signal (rms over noise, see `Outcome`) of an effect that should be detected.
 DETECTABLE_SIGNAL = 0.35
-# Smallest signal of a faint effect; effects with a smaller one are invisible.
-FAINT_SIGNAL = 0.2
 
 
 def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
     """Return the metrics by name, each with the project's target as text; "" for none."""
-    none, one, several, off = (of_kind(outcomes, kind) for kind in ("none", "one", "several", "unlisted"))
-    hidden = [t for t in outcomes if t.kind != "none"]
+    none, one, several, off = (
+        [t for t in outcomes if t.kind == kind] for kind in ("none", "one", "several", "unlisted")
+    )
+    clear = [t for t in one if t.signal >= DETECTABLE_SIGNAL]
     pairs = [t for t in several if len(t.truth) == 2 and min(t.signals) >= DETECTABLE_SIGNAL]
     visible = [(t, text) for t in several for text, s in zip(t.truth, t.signals, strict=True) if s >= DETECTABLE_SIGNAL]
-    # Answers with outliers are counted separately: their number among fifty poses is random, and
-    # they are no error of the robot.
-    wrong, every = shrink_errors([t for t in outcomes if "outliers" not in t.named]), shrink_errors(outcomes)
-    gap_ratios = [t.after / t.before for t in detectable(outcomes) if t.kind in ("one", "several")]
+
+    def detected(low: float, high: float) -> Estimate:
+        """Return the fraction of detected campaigns among those with low <= signal < high."""
+        return fraction([t.detected for t in outcomes if t.kind != "none" and low <= t.signal < high])
+
     return {
-        "false alarms where there is nothing": (false_alarms(none), "at most .01"),
-        "detection, signal >= .5": (detection(hidden, STRONG_SIGNAL), ".99"),
-        "detection, signal .35 to .5": (detection(hidden, DETECTABLE_SIGNAL, STRONG_SIGNAL), ".90"),
-        "detection, signal .2 to .35": (detection(hidden, FAINT_SIGNAL, DETECTABLE_SIGNAL), ""),
-        "one effect: first cause right, signal >= .35": (fraction([t.first_right for t in detectable(one)]), ""),
-        "FIA: probability of the true cause, signal >= .35": (isolation(detectable(one)), ".92"),
-        "FIA over all campaigns with one effect": (isolation(one), ""),
-        "one effect: claims right": (claims_right(one), ".98"),
-        "one effect: claims made, signal >= .35": (claims_made(detectable(one)), ".65"),
+        "false alarms where there is nothing": (fraction([t.alarmed for t in none]), "at most .01"),
+        "detection, signal >= .5": (detected(0.5, float("inf")), ".99"),
+        "detection, signal .35 to .5": (detected(DETECTABLE_SIGNAL, 0.5), ".90"),
+        "detection, signal .2 to .35": (detected(0.2, DETECTABLE_SIGNAL), ""),
+        "one effect: first cause right, signal >= .35": (fraction([t.first_right for t in clear]), ""),
+        "FIA: probability of the true cause, signal >= .35": (mean([t.probability for t in clear]), ".92"),
+        "FIA over all campaigns with one effect": (mean([t.probability for t in one]), ""),
+        "one effect: claims right": (fraction([t.first_right for t in one if t.claimed]), ".98"),
+        "one effect: claims made, signal >= .35": (fraction([t.claimed for t in clear]), ".65"),
         "one effect: sets contain the truth": (
             fraction([t.truth[0] in t.alike for t in one if t.alike]),
             ".93 - .97",
@@ -225,95 +180,6 @@ def metrics(outcomes: Sequence[Outcome]) -> dict[str, tuple[Estimate, str]]:
         "two effects, each >= .35: both named first": (fraction([t.first_right for t in pairs]), ""),
         "several: recall of effects >= .35": (fraction([text in t.named for t, text in visible]), ".93"),
         "several: precision": (fraction([text in t.truth for t in several for text in t.named]), ".90"),
-        "on no list, claimed as listed": (claims_made(off), "at most .02"),
+        "on no list, claimed as listed": (fraction([t.claimed for t in off]), "at most .02"),
         "on no list, any listed cause named": (fraction([bool(t.named) for t in off]), ""),
-        "shrink foretold less realised, median": (quantile(wrong, 0.5), "at most .04"),
-        "shrink foretold less realised, 90th percentile": (quantile(wrong, 0.9), "at most .12"),
-        "the same where outliers are named too": (quantile(every, 0.9), ""),
-        "listed effects, signal >= .35: share of the gap that is left, median": (quantile(gap_ratios, 0.5), ""),
-    }
-
-
-def of_kind(outcomes: Sequence[Outcome], kind: str) -> list[Outcome]:
-    """Return the outcomes of campaigns of one kind."""
-    return [t for t in outcomes if t.kind == kind]
-
-
-def detectable(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Return the outcomes with a signal of at least `DETECTABLE_SIGNAL`."""
-    return [t for t in outcomes if t.signal >= DETECTABLE_SIGNAL]
-
-
-def false_alarms(none: Sequence[Outcome]) -> Estimate:
-    """Return the fraction of false alarms, 0 to 1, among answers to campaigns that hide nothing."""
-    return fraction([t.alarmed for t in none])
-
-
-def detection(hidden: Sequence[Outcome], low: float, high: float = float("inf")) -> Estimate:
-    """Return the fraction of detected campaigns, 0 to 1, among those with low <= signal < high.
-
-    The signal is `Outcome.signal`.
-    """
-    return fraction([t.detected for t in hidden if low <= t.signal < high])
-
-
-def isolation(outcomes: Sequence[Outcome]) -> Estimate:
-    """Return the mean probability that answers give to the truth (fault isolation accuracy)."""
-    return mean([t.probability for t in outcomes])
-
-
-def claims_right(one: Sequence[Outcome]) -> Estimate:
-    """Return the fraction of right claims, 0 to 1, on campaigns with one hidden effect."""
-    return fraction([t.first_right for t in one if t.claimed])
-
-
-def claims_made(outcomes: Sequence[Outcome]) -> Estimate:
-    """Return the fraction of answers, 0 to 1, that claim an explanation."""
-    return fraction([t.claimed for t in outcomes])
-
-
-def shrink_errors(outcomes: Sequence[Outcome]) -> list[float]:
-    """Return |predicted - realised| reduction of the error, of each answer that names a cause."""
-    return [abs(t.predicted - t.realised) for t in outcomes if t.named]
-
-
-def breakdown(outcomes: Sequence[Outcome]) -> dict[str, dict[str, list[Outcome]]]:
-    """Return the outcomes in parts, by criterion and value.
-
-    The criteria are poses, signal, "not logged", robot, "effect (one hidden)" and "on no list".
-    """
-    bands = [
-        (0.0, FAINT_SIGNAL),
-        (FAINT_SIGNAL, DETECTABLE_SIGNAL),
-        (DETECTABLE_SIGNAL, STRONG_SIGNAL),
-        (STRONG_SIGNAL, 1.0),
-        (1.0, float("inf")),
-    ]
-    words = [*(f"{low:g} .. {high:g}" for low, high in bands[:-1]), ">= 1"]
-    hidden = [t for t in outcomes if t.kind != "none"]
-    return {
-        "poses": _parts(outcomes, lambda t: f"{t.poses:>3}"),
-        "signal": {w: [t for t in hidden if a <= t.signal < b] for w, (a, b) in zip(words, bands, strict=True)},
-        "not logged": _parts(outcomes, lambda t: t.missing or "all logged"),
-        "robot": _parts(outcomes, lambda t: t.robot),
-        "effect (one hidden)": _parts(of_kind(outcomes, "one"), lambda t: t.effects[0]),
-        "on no list": _parts(of_kind(outcomes, "unlisted"), lambda t: t.effects[0]),
-    }
-
-
-def _parts(outcomes: Sequence[Outcome], word: Callable[[Outcome], str]) -> dict[str, list[Outcome]]:
-    """Return the outcomes grouped by the text that a function gives for each, sorted by it."""
-    return {w: [t for t in outcomes if word(t) == w] for w in sorted({word(t) for t in outcomes})}
-
-
-def part_metrics(part: Sequence[Outcome]) -> dict[str, Estimate]:
-    """Return the metrics that are computed for each part of `breakdown`, by name."""
-    one = of_kind(part, "one")
-    return {
-        "false alarms": false_alarms(of_kind(part, "none")),
-        "detected": fraction([t.detected for t in part if t.kind != "none"]),
-        "first right": fraction([t.first_right for t in one]),
-        "claims right": claims_right(one),
-        "FIA": isolation(one),
-        "shrink error": quantile(shrink_errors([t for t in part if "outliers" not in t.named]), 0.5),
     }

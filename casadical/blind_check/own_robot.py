@@ -16,9 +16,8 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
-from casadical.blind_check import metrics
 from casadical.blind_check.generation import MIN_POSES, campaign_of, engine_versions
-from casadical.blind_check.metrics import Estimate, Outcome, detectable, detection, fraction, of_kind, outcome
+from casadical.blind_check.metrics import DETECTABLE_SIGNAL, Estimate, Outcome, fraction, outcome
 from casadical.blind_check.mujoco_physics import LISTED, UNLISTED, FourBar, Plant
 from casadical.blind_check.mujoco_physics.cause import rated_torque
 from casadical.blind_check.mujoco_physics.draw import SECONDS_A_POSE, impossible
@@ -244,17 +243,19 @@ class RobotCheck(Result):
     @property
     def figures(self) -> dict[str, Estimate]:
         """The fractions of right and wrong answers, 0 to 1, with 95 % intervals, by description."""
-        none, one, off = (of_kind(self.outcomes, kind) for kind in ("none", "one", "unlisted"))
+        none, one, off = ([t for t in self.outcomes if t.kind == kind] for kind in ("none", "one", "unlisted"))
         hidden = [t for t in self.outcomes if t.kind != "none"]
         claims = [t for t in self.outcomes if t.claimed]
         return {
             "claims that are right": fraction([not t.wrong_claims for t in claims]),
-            "false alarms where nothing is hidden": metrics.false_alarms(none),
-            "hidden effects noticed": detection(hidden, 0.0),
-            "of those that stand out of the noise": detection(detectable(hidden), 0.0),
+            "false alarms where nothing is hidden": fraction([t.alarmed for t in none]),
+            "hidden effects noticed": fraction([t.detected for t in hidden]),
+            "of those that stand out of the noise": fraction(
+                [t.detected for t in hidden if t.signal >= DETECTABLE_SIGNAL]
+            ),
             "one effect: named first": fraction([t.first_right for t in one]),
             "one effect: claimed, and right": fraction([t.claimed and t.first_right for t in one]),
-            "effect on no list: claimed as a listed one": metrics.claims_made(off),
+            "effect on no list: claimed as a listed one": fraction([t.claimed for t in off]),
         }
 
     @property
@@ -361,7 +362,18 @@ def check_robot(
     4
     """
     count = poses if isinstance(poses, int) else len(poses)
-    _check(robot, count, noise_um, n, not_logged)
+    min_poses = max(MIN_POSES, 3 * robot.n)
+    if count < min_poses:
+        raise InputError(
+            f"{count} poses; a campaign of {robot.name} needs at least {min_poses}, or no robot is identified"
+        )
+    if not 0 < noise_um < 1e5:
+        raise InputError(f"noise_um is {noise_um:g}; it must be between 0 and 100000")
+    if n < 4:
+        raise InputError(f"n is {n}; a check needs at least 4 campaigns, one of each kind")
+    for word in not_logged:
+        if word not in COLUMN_PREFIXES:
+            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMN_PREFIXES)}")
     engine_versions()
     subject, assumed = subject_of(robot, None if isinstance(poses, int) else poses)
     seed = secrets.randbits(32) if seed is None else seed
@@ -388,20 +400,6 @@ def check_robot(
     )
 
 
-def _check(robot: Robot, poses: int, noise_um: float, n: int, not_logged: Sequence[str]) -> None:
-    """Check that the arguments of `check_robot` are in their ranges. Raises InputError."""
-    least = max(MIN_POSES, 3 * robot.n)
-    if poses < least:
-        raise InputError(f"{poses} poses; a campaign of {robot.name} needs at least {least}, or no robot is identified")
-    if not 0 < noise_um < 1e5:
-        raise InputError(f"noise_um is {noise_um:g}; it must be between 0 and 100000")
-    if n < 4:
-        raise InputError(f"n is {n}; a check needs at least 4 campaigns, one of each kind")
-    for word in not_logged:
-        if word not in COLUMN_PREFIXES:
-            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMN_PREFIXES)}")
-
-
 def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
     """Return a campaign's name and its outcome, or the reason why it has none, as text.
 
@@ -409,11 +407,10 @@ def _checked(subject: Subject, plan: Plan) -> tuple[str, Outcome | str]:
     runs in a worker process.
     """
     try:
-        made = campaign_of(subject, plan)
+        _, table, secret = campaign_of(subject, plan)
     except (InputError, ConvergenceError) as error:
         return plan.name, f"not simulated: {error}"
-    tables = (pd.read_csv(StringIO(text)) for text in (made.seen, made.unseen))
-    answer = answer_campaign(plan.name, subject.model, *tables)
+    answer = answer_campaign(plan.name, subject.model, pd.read_csv(StringIO(table)))
     if "failed" in answer:
         return plan.name, str(answer["failed"])
-    return plan.name, outcome(plan.name, made.secret, Answer.model_validate_json(json.dumps(answer)))
+    return plan.name, outcome(plan.name, secret, Answer.model_validate_json(json.dumps(answer)))

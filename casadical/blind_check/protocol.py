@@ -1,9 +1,8 @@
 """Files of a blind check: the public folder, the key whose hash is in that folder, and the answers.
 
-The folder holds withheld.json, the nominal robots, and for each campaign NAME.csv (measured poses)
-and NAME.unseen.csv (further readings, without positions). The key is one file, key.json; its first
-entry is a salt, so its SHA-256 reveals nothing of its content, and `sha256sum key.json` suffices to
-verify it.
+The folder holds withheld.json, the nominal robots, and for each campaign the table NAME.csv. The
+key is one file, key.json; its first entry is a salt, so its SHA-256 reveals nothing of its content,
+and `sha256sum key.json` suffices to verify it.
 
 Each answer is one line of JSON with its SHA-256, appended when it is given and never rewritten.
 """
@@ -98,8 +97,6 @@ class Secret(_Strict):
     noise : standard deviation of a measured coordinate [m]
     repeatability : standard deviation of a joint about its reading [rad]
     visible : rms of a coordinate that all effects together add and the base model cannot absorb [m]
-    measured_mm, true_mm : positions at the unseen poses in the measuring frame, with and without
-        noise, three numbers per pose [mm]
     """
 
     robot: str
@@ -110,8 +107,6 @@ class Secret(_Strict):
     noise: float
     repeatability: float
     visible: float
-    measured_mm: tuple[tuple[float, float, float], ...]
-    true_mm: tuple[tuple[float, float, float], ...]
 
     @property
     def truth(self) -> tuple[str, ...]:
@@ -173,18 +168,11 @@ def read_key(folder: Path, manifest: Manifest) -> Key:
 
 
 def read_table(folder: Path, name: str) -> pd.DataFrame:
-    """Return the table NAME.csv of a folder; with NAME ending in .unseen its unseen readings.
-
-    Raises InputError.
-    """
+    """Return the table NAME.csv of a folder. Raises InputError."""
     path = folder / f"{name}.csv"
     if not path.is_file():
         raise InputError(f"{path}: is missing, though {MANIFEST_FILE} names it; take the folder whole")
     return read_csv(path).frame
-
-
-# Type of positions, three numbers per pose [mm].
-Rows = tuple[tuple[float, float, float], ...]
 
 
 class _Loose(BaseModel):
@@ -203,13 +191,6 @@ class Header(_Loose):
     key_sha256: str
     by: str
     versions: dict[str, str] = {}
-
-
-class GapMm(_Loose):
-    """Mean position error on held-out poses [mm], by the base model and with the named causes."""
-
-    before: float
-    after: float
 
 
 class NamedCause(_Loose):
@@ -234,30 +215,19 @@ class NamedCause(_Loose):
         return tuple(relabelled(text) for text in self.indistinguishable)
 
 
-class UnseenPositions(_Loose):
-    """Predicted positions at the unseen poses [mm], by the base model and with the named causes."""
-
-    base_mm: Rows
-    with_causes_mm: Rows
-
-
 class Answer(_Loose):
     """One answer, as `casadical diagnose --json` writes it, with the additions of the check.
 
     campaign : name of the campaign
     verdict : verdict of the diagnosis; none: no cause was found
-    gap_mm : mean errors on held-out poses
     causes : named causes in the order of the answer
     posterior : probability of every label that has some, "none" and "unknown" included
-    unseen : predicted positions at the unseen poses
     """
 
     campaign: str
     verdict: Literal["none", "explained", "ambiguous", "unknown"]
-    gap_mm: GapMm
     causes: tuple[NamedCause, ...] = ()
     posterior: dict[str, float] = {}
-    unseen: UnseenPositions
 
     @property
     def probabilities(self) -> dict[str, float]:

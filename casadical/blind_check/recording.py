@@ -153,8 +153,7 @@ class Record:
     """A measuring session, and the same session with fewer effects.
 
     hidden : hidden effects of the session
-    session : table with all effects; its columns are those of a campaign, and x_true_mm, y_true_mm,
-        z_true_mm without noise
+    session : table with all effects; its columns are those of a campaign
     clean : table without any effect, with the same seed, poses and noise
     alone : table with each effect by itself, if there are several; else empty
     """
@@ -165,17 +164,13 @@ class Record:
     alone: tuple[pd.DataFrame, ...]
 
 
-def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> Record:
-    """Return the simulated session of a plan with n poses, with and without its effects.
-
-    n : number of measured and unseen poses together
-    poses : all n poses, as of `Subject.poses`; None: they are drawn
-    """
+def record(subject: Subject, plan: Plan) -> Record:
+    """Return the simulated session of a plan, with and without its effects."""
     rng = np.random.default_rng(plan.seed)
     plant = subject.built(int(rng.integers(1 << 30)))
-    options: dict[str, Any] = {"approach": "motion", "truth": True}
+    options: dict[str, Any] = {"approach": "motion"}
     options |= {"noise_mm": 1e3 * plan.noise, "repeatability_urad": 1e6 * plan.repeatability}
-    lasting = n
+    lasting, poses = plan.poses, subject.poses
     if poses is not None:
         options |= {"q_deg": poses[readings(plant)].to_numpy(), "given": poses}
         if "temperature_degC" in poses:
@@ -192,7 +187,7 @@ def record(subject: Subject, plan: Plan, n: int, poses: pd.DataFrame | None) -> 
 
     def session(*acting: Hidden) -> pd.DataFrame:
         """Return the table of the session with these effects alone."""
-        return campaign(plant, acting, n, seed, **options)
+        return campaign(plant, acting, plan.poses, seed, **options)
 
     return Record(
         hidden=hidden,

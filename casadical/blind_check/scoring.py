@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from casadical.blind_check import metrics as counted
-from casadical.blind_check.metrics import Estimate, Outcome, outcome, part_metrics
+from casadical.blind_check.metrics import Estimate, Outcome, outcome
 from casadical.blind_check.protocol import Header, Key, read_answers, read_key, read_manifest
 from casadical.core.basics import InputError
 from casadical.core.reporting.blocks import Block, Table, Words
@@ -36,21 +36,10 @@ class Score(Result):
         """The metrics over all outcomes by name, each with its target as text; "" for none."""
         return counted.metrics(self.outcomes)
 
-    @property
-    def parts(self) -> dict[str, dict[str, list[Outcome]]]:
-        """The outcomes grouped by poses, signal, missing column, robot and effect."""
-        return counted.breakdown(self.outcomes)
-
     def blocks(self) -> list[Block]:
-        """Return the report: metrics with targets, the same by parts, and every wrong claim."""
+        """Return the report: metrics with targets, and every wrong claim."""
         made = ", ".join(f"{name} {number}" for name, number in self.key.versions.items())
         missing = f"; {len(self.unanswered)} more have no answer and do not count" if self.unanswered else ""
-        rows = []
-        for by, parts in self.parts.items():
-            for k, (word, part) in enumerate(parts.items()):
-                figures = part_metrics(part).values()
-                cells = ["-" if f.value is None else f"{f.value:.3f} [{f.low:.2f}, {f.high:.2f}]" for f in figures]
-                rows.append([by if k == 0 else "", word, str(len(part)), *cells])
         wrong = ["Wrong claims, and what was hidden:"]
         for t in (t for t in self.outcomes if t.wrong_claims):
             hidden = ", ".join(t.truth or t.effects) or "nothing"
@@ -61,7 +50,6 @@ class Score(Result):
                 f"seed {self.key.seed}; {made}){missing}\nkey as published: sha256 {self.head.key_sha256}"
             ),
             Table("", ["", self.head.by, "target"], [[n, str(e), aim] for n, (e, aim) in self.metrics.items()]),
-            Table("", ["by", "", "n", *part_metrics(self.outcomes)], rows),
             *map(Words, wrong if len(wrong) > 1 else ["No wrong claims."]),
         ]
 
@@ -74,10 +62,6 @@ class Score(Result):
             "campaigns": len(self.outcomes),
             "unanswered": self.unanswered,
             "figures": {name: {**_plain(e), "target": aim} for name, (e, aim) in self.metrics.items()},
-            "parts": {
-                by: {w: {k: _plain(f) for k, f in part_metrics(p).items()} for w, p in parts.items()}
-                for by, parts in self.parts.items()
-            },
             "trials": [{k: _short(v) for k, v in t.__dict__.items()} for t in self.outcomes],
         }
 

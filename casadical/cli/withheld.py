@@ -148,7 +148,7 @@ def withheld_predict(
     json_file: Json = None,
     quiet: Quiet = False,
 ) -> None:
-    """Diagnose every campaign from the files in DIR only, and predict positions at its unseen poses.
+    """Diagnose every campaign from the files in DIR only.
 
     Answers that are in the file already are kept: a run that was cut goes on where it ended.
 

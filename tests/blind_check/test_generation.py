@@ -12,7 +12,7 @@ import pytest
 from checks import ROOT, Here, N
 
 from casadical.blind_check import mujoco_physics, recording
-from casadical.blind_check.generation import UNSEEN_POSES, campaign_of, make, unabsorbed_rms
+from casadical.blind_check.generation import campaign_of, make, unabsorbed_rms
 from casadical.blind_check.own_robot import subject_of
 from casadical.blind_check.protocol import Manifest, read_key, read_manifest
 from casadical.blind_check.recording import draw_plans
@@ -88,9 +88,9 @@ def test_a_session_without_rest_is_drawn_again(monkeypatch) -> None:
     monkeypatch.setattr(recording, "campaign", restless)
     subject, _ = subject_of(read_campaign_robot(ROOT / "problems" / "planar"))
     plan = replace(draw_plans(4, 1, (["joint_scale"], ["encoder_pit"]), (20,))[0], kind="one", effects=("joint_scale",))
-    found = campaign_of(subject, plan)
+    _, _, secret = campaign_of(subject, plan)
     assert len(set(seeds[:3])) == 3
-    assert [h.effect for h in found.secret.hidden] == ["joint_scale"]
+    assert [h.effect for h in secret.hidden] == ["joint_scale"]
 
 
 def test_the_published_hash_is_that_of_the_file(small) -> None:
@@ -105,19 +105,6 @@ def test_the_folder_tells_nothing_of_what_is_hidden(small) -> None:
     for secret in key.campaigns.values():
         assert not any(h.effect in texts for h in secret.hidden)
     assert str(key.salt) not in texts
-    assert "true_mm" not in texts
-
-
-def test_unseen_poses_are_others_and_come_without_positions(small) -> None:
-    key = read_key(small.key, read_manifest(small.folder))
-    for name, secret in key.campaigns.items():
-        seen, unseen = (pd.read_csv(small.folder / f"{name}{end}.csv") for end in ("", ".unseen"))
-        assert len(seen) == secret.poses
-        assert len(unseen) == UNSEEN_POSES == len(secret.measured_mm) == len(secret.true_mm)
-        assert not set(seen["pose"]) & set(unseen["pose"])
-        assert unseen["pose"].between(seen["pose"].min(), seen["pose"].max()).all()  # nothing is predicted beyond
-        assert set(seen) - set(unseen) == {"x_mm", "y_mm", "z_mm"}
-        assert not set(unseen) - set(seen)
 
 
 @pytest.mark.parametrize(

@@ -5,17 +5,12 @@ import shutil
 import subprocess
 import sys
 
-import numpy as np
-import pandas as pd
 import pytest
-from checks import ROOT, Here, N
+from checks import Here, N
 
-from casadical.blind_check.prediction import predict, session
+from casadical.blind_check.prediction import predict
 from casadical.blind_check.protocol import read_answers, read_manifest
 from casadical.core.basics import InputError
-from casadical.effects import ThermalGrowth
-
-UR10E = ROOT / "problems" / "ur10e" / "robot.toml"
 
 
 @pytest.mark.slow
@@ -37,22 +32,6 @@ def test_the_diagnosis_answers_with_the_campaigns_alone(small, tmp_path) -> None
     head, answers = read_answers(alone / "answers.diagnosis.jsonl")
     assert head.by == "diagnosis"
     assert sum(answers[name].probabilities.values()) == pytest.approx(1, abs=0.01)
-    assert np.isfinite(answers[name].unseen.base_mm).all()
-
-
-def test_unseen_poses_are_as_warm_as_they_are_beside_the_measured_ones() -> None:
-    """A thermometer that shows 7 K more predicts the same positions."""
-    q = np.rad2deg(np.random.default_rng(1).uniform(-1, 1, (30, 6)))
-    poses = pd.DataFrame(q, columns=[f"q{k}_deg" for k in range(1, 7)])
-    poses = poses.assign(pose=range(1, 31), payload_kg=0.0, time_s=60.0 * np.arange(30))
-    grown = []
-    for least in (20.0, 27.0):
-        table = poses.assign(temperature_degC=least + 0.2 * np.arange(30))
-        found = session("c", UR10E.read_text(), table[:20].assign(x_mm=0.0, y_mm=0.0, z_mm=0.0), table[20:])
-        warm = found.robot.with_effect(ThermalGrowth(None, 600.0)).with_values({"thermal_growth.alpha": 2e-5})
-        grown.append(found.at_unseen(warm) - found.at_unseen(found.robot))
-    assert np.abs(grown[0]).max() > 5e-5
-    np.testing.assert_allclose(*grown, atol=1e-12)
 
 
 def test_answers_that_are_there_are_kept(small, stubbed, tmp_path) -> None:
@@ -107,16 +86,6 @@ def test_bad_input_is_named(small, tmp_path) -> None:
         predict(small.folder, other)
     torn = tmp_path / "torn"
     shutil.copytree(small.folder, torn)
-    next(torn.glob("*.unseen.csv")).unlink()
+    next(torn.glob("*.csv")).unlink()
     with pytest.raises(InputError, match=r"is missing, though withheld\.json names it"):
         predict(torn, tmp_path / "answers.jsonl")
-
-
-def test_positions_among_the_unseen_are_refused(small, tmp_path) -> None:
-    leaky = tmp_path / "leaky"
-    shutil.copytree(small.folder, leaky)
-    path = next(leaky.glob("*.unseen.csv"))
-    lines = path.read_text().splitlines()
-    path.write_text("\n".join([lines[0] + ",x_mm,y_mm,z_mm", *(line + ",1,2,3" for line in lines[1:])]) + "\n")
-    with pytest.raises(InputError, match="holds positions; they belong in the key alone"):
-        predict(leaky, tmp_path / "answers.jsonl")

@@ -1,25 +1,19 @@
-"""Hostile command lines and files, drawn by hypothesis of the grammar of docs/studies/fuzz.py."""
+"""Hostile command lines and files, drawn by hypothesis."""
 
-import re
 import shutil
-import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import fuzz
+import fuzz_files
 import pytest
+from fuzz_inputs import draw
+from fuzz_world import world
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
-
-ROOT = Path(__file__).parents[2]
-
-
-sys.path.insert(0, str(ROOT / "docs" / "studies"))
-
-import fuzz  # noqa: E402
-import fuzz_files  # noqa: E402
 
 pytestmark = pytest.mark.slow  # hundreds of commands
 FOUND = sorted((Path(__file__).parent / "found").iterdir())
@@ -29,7 +23,7 @@ FOUND = sorted((Path(__file__).parent / "found").iterdir())
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("world") / "template"
     fuzz.load_all()
-    fuzz.world(place)
+    world(place)
     return place
 
 
@@ -46,7 +40,7 @@ def test_every_input_ends_as_documented(template: Path, data: st.DataObject) -> 
     def choose(among: Sequence[Any]) -> Any:
         return data.draw(st.sampled_from(among))
 
-    hostile = fuzz.draw(choose)
+    hostile = draw(choose)
     fault, code = fuzz.run(hostile, template, template.parent)
     assert not fault, f"{hostile}\nexit code {code}"
 
@@ -115,10 +109,19 @@ def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:
             kind.read(place / kind.name)
 
 
-def test_mutated_files_end_as_documented(kinds) -> None:
-    """A tenth of a minute of what the study does for a quarter of an hour; most of its mutants are new."""
-    command = [sys.executable, "docs/studies/fuzz_files.py", "--inputs", "400"]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "400 inputs" in done.stdout
-    assert len(re.findall(r"reached new lines", done.stdout)) == len(kinds[0])
+@settings(
+    max_examples=400,
+    derandomize=True,
+    deadline=None,
+    database=None,
+    phases=(Phase.generate,),
+    suppress_health_check=list(HealthCheck),
+)
+@given(st.data())
+def test_mutated_files_end_as_documented(kinds, data: st.DataObject) -> None:
+    listed, place = kinds
+    kind = listed[data.draw(st.sampled_from(sorted(listed)))]
+    content = fuzz_files.mutated(kind, data.draw(st.randoms(use_true_random=False)))
+    began = time.process_time()
+    assert fuzz_files.fault_of(kind, place, content) == "", content
+    assert time.process_time() - began < 20

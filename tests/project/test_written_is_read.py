@@ -87,14 +87,12 @@ def test_files_of_any_name(tmp_path_factory: pytest.TempPathFactory, contents: d
 def test_answers(tmp_path_factory: pytest.TempPathFactory, names: list[str], gap: float) -> None:
     path = tmp_path_factory.getbasetemp() / "answers.jsonl"
     lines = [json_line({"key_sha256": "0" * 64, "by": "test"})]
-    unseen = {"base_mm": [], "with_causes_mm": []}
     for name in names:
-        gaps = {"before": gap, "after": 0.0}
-        lines.append(json_line({"campaign": name, "verdict": "none", "gap_mm": gaps, "unseen": unseen}))
+        lines.append(json_line({"campaign": name, "verdict": "none", "posterior": {"none": gap}}))
     path.write_text("".join(lines))
     found = read_answers(path)[1]
     usable = [name for name in names if name.isprintable()]
-    assert {name: found[name].gap_mm.before for name in usable} == dict.fromkeys(usable, gap)
+    assert {name: found[name].probabilities["none"] for name in usable} == dict.fromkeys(usable, gap)
 
 
 @often

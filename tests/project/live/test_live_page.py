@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import fuzz_page
 import pytest
 
 from casadical.core.basics import InputError
@@ -22,9 +23,6 @@ from casadical.project.live.server import MAX_CONNECTIONS, REQUEST_TIMEOUT_S, Li
 from casadical.project.live.sources import SimulatedSource, journal
 
 ROOT = Path(__file__).parents[3]
-sys.path.insert(0, str(ROOT / "docs" / "studies"))
-
-import fuzz_page  # noqa: E402
 
 TOKEN = "the token of these tests"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

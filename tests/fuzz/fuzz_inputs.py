@@ -131,7 +131,7 @@ LINES = (
     ("export c " + R + " --nominal in/p/robot.toml --compensator in/net.json --out out/c", ""),
     ("new out/new --dh in/dh.csv --data in/p/poses.csv --yes", ""),
     ("new out/new --urdf in/arm.urdf --data in/p/poses.csv --yes", ""),
-    ("withheld predict in/w --workers 1 --out out/a.jsonl", "w/withheld.json w/a.csv w/a.unseen.csv w/robots/two.toml"),
+    ("withheld predict in/w --workers 1 --out out/a.jsonl", "w/withheld.json w/a.csv w/robots/two.toml"),
     ("withheld score in/w in/w in/w/answers.jsonl --json out/j", "w/withheld.json w/key.json w/answers.jsonl"),
     ("fleet in/p --store out/store.parquet --workers 1 --no-diagnose", "p/robot.toml p/poses.csv"),
 )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Requests of any shape to the page of `casadical measure`: python docs/studies/fuzz_page.py [--requests 20000]
+"""Requests of any shape to the page of `casadical measure`.
 
 hypothesis draws a request and hands it to the ASGI application as a server would: method, path, query, headers and
 body in bytes, the body in chunks, the client gone before its end. What must hold of each:
@@ -6,13 +6,10 @@ body in bytes, the body in chunks, the client gone before its end. What must hol
 - the application raises nothing; the status is 200, 400, 403, 404 or 413, and the answer holds a sentence
 - without the token the status is 403, and the session is as it was
 - after all of them the session answers a plain command, and its journal can be read again
-
-tests/project/live draws a few hundred of the same requests.
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
 import json
 import shutil
@@ -29,7 +26,7 @@ from casadical.project.live import LiveSession
 from casadical.project.live.server import LivePage
 from casadical.project.live.sources import SimulatedSource, journal
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TOKEN = "token"
 
 JSON_VALUES = st.recursive(
@@ -146,11 +143,3 @@ def run(n_requests: int) -> Counter[int]:
         with journal(folder) as (course, add):
             LiveSession(folder, course, add, data="synthetic")
     return statuses
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--requests", type=int, default=20_000)
-    found = run(parser.parse_args().requests)
-    print(f"{sum(found.values())} requests, none broke a rule; status: times")
-    print(*(f"  {status}: {times}" for status, times in sorted(found.items())), sep="\n")

@@ -1,4 +1,4 @@
-"""Hostile inputs for every command: python docs/studies/fuzz.py [--inputs 3000] [--part K/N] [--seed 0] [--by-hand]
+"""Hostile inputs for every command: what is run, and what must hold of it.
 
 An input is a command line of a grammar and files that were changed: numbers at the edge of what can be, words in their
 place, lines lost, doubled or cut, control characters and markup, folders and links in place of files. Each runs in a
@@ -10,39 +10,28 @@ process of its own on a copy of small valid files. What must hold of every one:
 - it takes less than 20 s of the processor, and 1 GB beyond what the harness holds
 - no input file is changed; with another code than 0 no output is left; no hidden file of an unfinished output is; JSON
   outputs can be read
-
-`--part 2/4` runs the second of four equal parts of the inputs, with the same inputs as the whole. tests/fuzz draws
-inputs of the same grammar by hypothesis.
-
-`--by-hand` puts each of the files of `fuzz_world.hostile` in the place of each file of each command: pipes, devices,
-bombs, nests, encodings, loops; and runs every command on a disk that is full.
 """
 
 from __future__ import annotations
 
-import argparse
 import fcntl
 import hashlib
 import importlib
 import json
 import os
 import pkgutil
-import random
 import re
 import resource
 import shutil
 import signal
 import sys
-import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from fuzz_inputs import LINES, Hostile, draw
-from fuzz_world import hostile, world
+from fuzz_inputs import Hostile
 
 ROOT = Path(__file__).parents[2]
 SECONDS, BYTES = 20, 2**30
@@ -241,61 +230,3 @@ def _outputs_fault(hostile: Hostile, place: Path, code: int) -> str:
             except ValueError as error:
                 return f"writes {path.name!r}, which is no JSON: {error}"
     return ""
-
-
-def by_hand(files: list[Path]) -> Iterator[Hostile]:
-    """Each file in each place of each command, and each command on a full disk."""
-    for line, inner in LINES:
-        words = line.split()
-        for disk in (0, 4096):
-            yield Hostile(tuple(words), (), disk)
-        for path in files:
-            for k, word in enumerate(words):
-                if word.startswith("in/"):
-                    yield Hostile((*words[:k], str(path), *words[k + 1 :]), ())
-            for name in inner.split():
-                yield Hostile(tuple(words), ((name, "is", 0, str(path)),))
-
-
-def main() -> int:
-    """Draw, run and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=3000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--part", default="1/1")
-    parser.add_argument("--by-hand", action="store_true")
-    parser.add_argument("--only", default="", help="a pattern of command lines")
-    given = parser.parse_args()
-    part, parts = map(int, given.part.split("/"))
-    rng = random.Random(given.seed)
-    chosen = [] if given.by_hand else [draw(rng.choice) for _ in range(given.inputs)]
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    codes: Counter[tuple[str, int]] = Counter()
-    faults: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as name:
-        template = Path(name) / "template"
-        load_all()
-        world(template)
-        if given.by_hand:
-            chosen = list(by_hand(hostile(Path(name) / "h")))
-            chosen = rng.sample(chosen, min(given.inputs, len(chosen)))
-        chosen = [one for one in chosen if re.search(given.only, " ".join(one.command))][part - 1 :: parts]
-        for one in chosen:
-            fault, code = run(one, template, Path(name))
-            codes[" ".join(one.command[: 2 if one.command[0] in ("export", "withheld") else 1]), code] += 1
-            if fault:
-                faults[fault] += 1
-                print(f"FAULT {fault}\n   {one}", flush=True)
-    print(
-        f"part {given.part} of {'inputs by hand' if given.by_hand else f'{given.inputs} inputs'}, seed {given.seed}: "
-        f"{len(chosen)} run, "
-        f"{sum(faults.values())} faults"
-    )
-    for command in sorted({c for c, _ in codes}):
-        row = {code: count for (c, code), count in sorted(codes.items()) if c == command}
-        print(f"  {command:18}" + "  ".join(f"exit {code}: {count}" for code, count in row.items()))
-    return 1 if faults else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
