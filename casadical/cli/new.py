@@ -55,6 +55,12 @@ def new(
         False, "--eye-in-hand", help="The camera that measured is on the robot; default: as the poses look."
     ),
     eye_to_base: bool = Option(False, "--eye-to-base", help="The camera stands still and sees a target on the robot."),
+    intrinsics: str | None = Option(
+        None,
+        metavar="FX,FY,CX,CY[,K1,K2,P1,P2,K3]",
+        help="Of the camera, where the table has corners in its images: focal lengths and principal point [px], and "
+        "OpenCV's coefficients of distortion.",
+    ),
     example: bool = Option(
         False,
         "--example",
@@ -78,8 +84,8 @@ def new(
     # Parameters that only one kind of robot has.
     robot_options = {
         EXAMPLE: ("example",),
-        "--urdf": ("urdf", "base_link", "tip_link", "data", "headings", "eye_in_hand", "eye_to_base"),
-        "--dh": ("dh", "convention", "data", "headings", "eye_in_hand", "eye_to_base"),
+        "--urdf": ("urdf", "base_link", "tip_link", "data", "headings", "eye_in_hand", "eye_to_base", "intrinsics"),
+        "--dh": ("dh", "convention", "data", "headings", "eye_in_hand", "eye_to_base", "intrinsics"),
     }
     refuse_of_others(context, EXAMPLE if example or not (urdf or dh) else "--urdf" if urdf else "--dh", robot_options)
     if eye_in_hand and eye_to_base:
@@ -100,6 +106,7 @@ def new(
         data=data,
         headings=headings or "",
         camera="in hand" if eye_in_hand else "to base" if eye_to_base else "",
+        intrinsics=intrinsics or "",
         ask=None if yes else _ask,
         show=lambda block: tell(console, block),
         also=answer,

@@ -24,11 +24,13 @@ from casadical.measurements.camera_noise import (
     Camera,
     CameraNoise,
     lines_of_sight,
+    moved_by_errors,
     refined,
-    target_in_camera,
+    spread_of_place,
     to_camera_axes,
     whitening,
 )
+from casadical.measurements.corners import CameraErrors
 from casadical.measurements.measurements import Measurements
 
 # Error of the camera -> prior probability, prior standard deviations, and what else it takes to tell it.
@@ -139,6 +141,7 @@ class ArmOrCamera(Shown):
     moved : most probable step of camera, board or foot; what is said of arm and camera is without it
         where it is sure
     ratios, sigmas : the camera's noise, and its sigmas of lengths [m] and angles [rad]
+    sure : errors of the camera that are sure, zero where they are not; None without any
     """
 
     line: ClassVar[str] = " {{ it.in_words() }}"
@@ -153,6 +156,7 @@ class ArmOrCamera(Shown):
     moved: Moved | None = field(metadata=WRITTEN)
     ratios: CameraNoise = field(metadata=WRITTEN)
     sigmas: tuple[float, float]
+    sure: CameraErrors | None = field(default=None, metadata=WRITTEN)
 
     @property
     def _sides(self) -> tuple[bool | None, bool | None]:
@@ -246,16 +250,16 @@ def evidence_of(found: Identification, camera: Camera) -> tuple[float, CameraNoi
     found : an identification of these poses alone; camera : where it is taken to be
     """
     r, J = _linear(found)
-    m = replace(found.problem.sets[0], camera=camera)
-    noise, sigmas = CameraNoise(distance=float(np.median(lines_of_sight(m, CameraNoise())[1]))), (1e-3, 1e-3)
+    view = replace(found.problem.sets[0], camera=camera).view
+    noise, sigmas = CameraNoise(distance=float(np.median(lines_of_sight(view, CameraNoise())[1]))), (1e-3, 1e-3)
     for last in [False] * 8 + [True]:  # by then they have settled
-        W = whitening(m, noise) / np.repeat(sigmas, 3)[:, None]
+        W = whitening(view, noise) / np.repeat(sigmas, 3)[:, None]
         Q, triangle = np.linalg.qr((W @ J).reshape(r.size, -1))
         y = (W @ r[:, :, None]).ravel()
         e, freedom = (y - Q @ (Q.T @ y)).reshape(r.shape), 1 - (Q**2).sum(axis=1).reshape(r.shape)
         if not last:
-            noise, sigmas = refined(replace(m, noise=noise), e, freedom, sigmas)
-    unit = noise.relative(lines_of_sight(m, noise)[1]) * np.repeat(sigmas, 3)
+            noise, sigmas = refined(view, noise, e, freedom, sigmas)
+    unit = noise.relative(lines_of_sight(view, noise)[1]) * np.repeat(sigmas, 3)
     likelihood = -np.log(unit).sum() - np.log(np.abs(np.diag(triangle))).sum() - 0.5 * (e**2).sum()
     return float(likelihood), noise
 
@@ -300,10 +304,11 @@ class _Model(NamedTuple):
         A = (rest - Q @ (Q.T @ rest)) * sd
         inverse = np.linalg.inv(A.T @ A + np.eye(len(sd)))
         y = y - Q @ (Q.T @ y)
-        y = y - A @ (inverse @ (A.T @ y))
+        y = (y - A @ (inverse @ (A.T @ y)))[: 6 * len(self.m)]
+        Q, A = Q[: len(y)], A[: len(y)]
         places, gains, moves = [], [], []
         for group in ("tool", "base"):
-            columns = frames[:, groups == group].reshape(len(self.m), 6, -1)
+            columns = frames[: len(y), groups == group].reshape(len(self.m), 6, -1)
             for k in range(4, len(self.m) - 3):
                 S = (columns * (np.arange(len(self.m)) >= k)[:, None, None]).reshape(len(y), -1)
                 S = S - Q @ (Q.T @ S)
@@ -330,26 +335,20 @@ class _Model(NamedTuple):
         """Return what the model explains (6 n,), and the columns of frames (6 n, f), and of arm and camera (6 n, k).
 
         They are in units of the noise. Columns of the camera: depth and tilt by a relative error of the focal length,
-        the board's scale, and its displacement by a radial distortion.
+        the board's scale, and its displacement by a radial distortion. Of corners in images, they are those of the
+        reprojection errors, the first with the tilt, and four rows more are of what the camera alone explains.
         """
-        t, R = target_in_camera(self.m)
-        lever = R @ np.array(noise.point)
-        middle, normal = t + lever, R[:, :, 2]
-        line = middle / np.linalg.norm(middle, axis=1)[:, None]
-        zero, axis = np.zeros((len(t), 3)), np.array([0.0, 0, 1])
-        # A wrong focal length is a wrong distance; it also turns an oblique board, as far as its perspective shows.
-        tilt = np.cross(normal, line) / (normal * line).sum(axis=1)[:, None]
-        slope = (middle[:, :2] ** 2).sum(axis=1) / middle[:, 2] ** 2
-        moved = [
-            np.hstack([middle[:, 2:] * axis, zero]),
-            np.hstack([np.cross(lever, tilt), tilt]),
-            np.hstack([t, zero]),
-            np.hstack([middle * (1 - axis) * slope[:, None], zero]),
-        ]
-        camera = np.linalg.solve(to_camera_axes(self.m), np.stack(moved, axis=2))
-        W = whitening(self.m, noise) / np.repeat(sigmas, 3)[:, None]
+        view = self.m.view
+        W = whitening(view, noise) / np.repeat(sigmas, 3)[:, None]
+        camera = np.linalg.solve(to_camera_axes(view), moved_by_errors(view, np.array(noise.point)))
         y, frames, rest = (W @ a for a in (self.nominal[:, :, None], self.frames, np.dstack([self.arm, camera])))
-        return -y.ravel(), frames.reshape(y.size, -1), rest.reshape(y.size, -1)
+        y, frames, rest = -y.ravel(), frames.reshape(y.size, -1), rest.reshape(y.size, -1)
+        if view.images is None:
+            return y, frames, rest
+        *_, C, c = view.images.reduced(view.T)
+        pixel = noise.pixel[0] / sigmas[0]
+        more = np.hstack([np.zeros((len(C), self.arm.shape[2])), pixel * C])
+        return np.append(y, pixel * c), np.pad(frames, ((0, len(C)), (0, 0))), np.vstack([rest, more])
 
     def refined(self, noise: CameraNoise, sigmas: tuple[float, float]) -> tuple[CameraNoise, tuple[float, float]]:
         """Return the noise that is left by a fit of frames, arm and camera together.
@@ -366,8 +365,8 @@ class _Model(NamedTuple):
             own = frames.shape[1] + np.flatnonzero(self.drawn)
             size = max(float(np.sqrt(np.mean(x[own] ** 2 + np.diag(C)[own]))), 0.01) if len(own) else size
         freedom = 1 - np.einsum("ij,jk,ik->i", A, C, A)
-        shape = (len(self.m), 6)
-        return refined(replace(self.m, noise=noise), (y - A @ x).reshape(shape), freedom.reshape(shape), sigmas)
+        e, freedom = (a[: 6 * len(self.m)].reshape(-1, 6) for a in (y - A @ x, freedom))
+        return refined(self.m.view, noise, e, freedom, sigmas)
 
     def answer(self, noise: CameraNoise, sigmas: tuple[float, float], draws: int = 1000) -> ArmOrCamera:
         """Return the posterior of both sides' contributions, as samples tell it.
@@ -398,31 +397,34 @@ class _Model(NamedTuple):
         root = _NOISE_FACTORS[f, None] / np.sqrt(value[s] + _NOISE_FACTORS[f, None] ** 2)
         z = score[s] * (root / _NOISE_FACTORS[f, None]) ** 2 + root * rng.normal(size=root.shape)
         x = sd[s] * np.einsum("sij,sj->si", V[s], z)
-        axes_away = lines_of_sight(self.m, noise)[1]
-        unit = noise.relative(axes_away)[:, :3] * sigmas[0]
-        lengths = rest.reshape(len(self.m), 6, -1)[:, :3] * unit[:, :, None]
-        own = float(np.sqrt((unit**2).sum(axis=1).mean()))
+        unit, first = sigmas[0] * spread_of_place(self.m.view, noise), slice(6 * len(self.m))
+        lengths = unit @ rest[first].reshape(len(self.m), 6, -1)[:, :3]
+        own = float(np.sqrt((unit**2).sum(axis=(1, 2)).mean()))
         arm, camera = (
             np.sqrt((np.einsum("nij,sj->sni", lengths[:, :, part], x[:, part]) ** 2).sum(axis=2).mean(axis=1))
             for part in (slice(0, k), slice(k, None))
         )
-        total = float(np.sqrt(((y.reshape(-1, 6)[:, :3] * unit) ** 2).sum(axis=1).mean()))
-        errors = []
+        total = float(np.sqrt(((unit @ y[first].reshape(-1, 6)[:, :3, None]) ** 2).sum(axis=(1, 2)).mean()))
+        errors, certain = [], np.zeros(4)
         for i, (name, (_, widths, _)) in enumerate(_CAUSES.items()):
             there = present[s, i]
-            at = x[:, k + (0, 2, 3)[i]]
+            columns = ((0, 1), (2,), (3,))[i]
+            at = x[:, k + columns[0]]
             some = at[there] if there.sum() > 20 else np.array([0.0])
             low, middle, high = np.quantile(some, [0.025, 0.5, 0.975])
             tellable = float(np.std(some)) < 0.5 * float(np.mean(widths)) and there.sum() > 20
             errors.append(
                 CameraError(name, float(middle), float(low), float(high), float(there.mean()), bool(tellable))
             )
+            for column in columns if tellable and there.mean() >= _SURE else ():
+                certain[column] = float(x[there, k + column].mean())
         each = np.sqrt((lengths[:, :, :k] ** 2).sum(axis=1).mean(axis=0)) * np.abs(x[:, :k].mean(axis=0))
         sure = np.abs(x[:, :k].mean(axis=0)) > 3 * x[:, :k].std(axis=0)
         largest = [int(i) for i in np.argsort(-each)[:2] if sure[i] and 4 * each[i] > own]
         shares = _share(arm, own), _share(camera, own)
         named = tuple(str(self.names[i]) for i in largest)
-        return ArmOrCamera(total, own, *shares, tuple(errors), named, None, noise, sigmas)
+        taken = CameraErrors(*map(float, certain)) if certain.any() and shares[1].probability >= _SURE else None
+        return ArmOrCamera(total, own, *shares, tuple(errors), named, None, noise, sigmas, taken)
 
 
 def _share(size: Array, noise: float) -> Share:

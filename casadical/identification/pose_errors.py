@@ -15,7 +15,6 @@ from casadical.core.reporting.drawing import CAMERA_EYE
 from casadical.core.reporting.figure import Axis, Figure, Note, Rule, Series
 from casadical.identification.accuracy import predicted
 from casadical.identification.result import LeftOut
-from casadical.measurements.camera_noise import target_in_camera
 from casadical.measurements.measurements import Measurements
 from casadical.robot.kinematics import link_frames
 from casadical.robot.model import base_frame
@@ -287,8 +286,7 @@ def image_plane(m: Measurements, robots: Mapping[str, Robot], caption: str = "")
     middle = np.array(m.noise.point if m.noise else (0.0, 0.0, 0.0))
 
     def places(m: Measurements) -> Array:
-        t, R = target_in_camera(m)
-        return np.asarray(t + R @ middle)
+        return np.asarray(m.view.t + m.view.R @ middle)
 
     t = places(m)
     at = t[:, :2] / t[:, 2:]

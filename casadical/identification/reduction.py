@@ -93,7 +93,7 @@ def _in_camera(
             some = np.setdiff1d(some, np.flatnonzero(_outliers(r, freedom)))
         # With less freedom there are too few numbers to tell the components apart.
         if m.noise and freedom[some].sum() > 2 * MIN_NOISE_FREEDOM:
-            noise, own = refined(m[some], r[some], freedom[some], problem.sigmas[k])
+            noise, own = refined(m[some].view, m.noise, r[some], freedom[some], problem.sigmas[k])
             length, angle = (max(sigma, MIN_SIGMA) for sigma in own)
             sets[k], result[k] = replace(m, noise=noise), (m.sigma or length, m.sigma_angle or angle)
     return tuple(sets), tuple(result)

@@ -17,6 +17,7 @@ import pandas as pd
 
 from casadical.core.basics import Array, Fault, FaultsError, InputError, shown
 from casadical.core.reading import LARGEST_NUMBER
+from casadical.measurements.corners import CORNER_NUMBERS, MIN_CORNERS
 from casadical.measurements.raw_table import RawTable, refuse_repeated_names
 
 
@@ -138,6 +139,7 @@ class Columns:
     empty : headings of columns without any cell, which are dropped
     taken : headings of columns from which others were computed
     left_out : lines of the file that the user left out
+    corners : corners in the image of each row's station, shape (n, N, 6) (see `corners.Images`); None: without images
 
     Examples
     --------
@@ -165,6 +167,7 @@ class Columns:
     empty: tuple[str, ...] = ()
     taken: tuple[str, ...] = ()
     left_out: tuple[int, ...] = ()
+    corners: Array | None = None
 
     def __post_init__(self) -> None:
         if not len(self.table):
@@ -219,7 +222,38 @@ class Columns:
             raise InputError(f"{self.source}: {rows_of}: allowed: less than its {len(self.table)} rows")
         rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0))
         table = self.table.drop(columns=sorted(moved)).assign(**ours).iloc[rows].reset_index(drop=True)
-        return replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
+        made = replace(self, table=table, row=self.row[rows], taken=(*self.taken, *(name for name, _ in used)))
+        return made._as_stations() if {"u_px", "v_px"} <= {*table} else made
+
+    def _as_stations(self) -> Columns:
+        """Return the columns with a row for each station, where each row was a corner in an image.
+
+        Rows one after the other with equal joint readings are of one station, which has the row of its first corner;
+        the column `corners` has their number. Raises InputError: a cell is no number, or a station has few corners.
+        """
+        flat = not {"board_z_mm", "board_z_m"} & {*self.table}
+        of_board = [self.si(f"board_{c}", ("_mm", "_m")) for c in ("xy" if flat else "xyz")]
+        one = np.ones(len(self.row))
+        each = np.column_stack([self.column("u_px"), self.column("v_px"), *of_board, *([0 * one] * flat), one])
+        readings = self.table[[name for name in map(str, self.table) if _READING_NAME.fullmatch(name)]]
+        first = np.flatnonzero((readings != readings.shift()).any(axis=1)) if len(readings.columns) else np.array([0])
+        counts = np.diff([*first, len(each)])
+        if counts.min() < MIN_CORNERS:
+            k = int(np.argmin(counts))
+            raise InputError(
+                f"{self.source}: row {self.row[first[k]]}: the station that begins there has {counts[k]} corners (rows "
+                f"with equal joint readings); allowed: {MIN_CORNERS} or more; delete its rows"
+            )
+        corners = np.zeros((len(first), counts.max(), CORNER_NUMBERS))
+        for images, begin, count in zip(corners, first, counts, strict=True):
+            images[:count] = each[begin : begin + count]
+        if np.ptp(corners[corners[:, :, 5] > 0][:, 4]) > 0:
+            raise InputError(
+                f"{self.source}: column board_z_mm: the corners lie in several planes; allowed: one, z = 0"
+            )
+        gone = [name for name in map(str, self.table) if re.fullmatch(r"[uv]_px|board_[xyz]_mm?", name)]
+        table = self.table.iloc[first].drop(columns=gone).reset_index(drop=True).assign(corners=counts)
+        return replace(self, table=table, row=self.row[first], corners=corners)
 
     def without(self, rows: Collection[int], why: str) -> Columns:
         """Return the columns without some rows of the file.
@@ -233,7 +267,11 @@ class Columns:
         remaining = ~np.isin(self.row, list(rows))
         left_out = (*self.left_out, *self.row[~remaining].tolist())
         return replace(
-            self, table=self.table[remaining].reset_index(drop=True), row=self.row[remaining], left_out=left_out
+            self,
+            table=self.table[remaining].reset_index(drop=True),
+            row=self.row[remaining],
+            left_out=left_out,
+            corners=None if self.corners is None else self.corners[remaining],
         )
 
     def with_tools(self, rows: Mapping[str, Sequence[int]]) -> Columns:

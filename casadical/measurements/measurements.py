@@ -14,7 +14,8 @@ import numpy as np
 from casadical.core.basics import Array, InputError
 from casadical.core.reporting.blocks import Table
 from casadical.core.reporting.result import Shown, html
-from casadical.measurements.camera_noise import Camera, CameraNoise, whitening
+from casadical.measurements.camera_noise import Camera, CameraNoise, View, initial_noise, whitening, without_errors
+from casadical.measurements.corners import CameraErrors, Images
 from casadical.measurements.kinds.registry import find_kind
 
 
@@ -176,11 +177,22 @@ class Measurements(Shown):
         With the noise of a camera they include `whitening`, shape (n, 6, 6).
         """
         arrays = {name: getattr(self, name) for name in FIELDS if getattr(self, name) is not None} | dict(self.extra)
-        return arrays if self.noise is None else arrays | {"whitening": whitening(self, self.noise)}
+        return arrays if self.noise is None else arrays | {"whitening": whitening(self.view, self.noise)}
+
+    @property
+    def view(self) -> View:
+        """What the camera saw; they must have positions and orientations."""
+        seen = self.inverse() if self.camera == "in hand" else self
+        assert seen.position is not None
+        assert seen.orientation is not None
+        images = Images(*(self.extra[name] for name in Images._fields)) if "corners" in self.extra else None
+        return View(seen.position, seen.orientation, self.camera, images)
 
     def in_camera_axes(self) -> Measurements:
         """Return the measurements with noise in the camera's axes, where a camera measured poses."""
-        return self if self.noise or not self.camera or self.kind != "pose" else replace(self, noise=CameraNoise())
+        if self.noise or not self.camera or self.kind != "pose":
+            return self
+        return replace(self, noise=initial_noise(self.view))
 
     @property
     def residuals(self) -> int:
@@ -215,6 +227,14 @@ class Measurements(Shown):
             f"Images were taken {1e3 * abs(self.clock_offset):.0f} ms {side} the joint readings of their rows; "
             "readings are interpolated."
         )
+
+    def without_errors(self, errors: CameraErrors, point: Array) -> Measurements:
+        """Return the poses as a camera without these errors has them; point : middle of the board, shape (3,) [m]."""
+        seen = without_errors(self.view, errors, point)
+        images = {} if seen.images is None else seen.images._asdict()
+        held = self.inverse() if self.camera == "in hand" else self
+        held = replace(held, position=seen.t, orientation=seen.R, extra={**self.extra, **images}, noise=None)
+        return held.inverse() if self.camera == "in hand" else held
 
     @property
     def copies_in_words(self) -> str:

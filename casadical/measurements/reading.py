@@ -128,7 +128,7 @@ def from_columns(
     conditions = with_gravity(columns.conditions(patterns), columns) | columns.tools() | columns.sessions()
     m = Measurements(
         q=q,
-        kind=observed.name,
+        kind=observed.gives or observed.name,
         conditions=conditions,
         unused=columns.unused(conditions, patterns),
         sigma=None if sigma_mm is None else sigma_mm * 1e-3,

@@ -22,7 +22,7 @@ from casadical.identification.accuracy import predicted
 from casadical.identification.departure import DRAWN_GROUPS
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.result import Identification
-from casadical.measurements.camera_noise import lines_of_sight, target_in_camera
+from casadical.measurements.camera_noise import lines_of_sight
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.pose_selection.candidates import draw
 from casadical.pose_selection.selection import readings_table, short_tour, travel_distances
@@ -138,10 +138,9 @@ def _exact(robot: Robot, q: Array, m: Measurements) -> Measurements:
 def _view(m: Measurements) -> Array:
     """Return distance [m], angle off the camera's axis and of the board's normal [rad], shape (3, n)."""
     assert m.noise is not None
-    _, R = target_in_camera(m)
-    axes, away = lines_of_sight(m, m.noise)
+    axes, away = lines_of_sight(m.view, m.noise)
     line = axes[:, 2]
-    slant = np.arccos(np.clip(np.abs((line * R[:, :, 2]).sum(axis=1)), 0, 1))
+    slant = np.arccos(np.clip(np.abs((line * m.view.R[:, :, 2]).sum(axis=1)), 0, 1))
     return np.stack([away, np.arccos(np.clip(line[:, 2], -1, 1)), slant])
 
 
@@ -150,5 +149,5 @@ def _columns(found: Identification, robot: Robot, m: Measurements) -> tuple[Arra
     assert m.noise is not None
     problem = LeastSquares(robot, (m,), found.names, "linear", False, (found.problem.sigmas[0],))
     J = problem.evaluate(np.zeros(problem.size))[1].reshape(len(m), 6, -1)
-    unit = m.noise.relative(lines_of_sight(m, m.noise)[1])[:, :3] * found.problem.sigmas[0][0]
+    unit = m.noise.relative(lines_of_sight(m.view, m.noise)[1])[:, :3] * found.problem.sigmas[0][0]
     return J, J[:, :3] * unit[:, :, None]

@@ -7,6 +7,8 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
+
 from casadical.compensator.saving import compensator_text
 from casadical.core.basics import ConvergenceError, InputError, Show, silent
 from casadical.core.files import claimed, json_text, write_together
@@ -20,6 +22,7 @@ from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera
 from casadical.identification.figures import correlated, fit_quality, parameter_tables, unidentifiable_table
 from casadical.identification.identification import (
     AnyPriors,
+    calibrated,
     calibrated_without_outliers,
     identify,
     lacks_declared_compliance,
@@ -41,7 +44,7 @@ from casadical.project.networks import Networks, train_networks
 from casadical.project.outcome import Accuracies, error_tables, judged_on, network_tables, paper_tables
 from casadical.project.planning import more_poses
 from casadical.project.problem import Carried, Problem, error_groups, nothing_carried, read_problem
-from casadical.project.problem_file import BASE_METHODS, all_methods, base_methods
+from casadical.project.problem_file import BASE_METHODS, CameraErrorsTable, all_methods, base_methods
 from casadical.project.robot_columns import unfitted
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
@@ -63,6 +66,8 @@ class Calibration(Result):
     refitted : by method, identifications from all poses of the tables, which are written where the
         problem says so (`refit`); accuracies, figures and sentences are of `identifications`, which
         have not seen the held-out poses
+    corrected : which of arm and camera is wrong before the camera's errors were taken off all poses; None where
+        none was sure
 
     Examples
     --------
@@ -108,6 +113,7 @@ class Calibration(Result):
     networks: Networks | None = None
     without_prior: Accuracy | None = None
     refitted: Mapping[str, Identification] = field(default_factory=dict)
+    corrected: ArmOrCamera | None = None
 
     @property
     def written(self) -> Mapping[str, Identification]:
@@ -142,7 +148,7 @@ class Calibration(Result):
     @cached_property
     def arm_or_camera(self) -> ArmOrCamera | None:
         """Return which of arm and camera is wrong by all fitted poses; None where no camera measured them."""
-        return arm_or_camera(list(self.written.values())[-1])
+        return self.corrected or arm_or_camera(list(self.written.values())[-1])
 
     @property
     def worse(self) -> str:
@@ -383,6 +389,7 @@ def calibrate(
             raise InputError(fault)
     # Held-out poses are checked like the others, as the accuracy is stated of them.
     check_against(problem.robot, *(m for _, m in problem.parts()))
+    problem, corrected = _without_camera_errors(problem)
     results = _identified(problem, show, count := len(problem.methods) + len(problem.networks))
     used = used_poses(problem, results)
     trained = None
@@ -401,7 +408,21 @@ def calibrate(
     sets = error_groups(used).items()
     accuracies = {k: {to: r.accuracy(*(used[n] for n in names)) for to, names in sets} for k, r in results.items()}
     alone = accuracy_without_prior(plain, results, used) if plain else None
-    return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show))
+    return Calibration(problem, results, accuracies, trained, alone, _refitted(problem, results, show), corrected)
+
+
+def _without_camera_errors(problem: Problem) -> tuple[Problem, ArmOrCamera | None]:
+    """Return the problem without errors of its camera that are sure, and the answer that found them; None without."""
+    sets = problem.sets["identify"]
+    if len(sets) > 1 or not sets[0].camera or "camera_errors" in problem.tables[0]:
+        return problem, None
+    priors: AnyPriors = "auto" if problem.geometry_prior else False
+    prepared = prepare(problem.robot, sets, problem.prior, method="KM")
+    found = arm_or_camera(calibrated(prepared, loss=problem.loss, priors=priors))
+    if not (found and found.sure):
+        return problem, None
+    middle = 1e3 * np.array(found.ratios.point)
+    return problem.without_errors(CameraErrorsTable(**found.sure._asdict(), middle_mm=middle.tolist())), found
 
 
 def _refitted(problem: Problem, results: Mapping[str, Identification], show: Show) -> dict[str, Identification]:

@@ -27,6 +27,7 @@ from casadical.measurements.reading import from_columns, readings_alone, refuse_
 from casadical.project.faults import each_of, every_fault
 from casadical.project.problem_file import (
     BaseMethod,
+    CameraErrorsTable,
     DataTable,
     Paper,
     ProblemFile,
@@ -182,6 +183,13 @@ class Problem(Shown):
         if self.table is None or not found or not found.turning:
             return ""
         return f"{found.in_words(self.table.source)}; casadical check {self.folder} --repair writes them"
+
+    def without_errors(self, errors: CameraErrorsTable) -> "Problem":
+        """Return the problem with errors of the camera taken off the poses of its only table, which says so."""
+        sets = {name: tuple(errors.taken_off(m) for m in parts) for name, parts in self.sets.items()}
+        (table,) = self.tables
+        tables = ({**table, "camera_errors": errors.model_dump(exclude_defaults=True)},)
+        return replace(self, sets=sets, whole=tuple(errors.taken_off(m) for m in self.whole), tables=tables)
 
     def calibrated_urdf(self, robot: Robot) -> str:
         """Return the problem's URDF with the calibrated geometry and the measured point as a link.
@@ -382,7 +390,7 @@ def read_campaign(
     if readings_only:
         m = readings_alone(columns, joints)
     else:
-        m = as_poses(_with_noise(columns, joints, data), robot, data.inverted, data.camera)
+        m = _poses(columns, joints, data, robot)
         touched = set() if m.label is None else set(m.label.tolist())
         m = m.with_separations(s for s in _separations(data) if touched.issuperset(s[:2]))
     m = replace(m, lost=lost)
@@ -391,10 +399,14 @@ def read_campaign(
     return _with_conditions(m if later else with_known_targets(m, robot), robot)
 
 
-def _with_noise(columns: Columns, joints: Sequence[str], data: DataTable) -> Measurements:
-    """Return the measurements of columns, with the noise that their [[measurements]] declares."""
+def _poses(columns: Columns, joints: Sequence[str], data: DataTable, robot: Robot) -> Measurements:
+    """Return the measurements of columns as their [[measurements]] declares them, with poses of the tool."""
     m = from_columns(columns, joints, data.kind, sigma_mm=data.sigma_mm, sigma_deg=data.sigma_deg)
-    return replace(m, datasheet=None if data.datasheet_mm is None else data.datasheet_mm * 1e-3)
+    m = replace(m, datasheet=None if data.datasheet_mm is None else data.datasheet_mm * 1e-3)
+    m = as_poses(m, robot, data.inverted, data.camera)
+    if data.camera_errors and not m.camera:
+        raise InputError(f"{m.source}: camera_errors: no camera is known that measured poses; say where it is: camera")
+    return data.camera_errors.taken_off(m) if data.camera_errors else m
 
 
 def _separations(data: DataTable) -> list[tuple[str, str, float]]:
@@ -415,6 +427,8 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     columns = columns.with_tools(data.tools) if data.tools else columns
     if data.session:
         columns = replace(columns, table=columns.table.assign(session=data.session))
+    if data.intrinsics:
+        columns = replace(columns, table=columns.table.assign(**data.intrinsics.columns))
     return columns.without(data.leave_out, "leave_out")
 
 
@@ -428,7 +442,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
         raise InputError(f"{path}: no such file; it is named in {folder / 'problem.toml'}")
     columns = with_coupled(_columns(read_table(path, keep_text=False), data, robot), robot)
     joints = [j.kind for j in robot.joints]
-    m = as_poses(_with_noise(columns, joints, data), robot, data.inverted, data.camera)
+    m = _poses(columns, joints, data, robot)
     if data.point_from and m.label is None:
         raise InputError(f"{path}: point_from: has no effect on kind {m.kind!r}; take it out of problem.toml")
     refuse_nameless(m, robot)

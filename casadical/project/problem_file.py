@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
+import numpy as np
 import tomlkit
 from pydantic import (
     AfterValidator,
@@ -28,8 +29,9 @@ from casadical.core.reading import MAX_ITEMS, load_json, load_toml, missing, rea
 from casadical.core.schema import VALUE_FORMS, WHOLE_NUMBER, FaultError, Triple, check
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.columns import Source
+from casadical.measurements.corners import INTRINSICS, CameraErrors
 from casadical.measurements.kinds.registry import kinds
-from casadical.measurements.measurements import SETS
+from casadical.measurements.measurements import SETS, Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot, with_tools
@@ -83,6 +85,37 @@ def _form(value: Any) -> str:
 _Made = Annotated[Annotated[str, Tag(VALUE_FORMS[0])] | Annotated[_Source, Tag(VALUE_FORMS[1])], Discriminator(_form)]
 
 
+class _Intrinsics(_Strict):
+    """Intrinsics of a camera [px], with the coefficients k1, k2, p1, p2, k3 of its distortion, as OpenCV has them."""
+
+    fx: float = Field(gt=0)
+    fy: float = Field(gt=0)
+    cx: float
+    cy: float
+    distortion: list[float] = Field(default=[], max_length=5)
+
+    @property
+    def columns(self) -> dict[str, float]:
+        """Columns of a table that has these intrinsics in every row."""
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion, *[0.0] * (5 - len(self.distortion)))
+        return dict(zip(INTRINSICS, values, strict=True))
+
+
+class CameraErrorsTable(_Strict):
+    """Errors of a camera that are taken off its poses (see `corners.CameraErrors`), and the board's middle [mm]."""
+
+    focal: float = Field(default=0.0, gt=-0.2, lt=0.2)
+    tilt: float = Field(default=0.0, gt=-0.2, lt=0.2)
+    board: float = Field(default=0.0, gt=-0.2, lt=0.2)
+    distortion: float = Field(default=0.0, gt=-1.0, lt=1.0)
+    middle_mm: Triple = [0.0, 0.0, 0.0]
+
+    def taken_off(self, m: Measurements) -> Measurements:
+        """Return the poses as a camera without these errors has them."""
+        errors = CameraErrors(self.focal, self.tilt, self.board, self.distortion)
+        return m.without_errors(errors, 1e-3 * np.array(self.middle_mm))
+
+
 class DataTable(_Strict):
     """[[measurements]] of problem.toml: a file with a table, and how it is interpreted.
 
@@ -96,6 +129,7 @@ class DataTable(_Strict):
     datasheet_mm : largest error of a point that the data sheet of the instrument states
     inverted : whether poses are those of the measuring frame in the tool; None: as the robot says
     camera : where the camera is, in hand or to base; empty: as the poses look
+    intrinsics : of the camera whose images the corners are in; camera_errors : that are taken off its poses
     """
 
     file: str
@@ -111,6 +145,8 @@ class DataTable(_Strict):
     datasheet_mm: float | None = Field(default=None, gt=0)
     inverted: bool | None = None
     camera: Literal["", "in hand", "to base"] = ""
+    intrinsics: _Intrinsics | None = None
+    camera_errors: CameraErrorsTable | None = None
 
     @field_validator("kind")
     @classmethod
@@ -145,9 +181,9 @@ class DataTable(_Strict):
     def interpretation(self) -> dict[str, Any]:
         """Return the keys and values by which another table of the same origin is interpreted.
 
-        They are those that were given among file, kind, columns, point_from, inverted and camera.
+        They are those that were given among file, kind, columns, point_from, and of cameras.
         """
-        keys = ("file", "kind", "columns", "point_from", "inverted", "camera")
+        keys = ("file", "kind", "columns", "point_from", "inverted", "camera", "intrinsics", "camera_errors")
         given = self.model_dump(include={*keys}, exclude_defaults=True, by_alias=True)
         return {key: given[key] for key in keys if key in given}
 
@@ -429,8 +465,9 @@ def table_like(folder: Path, raw: RawTable, tables: Sequence[DataTable]) -> Data
         if own.resolve() == raw.path.resolve() or (own.is_file() and read_bytes(own) == read_bytes(raw.path)):
             return data
     others = [data.named_in(raw.header) for data in tables]
+    turned = "u_px" in raw.header or any(k.angles and k.matches({*raw.header}) for k in kinds().values())
     for like in others:
-        if like.columns or like.point_from:
+        if like.columns or like.point_from or (like.camera and turned):
             return like
     said = {data.kind for data in tables}
     kind = said.pop() if len(said) == 1 else None

@@ -127,17 +127,14 @@ def _without_other_frame(
     return found
 
 
-def as_poses(
-    m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "", by_noise: bool = False
-) -> Measurements:
+def as_poses(m: Measurements, robot: Robot, inverted: bool | None = None, camera: Camera = "") -> Measurements:
     """Return measurements with poses of the tool in the measuring frame, and their camera's place.
 
     Poses that the table gives inverted are inverted; other kinds are returned unchanged.
 
     inverted : whether the table has the inverse of these poses; None: it has where only the inverse
         fits the robot, or where both fit and the camera is in hand
-    camera : where the camera is; empty: as the poses show
-    by_noise : whether their noise, for which the arm is identified, is asked as well
+    camera : where the camera is; empty: as the poses and their noise show
     Raises InputError: measurements without orientations that are declared to be inverted, or to be
     of a camera.
     """
@@ -146,6 +143,8 @@ def as_poses(
             key = "inverted" if inverted else "camera"
             raise InputError(f"{m.source}: {key}: has no effect on kind {m.kind!r}; take it out of problem.toml")
         return m
+    if "corners" in m.extra and camera and inverted is None:
+        inverted = camera == "in hand"  # what was seen is the target in the camera
     # With fewer poses it is not judged whether they are inverted.
     if inverted is None and len(m) >= 5:
         here, there = (_pose_error(robot, poses) for poses in (m, m.inverse()))
@@ -153,7 +152,9 @@ def as_poses(
         undecided = there < MIN_ERROR_RATIO_TO_OTHERS * here and not inverted
         inverted = camera == "in hand" if undecided and camera else inverted
     m = m.inverse() if inverted else m
-    return _synchronised(replace(m, camera=camera or _camera_of(m, robot if by_noise else None)), robot)
+    if "corners" in m.extra:
+        camera = "in hand" if m.inverted else "to base"
+    return _synchronised(replace(m, camera=camera or _camera_of(m, robot)), robot)
 
 
 def _synchronised(m: Measurements, robot: Robot) -> Measurements:
@@ -198,14 +199,12 @@ def _pose_error(robot: Robot, m: Measurements) -> float:
     return turn + placed_by(robot, m)[1] / robot.reach
 
 
-def _camera_of(m: Measurements, robot: Robot | None = None) -> Camera:
+def _camera_of(m: Measurements, robot: Robot) -> Camera:
     """Return where the camera is, by the frame (tool or fixed) that has the other near its z axis.
 
     Empty where that is not clear. A camera sees its target within its field of view; how a target
-    is turned has no such limit.
-
-    robot : if given, the noise is judged as well: in the frame of the camera alone, errors of the
-        orientation do not move the target
+    is turned has no such limit. For an arm that is identified, the noise is judged as well: in the
+    frame of the camera alone, errors of the orientation do not move the target.
     """
     off: dict[Camera, float] = {}
     place: Camera
@@ -220,7 +219,7 @@ def _camera_of(m: Measurements, robot: Robot | None = None) -> Camera:
     by_angle: Camera = near if sure else ""
     # A frame that has the other this far off its axis is no camera's, whatever the noise; of fewer
     # poses the noise is too uncertain.
-    if robot is None or (by_angle and off[far] > np.deg2rad(60.0)) or len(m) < 12:
+    if (by_angle and off[far] > np.deg2rad(60.0)) or len(m) < 12:
         return by_angle
     base, tool = (replace(frame, unknown="pose") for frame in (robot.base, robot.tool))
     # More poses than 80 are not needed.

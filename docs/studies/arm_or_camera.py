@@ -22,7 +22,7 @@ from casadical.core.basics import Array
 from casadical.core.transforms import frame
 from casadical.identification.arm_or_camera import ArmOrCamera, arm_or_camera
 from casadical.identification.identification import identify
-from casadical.measurements.camera_noise import target_in_camera, whitening
+from casadical.measurements.camera_noise import whitening
 from casadical.measurements.measurements import Measurements
 from casadical.robot.robot import Robot
 
@@ -37,7 +37,7 @@ def measured(q: Array, T: Array, in_hand: bool) -> Measurements:
 def left(robot: Robot, m: Measurements, found: ArmOrCamera, in_hand: bool) -> float:
     """Rms error [mm] of the target's place in the camera with base and tool fitted by scipy, weighed by a noise."""
     start = identify(robot, replace(m, camera=""), ["placement"], loss="linear").robot
-    W = whitening(m, found.ratios) / np.repeat(found.sigmas, 3)[:, None]
+    W = whitening(m.view, found.ratios) / np.repeat(found.sigmas, 3)[:, None]
     middle = np.array(found.ratios.point)
 
     def moved(x: Array) -> Array:
@@ -50,8 +50,8 @@ def left(robot: Robot, m: Measurements, found: ArmOrCamera, in_hand: bool) -> fl
         return np.asarray(W @ np.column_stack([T[:, :3, 3] - m.position, turn])[:, :, None]).ravel()
 
     T = moved(least_squares(residual, np.zeros(12), x_scale=1e-3).x)
-    model, seen = (np.linalg.inv(T) if in_hand else T), target_in_camera(m)
-    off = model[:, :3, 3] + model[:, :3, :3] @ middle - seen[0] - seen[1] @ middle
+    model, seen = (np.linalg.inv(T) if in_hand else T), m.view
+    off = model[:, :3, 3] + model[:, :3, :3] @ middle - seen.t - seen.R @ middle
     return 1e3 * float(np.sqrt((off**2).sum(axis=1).mean()))
 
 

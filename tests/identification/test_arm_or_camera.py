@@ -43,9 +43,24 @@ def test_the_side_that_is_wrong_is_named_with_its_share(arm: int, focal: float, 
     if focal:
         assert by_name["focal length"].value == pytest.approx(focal, abs=0.003)
         assert "focal length +" in found.in_words()
+        assert found.sure.focal == pytest.approx(focal, abs=0.003)
+    else:
+        assert found.sure is None
     assert found.moved.probability < 0.1
     assert "moved between two rows: no." in found.in_words()
     assert found.total == pytest.approx(np.hypot(np.hypot(found.arm.size, found.camera.size), found.noise), rel=0.4)
+
+
+def test_errors_of_the_camera_are_taken_off_its_poses() -> None:
+    """The hand-eye transform of corrected poses is that of poses without the error."""
+    robot, right, _ = seen_by_hand(40)
+    wrong = with_wrong(right, 0.01)
+    found = arm_or_camera(identify(robot, wrong, ["kinematic"]))
+    better = wrong.without_errors(found.sure, np.array(found.ratios.point))
+    places = [identify(robot, m, ["placement"]).robot.tool.T[:3, 3] for m in (right, wrong, better)]
+    assert np.linalg.norm(places[1] - places[0]) > 1e-3
+    assert np.linalg.norm(places[2] - places[0]) < 2e-4
+    assert (better.camera, better.inverted) == (wrong.camera, wrong.inverted)
 
 
 def test_a_camera_that_moved_is_named_with_the_rows_between() -> None:

@@ -33,7 +33,7 @@ def with_errors(t: np.ndarray, R: np.ndarray, camera: str, e: np.ndarray) -> Mea
     """Measured poses, as casadical has them, of a target whose middle is off by e along the line of sight's axes."""
     m = Measurements(np.zeros((len(t), 1)), "pose", position=t, orientation=R, camera=camera)
     m = m.inverse() if camera == "in hand" else m
-    axes, _ = lines_of_sight(replace(m, noise=PLANTED), PLANTED)
+    axes, _ = lines_of_sight(m.view, PLANTED)
     shift, turn = (np.einsum("nji,nj->ni", axes, part) for part in (e[:, :3], e[:, 3:]))
     seen = Rotation.from_rotvec(turn).as_matrix() @ R
     p = t + np.einsum("nij,j->ni", R, MIDDLE) + shift - np.einsum("nij,j->ni", seen, MIDDLE)
@@ -49,8 +49,8 @@ def test_whitened_residuals_are_the_errors_in_the_cameras_axes(camera: str) -> N
     m, true = (with_errors(t, R, camera, part) for part in (e, 0 * e))
     turn = Rotation.from_matrix(m.orientation.transpose(0, 2, 1) @ true.orientation).as_rotvec()
     plain = np.column_stack([true.position - m.position, turn])
-    _, away = lines_of_sight(m, PLANTED)
-    white = np.einsum("nij,nj->ni", whitening(m, PLANTED), plain) * PLANTED.relative(away)
+    _, away = lines_of_sight(m.view, PLANTED)
+    white = np.einsum("nij,nj->ni", whitening(m.view, PLANTED), plain) * PLANTED.relative(away)
     np.testing.assert_allclose(white, -e, atol=4e-7)
 
 
@@ -58,14 +58,14 @@ def test_whitened_residuals_are_the_errors_in_the_cameras_axes(camera: str) -> N
 def test_planted_components_growth_and_point_are_found(camera: str) -> None:
     rng = np.random.default_rng(1)
     t, R = target_poses(400, rng)
-    _, away = lines_of_sight(m := with_errors(t, R, camera, np.zeros((400, 6))), PLANTED)
+    _, away = lines_of_sight((m := with_errors(t, R, camera, np.zeros((400, 6)))).view, PLANTED)
     e = PLANTED.relative(away) * rng.normal(size=(400, 6)) * np.repeat([2e-4, 1e-3], 3)
     m, true = with_errors(t, R, camera, e), m
     turn = Rotation.from_matrix(m.orientation.transpose(0, 2, 1) @ true.orientation).as_rotvec()
     plain, noise, sigmas = np.column_stack([true.position - m.position, turn]), CameraNoise(), (1e-4, 1e-4)
     for _ in range(4):
-        r = np.einsum("nij,nj->ni", whitening(m, noise), plain) / np.repeat(sigmas, 3)
-        noise, sigmas = refined(replace(m, noise=noise), r, np.ones_like(r), sigmas)
+        r = np.einsum("nij,nj->ni", whitening(m.view, noise), plain) / np.repeat(sigmas, 3)
+        noise, sigmas = refined(m.view, noise, r, np.ones_like(r), sigmas)
     at_half = np.array(noise.ratios) * (0.5 / noise.distance) ** np.array(noise.growth) * np.repeat(sigmas, 2)
     np.testing.assert_allclose(at_half, np.array(PLANTED.ratios) * np.repeat([2e-4, 1e-3], 2), rtol=0.1)
     np.testing.assert_allclose(noise.point, MIDDLE, atol=0.02)
@@ -88,7 +88,7 @@ def seen_by_hand(poses: int, seed: int = 5) -> tuple[Robot, Measurements, np.nda
     B = R[0] @ np.diag([1.0, -1, -1])
     t, turned = c[near] - np.einsum("nji,j->ni", R[near], B @ MIDDLE), R[near].transpose(0, 2, 1) @ B
     exact = with_errors(t, turned, "in hand", np.zeros((poses, 6)))
-    _, away = lines_of_sight(exact, PLANTED)
+    _, away = lines_of_sight(exact.view, PLANTED)
     e = PLANTED.relative(away) * rng.normal(size=(poses, 6)) * np.repeat([1e-4, 2e-3], 3)
     return robot, replace(with_errors(t, turned, "in hand", e), q=q[near]), X
 

@@ -19,7 +19,9 @@ READINGS = {"q1_deg": [10.0, 30, -40, 15, 20], "q2_deg": [20.0, -15, 25, 5, 0]}
 
 
 def test_every_kind_has_a_table() -> None:
-    assert set(SHOWN) | {"position"} == set(kinds())
+    assert set(SHOWN) | {"position", "corners"} == set(
+        kinds()
+    )  # those of corners: tests/identification/test_corners.py
 
 
 @pytest.mark.parametrize("kind", SHOWN)

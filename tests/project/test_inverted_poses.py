@@ -107,8 +107,9 @@ def test_a_camera_is_where_errors_of_orientation_do_not_move_its_target() -> Non
     p = p * (1 + rng.normal(0, 2e-3, (25, 1))) + rng.normal(0, 2e-4, (25, 3))
     turned = Rotation.from_rotvec(rng.normal(0, 4e-3, (25, 3))).as_matrix() @ there.orientation
     m = replace(there, position=p, orientation=turned, inverted=True).inverse()
-    assert as_poses(m, ur5e()).camera == ""
-    assert as_poses(m, ur5e(), by_noise=True).camera == "in hand"
+    off = [np.quantile(np.arctan2(np.hypot(x, y), z), 0.9) for x, y, z in (m.position.T, m.inverse().position.T)]
+    assert min(off) > np.deg2rad(50)
+    assert as_poses(m, ur5e()).camera == "in hand"
 
 
 @pytest.mark.parametrize("joints", [False, True])

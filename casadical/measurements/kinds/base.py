@@ -93,6 +93,7 @@ class MeasurementKind(ABC):
     name : as in problem.toml
     columns, unknown : its row of the table in docs/measurements.md
     pattern : of the columns that it reads, which are no conditions
+    gives : kind of the measurements that are read; empty: this kind
     signs : patterns, each of a column by which a table of this kind is recognised
     fill : columns that are left empty for it in a table of poses to be measured
     arrays : names of the arrays that it needs: fields of `Measurements`, else entries of its
@@ -130,6 +131,7 @@ class MeasurementKind(ABC):
     columns: ClassVar[str]
     unknown: ClassVar[str] = ""
     pattern: ClassVar[str]
+    gives: ClassVar[str] = ""
     signs: ClassVar[tuple[str, ...]] = ()
     fill: ClassVar[tuple[str, ...]] = ()
     arrays: ClassVar[tuple[str, ...]]

@@ -10,6 +10,7 @@ from casadical.core.basics import Array, InputError
 from casadical.core.linear_gaussian.noise import whitening_of
 from casadical.core.transforms import Symbolic, from_quaternion, from_rpy, from_xyz
 from casadical.measurements.columns import ORIENTATION, Columns
+from casadical.measurements.corners import INTRINSICS, Images
 from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpression, PositionsAt
 from casadical.measurements.kinds.distance import other_poses
 
@@ -126,9 +127,9 @@ class Pose(Position):
         "fixed x, y, z), or `rx_deg, ry_deg, rz_deg` (about x, then the new y, then the new z); "
         "angles in `_deg` or `_rad`"
     )
-    fill = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+    fill: ClassVar[tuple[str, ...]] = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
     pattern = f"{Position.pattern}|{ORIENTATION}"
-    signs = ("x_mm?", FIRST_ORIENTATION_COLUMN)
+    signs: ClassVar[tuple[str, ...]] = ("x_mm?", FIRST_ORIENTATION_COLUMN)
     arrays = ("position", "orientation")
     angles = 3
 
@@ -143,6 +144,38 @@ class Pose(Position):
     def residual(self, pose: PoseExpression) -> Symbolic:
         """Return model minus measurement: position (3 numbers [m]), then rotation (3 [rad])."""
         return ca.vertcat(super().residual(pose), turned_off(pose.R, pose.take("orientation", 9)))
+
+
+class Corners(Pose):
+    """Corners of a board in images, which are poses whose residuals are the reprojection errors (see `corners`)."""
+
+    name = "corners"
+    columns = (
+        "a row for each corner of a board in an image, with the joint readings of its station: `u_px, v_px`, and its "
+        "place on the board, `board_x_mm, board_y_mm`; `intrinsics` in problem.toml, or the columns `fx_px, fy_px, "
+        "cx_px, cy_px` and `lens_k1, lens_k2, lens_p1, lens_p2, lens_k3`"
+    )
+    fill = ()
+    pattern = r"corners|[uv]_px|board_[xyz]_mm?|[fc][xy]_px|lens_[kp][123]"
+    signs = ("corners",)
+    gives = "pose"
+
+    def read(self, columns: Columns, q: Array) -> dict[str, Array]:
+        """Return the poses of the board in the camera as of kind pose, and arrays `corners` and `intrinsics`.
+
+        Raises InputError: no intrinsics.
+        """
+        assert columns.corners is not None
+        if lacking := [name for name in INTRINSICS[:4] if name not in columns.table]:
+            raise InputError(
+                f"{columns.source}: corners in images, and {', '.join(lacking)} missing; say in [[measurements]] of "
+                "problem.toml, for example, intrinsics = { fx = 900.0, fy = 900.0, cx = 640.0, cy = 360.0 } (and "
+                "distortion = [k1, k2, p1, p2, k3])"
+            )
+        zero = np.zeros(len(columns.row))
+        given = [columns.column(name) if name in columns.table else zero for name in INTRINSICS]
+        T, images = Images(columns.corners, np.column_stack(given), np.zeros(0)).posed()
+        return {"position": T[:, :3, 3], "orientation": T[:, :3, :3], **images._asdict()}
 
 
 class _WhitenedPose(Pose):

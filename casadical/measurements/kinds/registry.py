@@ -8,7 +8,7 @@ from casadical.measurements.columns import Columns
 from casadical.measurements.kinds.base import MeasurementKind
 from casadical.measurements.kinds.contact import Contact
 from casadical.measurements.kinds.distance import Distance, PairDistance
-from casadical.measurements.kinds.position import Pose, Position, PositionCovariance, RelativePose
+from casadical.measurements.kinds.position import Corners, Pose, Position, PositionCovariance, RelativePose
 from casadical.measurements.kinds.surfaces import Dial, Plane, Sphere
 
 
@@ -20,6 +20,7 @@ def kinds() -> Mapping[str, MeasurementKind]:
     """
     order = (
         Pose,
+        Corners,
         PositionCovariance,
         Position,
         PairDistance,

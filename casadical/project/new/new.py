@@ -23,6 +23,7 @@ from casadical.core.transforms import frame, from_rpy
 from casadical.measurements.arrangement import joined, long, with_headings
 from casadical.measurements.camera_noise import Camera
 from casadical.measurements.columns import Columns, is_ours
+from casadical.measurements.corners import INTRINSICS
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.measurements import Measurements
@@ -107,6 +108,7 @@ def new_problem(
     data: Path | Sequence[Path] | None = None,
     headings: str = "",
     camera: Camera = "",
+    intrinsics: str = "",
     seed: int = 0,
     ask: Callable[[Question], str] | None = None,
     show: Callable[[Words | Table], None] | None = None,
@@ -122,6 +124,7 @@ def new_problem(
         seed and marked synthetic everywhere
     headings : headings of the table, separated by commas, in place of its own or where it has none
     camera : where the camera is that measured them, "in hand" or "to base"; empty: as they look
+    intrinsics : of that camera, four to nine numbers separated by commas (see `corners.INTRINSICS`)
     seed : seed of simulated poses and of the split
     ask : takes a question on the table and returns one of its choices; None: the first choice,
         which is the most probable
@@ -146,7 +149,8 @@ def new_problem(
     ]
     (texts, robot), given = each_of(steps)
     before = partial(_before_gripper, urdf, base_link, tip_link)
-    understood = _understood(given, robot, camera, ask, show, before) if given else Given()
+    lens = dict(zip(INTRINSICS, _numbers(intrinsics), strict=False))
+    understood = _understood(given, robot, camera, lens, ask, show, before) if given else Given()
     if len(understood.tools) > 1 and show:
         place, listed = "problem.toml" if urdf else "robot.toml", ", ".join(understood.tools)
         show(Words(f"Column 'tool' names {len(understood.tools)} measured points, {listed}: {place} has each."))
@@ -248,6 +252,7 @@ def _understood(
     raw: RawTable,
     robot: Robot,
     camera: Camera,
+    lens: Mapping[str, float],
     ask: Callable[[Question], str] | None,
     show: Callable[[Words | Table], None] | None,
     before: Callable[[int], str],
@@ -257,7 +262,7 @@ def _understood(
     Questions that it leaves open are asked by `ask` (None: the first choice is taken), and findings
     are shown by `show`.
 
-    camera : where the camera is, empty if unknown
+    camera : where the camera is, empty if unknown; lens : its intrinsics, as named by INTRINSICS
     before : returns how to end the arm before a joint, as a sentence
     """
     meaning = understood(raw, robot, {})
@@ -270,6 +275,7 @@ def _understood(
         meaning = meaning.answered(question, ask(question) if ask else next(iter(question.choices)), "the answer")
     _refuse_missing(raw, robot, meaning, before)
     columns = Columns.of_file(raw).mapped(meaning.sources)
+    columns = replace(columns, table=columns.table.assign(**lens))
     kind = next((kind for kind in kinds().values() if kind.matches({*map(str, columns.table)})), None)
     tools, rare = tools_in(columns)
     left_out = {**rare, **dict.fromkeys(columns.lost_rows, "a cell is no number")}
@@ -287,6 +293,7 @@ def _understood(
         tilted=turned if np.isnan(tilt) else not level,
         inverted=poses is not None and poses.inverted,
         camera=poses.camera if poses is not None else camera,
+        lens=lens,
     )
     rows = "; ".join(f"{row}, {why}" for row, why in left_out.items())
     said += [Words(f"Rows that are left out (leave_out in problem.toml): {rows}.")] if rows else []
@@ -302,6 +309,20 @@ def _understood(
     return given
 
 
+def _numbers(text: str) -> list[float]:
+    """Return the numbers of --intrinsics. Raises InputError where they are not four to nine, or no numbers."""
+    try:
+        numbers = [float(number) for number in text.split(",")] if text else []
+    except ValueError:
+        numbers = [0.0]
+    if text and not (4 <= len(numbers) <= len(INTRINSICS) and min(numbers[:2]) > 0 and np.isfinite(numbers).all()):
+        raise InputError(
+            f"--intrinsics {text}: allowed: FX,FY,CX,CY in pixels, the first two positive, and up to five coefficients "
+            "K1,K2,P1,P2,K3"
+        )
+    return numbers
+
+
 def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[Words], Measurements | None]:
     """Return the angle [deg] between the z axes of base and measuring frame, findings, and poses.
 
@@ -309,7 +330,7 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     """
     try:
         m = from_columns(with_coupled(columns, robot), [j.kind for j in robot.joints])
-        m = as_poses(m, robot, camera=camera, by_noise=True)
+        m = as_poses(m, robot, camera=camera)
         placed, median = placed_by(robot, m)
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None

@@ -145,6 +145,7 @@ class Given:
     tilted : whether the measuring instrument was not levelled
     inverted : whether poses are inverted in the table
     camera : where the camera is that saw them, "in hand", "to base" or unknown
+    lens : its intrinsics, as named by `corners.INTRINSICS`; empty without
     """
 
     columns: Mapping[str, Source] = field(default_factory=dict)
@@ -155,6 +156,7 @@ class Given:
     tilted: bool = False
     inverted: bool = False
     camera: str = ""
+    lens: Mapping[str, float] = field(default_factory=dict)
 
 
 def problem_text(
@@ -211,6 +213,9 @@ def _column_lines(given: Given) -> str:
     if given.camera:
         camera = f'camera = "{given.camera}"'
         lines.append(f'{camera:35s}# "in hand", with its target at rest; or "to base", with its target on the robot')
+    if given.lens:
+        fx, fy, cx, cy, *distortion = given.lens.values()
+        lines.append(f"intrinsics = {{ fx = {fx}, fy = {fy}, cx = {cx}, cy = {cy}, distortion = {distortion} }}")
     if given.left_out:
         lines += ["leave_out = [                      # rows of the file"]
         lines += [f"    {row}, # {why}" for row, why in given.left_out.items()]
