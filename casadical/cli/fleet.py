@@ -7,6 +7,7 @@ from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Quiet, Report
 from casadical.cli.terminal import NOT_VALID, html, keep, print_result, suggest, tell, with_json, working, wrapped
+from casadical.core.basics import shown
 
 
 def compare(
@@ -83,6 +84,12 @@ def fleet(
         None, min=1, max=1024, metavar="N", help="Processes of this machine; default: one a core."
     ),
     diagnose: bool = Option(True, "--diagnose/--no-diagnose", help="Diagnose every robot, which takes longest."),
+    priors: Path | None = Option(
+        None,
+        metavar="DIR",
+        help="Write what robots of one type have in common, TYPE.robot.toml, for calibrate "
+        "--prior FILE --prior-effects all.",
+    ),
     json_file: Json = None,
     report_file: Report = None,
     quiet: Quiet = False,
@@ -91,7 +98,8 @@ def fleet(
 
     A robot is a problem folder; its later campaigns are tables in its folder `campaigns`, with
     their days in their names. What the store has already is not computed again, and one robot that
-    fails stops nobody.
+    fails stops nobody. Robots of one type share what was learnt from them: common faults of the
+    drawing, and a prior with which a new robot needs fewer poses.
 
     Example: casadical fleet plants/* --store fleet.parquet --report fleet.html
 
@@ -115,7 +123,15 @@ def fleet(
         echo(f"casadical: {stop or 'interrupted'}", err=True)
         raise Exit(130) from None
     tell(console, *robots.blocks())
-    texts = {report_file: html([robots.page()])} if report_file else {}
+    texts = dict(robots.prior_files(priors)) if priors else {}
+    if priors and not texts:
+        console.print("note: no prior is written: no type has five calibrated robots or more.", style="yellow")
+    for path in sorted(priors.glob(12 * "[0-9a-f]" + ".robot.toml")) if priors else ():
+        if path not in texts:
+            words = f"note: {shown(path)}: of no type of this fleet with five robots; not written now."
+            console.print(words, style="yellow", soft_wrap=True)
+    if report_file:
+        texts[report_file] = html([robots.page()])
     keep(with_json(texts, json_file, robots.to_json()), console)
     if not robots.next:
         suggest(console, "when robots were measured again", *sys.argv[1:])

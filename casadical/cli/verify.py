@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 MODE_OPTIONS = {
     "--mujoco": ("mujoco", "effects", "seed", "out", "json_file"),
     "--touches": (
-        *("touches", "tolerance_mm", "noise_mm", "update", "chart", "report_file", "seed"),
+        *("touches", "tolerance_mm", "noise_mm", "fleet", "update", "chart", "report_file", "seed"),
         "json_file",
     ),
     "--iso9283": ("iso9283", "details", "json_file"),
@@ -89,6 +89,11 @@ def verify(
         help="With --touches: rms error that is allowed; default: twice what the file states.",
     ),
     noise_mm: float | None = Option(None, min=0, help="With --touches: noise of a coordinate, one sigma."),
+    fleet: Path | None = Option(
+        None,
+        metavar="FILE.json",
+        help="With --touches: what `casadical fleet --json` wrote, whose changes count.",
+    ),
     update: Path | None = Option(
         None,
         metavar="ROBOT.toml",
@@ -139,6 +144,7 @@ def verify(
         asked = {
             "tolerance_mm": tolerance_mm,
             "noise_mm": noise_mm,
+            "fleet": fleet,
             "seed": seed or 0,
         }
         _touched(robot, tables, asked, update, chart, report_file, json_file, quiet)

@@ -1,1 +1,1 @@
-"""Changes of robots between campaigns, and all robots of a fleet."""
+"""Changes of robots between campaigns, and what the robots of a fleet have in common."""

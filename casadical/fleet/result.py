@@ -1,9 +1,10 @@
-"""Result of a fleet: a row per robot, outliers of each type, trends."""
+"""Result of a fleet: a row per robot, outliers, trends, common deviations of each type."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import takewhile
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,11 +12,14 @@ import pandas as pd
 
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, figures_named, next_step
 from casadical.core.reporting.figure import Axis, Figure, Note, Series
-from casadical.core.reporting.plain import WRITTEN, Key
+from casadical.core.reporting.plain import WRITTEN, Key, plain
 from casadical.core.reporting.result import Result
 from casadical.fleet.changes import FALSE_ALARM_PROBABILITY, exceeded_residual, residuals_figure
 from casadical.fleet.estimates import date_text
+from casadical.fleet.hierarchy import MIN_ROBOTS_PER_TYPE, Common, Drawing, common_of, drawings_of, near, nearly_one
 from casadical.fleet.store import records
+from casadical.project.problem import read_problem_robot
+from casadical.robot.robot_file import to_toml
 
 # Largest number of rows in a table on the terminal.
 MAX_ROWS_SHOWN = 12
@@ -27,11 +31,13 @@ MAX_ROWS_ON_PAGE = 2000
 
 @dataclass(frozen=True, eq=False)
 class Fleet(Result):
-    """All robots of a fleet.
+    """All robots of a fleet, and what they have in common.
 
     robots : a row per robot, as in the store (see `casadical.fleet.store.EMPTY_ROW`)
+    commons : what robots of one type have in common, for types with five robots or more
     outliers : names of robots whose error is an outlier among those of their type
     notes : sentences on what was assumed of the robots
+    drawings : nominal robots of the types whose files can be read, by type
     computed : number of robots that were computed in this run, while the others come from the
         store; None: not known
 
@@ -44,6 +50,8 @@ class Fleet(Result):
     ['Words', 'Table']
     >>> fleet.to_json()["robots"][0]["robot"]
     'planar'
+    >>> fleet.prior_files("priors")  # of five robots of one type or more
+    {}
     >>> fleet.grown  # of several campaigns
     {}
     """
@@ -57,12 +65,15 @@ class Fleet(Result):
     derived: ClassVar[tuple[Key, ...]] = (
         Key("fleet", lambda fleet: len(fleet.robots)),
         Key("robots", "_listed"),
+        Key("types", "_shared_by_type"),
         Key("next", "commands"),
     )
 
     robots: pd.DataFrame
+    commons: tuple[Common, ...]
     outliers: tuple[str, ...] = field(metadata=WRITTEN)
     notes: tuple[str, ...] = field(default=(), metadata=WRITTEN)
+    drawings: Mapping[str, Drawing] = field(default_factory=dict)
     computed: int | None = field(default=None, metadata=WRITTEN)
 
     @property
@@ -86,7 +97,7 @@ class Fleet(Result):
         failed = [(r["robot"], r["status"], short(r["error"])) for r in records(bad.head(MAX_ROWS_SHOWN))]
         title = f"Not calibrated ({len(bad)})"
         others = [Table(title, ("robot", "status", "why"), failed)] if failed else []
-        return self._report_blocks(findings=[*self._types(), *self._to_look_at(), *others])
+        return self._report_blocks(findings=[*self._faults(), *self._types(), *self._to_look_at(), *others])
 
     @property
     def next(self) -> tuple[Words, ...]:
@@ -98,18 +109,21 @@ class Fleet(Result):
         )
 
     def figures(self) -> dict[str, Figure]:
-        """Return the figures by name: "map" (accuracies), "trends"."""
+        """Return the figures by name: "map" (accuracies), "trends", "common/TYPE" for each type."""
         figures = [accuracy_map(self.good, self.outliers)] if len(self.good) else []
         figures += [trends(self.good, self.grown)] if (self.good["campaigns"] > 1).any() else []
-        return {figure.name: figure for figure in figures}
+        return {figure.name: figure for figure in (*figures, *map(common_departures, self.commons))}
 
     def page(self) -> Page:
         """Return the report of `casadical fleet --report` as a page."""
         figures = self.figures()
+        few = Words("Five robots of one type are needed to learn what they have in common.", "note")
+        alike: list[Block] = [b for c in self.commons for b in (figures[f"common/{c.type}"], common_table(c))]
         sections = [
             Section("What to check first", self.blocks()),
             Section("Map of accuracies", figures_named(figures, "map")),
             Section("Trends", figures_named(figures, "trends")),
+            Section("What robots of one type have in common", alike or [few]),
             Section("All robots", [self._all()]),
         ]
         return Page("Fleet", "Fleet", f"{len(self.robots)} robots", sections, [*self._tiles()])
@@ -138,6 +152,57 @@ class Fleet(Result):
             f"{f'; the first {MAX_ROWS_ON_PAGE}' if len(self.robots) > MAX_ROWS_ON_PAGE else ''}"
         )
         return Table(title, head, rows, frozenset({4, 5, 6, 7}), folded=len(rows) > 50)
+
+    def prior_files(self, folder: str | Path) -> dict[Path, str]:
+        """Return for each type of `commons` the text of a robot file, by its path TYPE.robot.toml.
+
+        The file has the mean of the type's robots and their spread as covariance. It is the prior
+        of a robot that is still to be measured.
+
+        folder : folder of the paths; nothing is written
+        """
+        texts = {}
+        for c in self.commons:
+            drawn = read_problem_robot(self.good.loc[self.good["type"] == c.type, "folder"].iloc[0])
+            comment = f"What {c.count} robots of one fleet have in common, as the prior of another one of this type."
+            prior = replace(c.prior_of(drawn), name=c.name)
+            assert prior.knowledge is not None
+            if unnamed := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
+                comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(unnamed)}."
+            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(prior, comment, known_alone=True)
+        return texts
+
+    def _correction(self, common: Common, name: str) -> str:
+        """Return the text of a parameter's correction in a type's robot file: `Drawing.correction`.
+
+        It is empty if no file was read.
+
+        common : what the robots of the type have in common; name : parameter
+        """
+        if common.type not in self.drawings:
+            return ""
+        return self.drawings[common.type].correction(common, name, near(self.drawings, common.type))
+
+    def _faults(self) -> Iterator[Words]:
+        """Yield a warning on faults of the drawing, for each type with any, with their corrections.
+
+        Faults of compliances have a warning of their own.
+        """
+        remedies = {
+            False: "correct the drawing, or the set-up of the instrument",
+            True: "their joints yield otherwise than it says; correct the compliances in the robot file",
+        }
+        for c in self.commons:
+            faults = [(name, *c.readable(name, mean, error)) for name, mean, error in c.faults]
+            for soft, remedy in remedies.items():
+                own = [fault for fault in faults if fault[-1].startswith("urad") == soft]
+                if own:
+                    first, *more = (f"{size:+.3g} {unit} +/- {sigma:.1g}" for _, size, sigma, unit in own)
+                    names = [name for name, *_ in own]
+                    said = [f"{names[0]} is {first}", *map(" ".join, zip(names[1:], more, strict=True))]
+                    words = f"all {c.count} robots of the type {c.name}: {', '.join(said)} from the drawing: {remedy}."
+                    places = filter(None, (self._correction(c, name) for name in names))
+                    yield Words(words, "warning", "\n".join(places))
 
     def _types(self) -> Iterator[Table]:
         """Yield one table of robot types with the median of their robots' mean errors [mm].
@@ -202,6 +267,12 @@ class Fleet(Result):
         words = [*columns.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
 
+    @property
+    def _shared_by_type(self) -> list[dict[str, Any]]:
+        """The entries of `commons` as dictionaries for the JSON file, with `corrections` added."""
+        own = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
+        return [{**plain(c), "corrections": each} for c, each in zip(self.commons, own, strict=True)]
+
 
 def _found_in(row: Mapping[str, Any]) -> str:
     """Return verdict and causes of a robot's diagnosis as text; empty without a diagnosis."""
@@ -253,10 +324,12 @@ def fleet_of(
     names = {kind: name_of_type(list(some)) for kind, some in robots.groupby("type")["type_name"]}
     robots = robots.assign(type_name=robots["type"].map(names))
     good = robots[robots["status"] == "ok"]
-    # From five robots of a type on it is said which of them stand out.
-    types = [some for _, some in good.groupby("type", sort=False) if len(some) >= 5]
+    types = [some for _, some in good.groupby("type", sort=False) if len(some) >= MIN_ROBOTS_PER_TYPE]
     outliers = [name for some in types for name in _outliers(some)]
-    return Fleet(robots, tuple(outliers), tuple(notes), computed)
+    commons = [replace(common_of(records(some)), name=some["type_name"].iloc[0]) for some in types]
+    drawings = drawings_of(good)
+    said = (*notes, *nearly_one(drawings))
+    return Fleet(robots, tuple(commons), tuple(outliers), said, drawings, computed)
 
 
 def name_of_type(names: Sequence[str]) -> str:
@@ -377,3 +450,45 @@ def _apart(heights: Sequence[float], gap: float) -> list[float]:
     for k in range(len(moved) - 1, -1, -1):
         moved[k] = max(moved[k], moved[k + 1] + gap if k + 1 < len(moved) else 0.0)
     return moved
+
+
+def common_departures(c: Common) -> Figure:
+    """Return the figure of a type's mean deviations from the drawing and their significance.
+
+    The abscissa is the deviation [mm or mrad], the ordinate its ratio to the standard error.
+    """
+    sure = np.abs(c.mean) / np.maximum(c.std_error, 1e-12)
+    bad = {name for name, _, _ in c.faults}
+    named = sorted(bad, key=lambda name: -sure[c.names.index(name)])[:MAX_LABELS]
+    words = [[name, f"{mean:+.4g} {unit} +/- {error:.1g}"] for name, mean, error, _, unit in c.rows]
+    compliant = [n.startswith("c") and n[1:].isdigit() for n in c.names]
+    dots = Series(
+        "points",
+        c.mean * np.where(compliant, 1.0, 1e3 * c.scale),
+        sure,
+        size=8,
+        colour=["red" if n in bad else "grey" for n in c.names],
+        text=[n if n in named else "" for n in c.names],
+        facts=words,
+        tip="<b>%{customdata[0]}</b><br>%{customdata[1]} from the drawing",
+    )
+    x, y = Axis("common departure [mm or mrad]"), Axis("in standard errors")
+    # Caption of the figure of `common_departures`.
+    common_caption = (
+        "How far all robots of the type are from the drawing, in standard errors, over the size of "
+        "the departure; of compliances, what they yield under the joint's greatest torque. Red: a "
+        "fault of the drawing, or of the instrument's set-up; the surest are named."
+    )
+    return Figure(f"common/{c.type}", f"{c.name}: {c.count} robots", [dots], x, y, caption=common_caption)
+
+
+def common_table(c: Common) -> Table:
+    """Return the table of a robot type's parameters in readable units.
+
+    It has the mean deviation from the nominal value, its standard error, and the standard deviation
+    between the robots (spread).
+    """
+    rows = [(name, f"{m:+.4f}", f"{error:.2g}", f"{spread:.3g}", unit) for name, m, error, spread, unit in c.rows]
+    strong = frozenset(k for k, n in enumerate(c.names) if n in {name for name, _, _ in c.faults})
+    head = ("parameter", "common", "std error", "spread", "unit")
+    return Table(f"{c.name}, drawing {c.type}", head, rows, frozenset({1, 2, 3}), strong, folded=True)

@@ -26,15 +26,17 @@ from casadical.fleet.estimates import Estimate
 from casadical.project.calibration import calibrate
 from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
 from casadical.project.outcome import judged_on
-from casadical.project.problem import Problem, read_problem
+from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
+from casadical.robot.robot import Robot
 
 # Names of the columns of a store's row that hold text, separated by spaces.
 _TEXT_COLUMNS = (
     "robot folder status error fingerprint written_by type type_name method at_bounds verdict causes changes notes"
 )
-# Names of the columns of a store's row that hold one number per campaign, separated by spaces.
-_LIST_COLUMNS = "left_mm left_free days"
+# Names of the columns of a store's row that hold lists, separated by spaces. Those from `names` to
+# `scale` are as of `shared_columns`; left_mm, left_free and days have one number per campaign.
+_LIST_COLUMNS = "names departure score information spread scale identified left_mm left_free days"
 # All columns of a store's row, each with the value of a robot that was not calibrated.
 EMPTY_ROW: dict[str, Any] = {
     **dict.fromkeys(_TEXT_COLUMNS.split(), ""),
@@ -128,6 +130,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         "before_mm": 1e3 * before.mean,
         "after_mm": 1e3 * after.mean,
         "at_bounds": ", ".join(last.at_bounds),
+        "identified": list(last.names),
     }
     if with_diagnosis and (diagnosed := first_diagnosis(place)) is not None:
         causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
@@ -141,7 +144,7 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     rows = np.array([(e.day, e.sigma, e.freedom) for e in estimates], dtype=float)  # not a number for None
     days, sigmas, free = (rows * (1.0, 1e3, 1.0)).T.tolist()
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": sigmas, "left_free": free}
-    return row | own
+    return row | own | shared_columns(estimates[-1], read_campaign_robot(place))
 
 
 def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
@@ -162,12 +165,38 @@ def type_of(problem: Problem) -> str:
     return hashlib.sha256(repr(own).encode()).hexdigest()[:12]
 
 
+def shared_columns(e: Estimate, drawn: Robot) -> dict[str, Any]:
+    """Return a campaign's information on the k parameters that robots of one type share.
+
+    The keys are columns of a row: names; departure, estimate less nominal value; score and
+    information of the log likelihood about the nominal values, the matrix as its lower triangle,
+    row by row; spread, prior standard deviations. All are in units of scale, the last key [SI].
+    Base and tool are excluded.
+
+    drawn : robot with the nominal values
+    """
+    nominal = {p.name: p for p in drawn.parameters}
+    names = tuple(n for n in e.names if n not in nominal or nominal[n].group not in ("base", "tool"))
+    at = [e.names.index(n) for n in names]
+    zero = np.array([nominal[n].value if n in nominal else 0.0 for n in names])
+    H, b = e.about(names, zero)
+    return {
+        "names": list(names),
+        "departure": ((e.values[at] - zero) / e.scale[at]).tolist(),
+        "score": b.tolist(),
+        "information": H[np.tril_indices(len(H))].tolist(),
+        "spread": e.spread[at].tolist(),
+        "scale": e.scale[at].tolist(),
+    }
+
+
 def add(folder: Path, row: Mapping[str, Any]) -> None:
     """Write the row of one robot into the store in a folder, as ROBOT.parquet, atomically.
 
     Raises InputError: no space, no permission.
     """
-    lists = {n: np.array(row[n], dtype=float) for n, empty in EMPTY_ROW.items() if isinstance(empty, list)}
+    kind = {"names": str, "identified": str}  # of a list, which may be empty: all files have columns of the same types
+    lists = {n: np.array(row[n], dtype=kind.get(n, float)) for n, empty in EMPTY_ROW.items() if isinstance(empty, list)}
     write_together({folder / f"{row['robot']}.parquet": pd.DataFrame([{**row, **lists}]).to_parquet()})
 
 

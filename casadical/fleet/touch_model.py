@@ -12,8 +12,8 @@ the posterior.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -126,6 +126,7 @@ class TouchModel:
     factor : root F of the second moment F F' of the errors that the calibration left, shape (p, r),
         in units of scale
     rest : rms distance between model and measurement that no parameter explains [mm]
+    weights : relative frequency of each kind of change
     noise : standard deviation of a touched coordinate [mm]; None: not known
     reference : temperature of the calibration [degC]; None: not known
     dates : dates of the days, since 1970 [d]; None for one that is not known
@@ -136,6 +137,7 @@ class TouchModel:
     names: tuple[str, ...]
     factor: Array
     rest: float
+    weights: Mapping[str, float] = field(default_factory=lambda: CHANGE_FREQUENCY)
     noise: float | None = None
     reference: float | None = None
     dates: tuple[float | None, ...] = ()
@@ -331,9 +333,7 @@ class TouchModel:
         Noise levels are those of `likelihood_terms`.
         """
         y, (times, dated) = self._gaussian_model[0], self._times
-        for c, course, weight, since, courses in weighted_hypotheses(
-            self.candidates, CHANGE_FREQUENCY, times, dated=dated
-        ):
+        for c, course, weight, since, courses in weighted_hypotheses(self.candidates, self.weights, times, dated=dated):
             if course == "season":
                 continue
             Z, factors = self._columns(c), courses[:, :, 0][:, self.day]

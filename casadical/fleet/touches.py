@@ -4,7 +4,7 @@ Five touched points a day decide whether the calibration is still valid, what ch
 correction helps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from scipy.special import chdtri
 
 from casadical.core.basics import Array, InputError
 from casadical.core.files import csv_text
+from casadical.core.reading import load_json
 from casadical.core.reporting.blocks import Block, Page, Section, Table, Tile, Words, mm, next_step
 from casadical.core.reporting.figure import Axis, Figure, Rule, Series
 from casadical.core.reporting.plain import IN_MM, WRITTEN, Key
@@ -23,7 +24,7 @@ from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, first_of_best
 from casadical.fleet.campaigns import day_of, without_copies
 from casadical.fleet.estimates import date_text
-from casadical.fleet.touch_model import CRASH, GROWTH_PER_K, MM_PER_M, UNKNOWN, Draws, TouchModel
+from casadical.fleet.touch_model import CHANGE_FREQUENCY, CRASH, GROWTH_PER_K, MM_PER_M, UNKNOWN, Draws, TouchModel
 from casadical.identification.prior import Prior
 from casadical.measurements.measurements import Measurements, Noise
 from casadical.project.acceptance.verification import without_instrument
@@ -395,6 +396,21 @@ def _widened_remaining(
     return replace(remaining, factor=np.hstack([remaining.factor, wide]))
 
 
+def changes_in_fleet(path: Path) -> Mapping[str, float]:
+    """Return the relative frequency of each kind of change, learnt from a fleet.
+
+    It is `CHANGE_FREQUENCY` plus the number of changes of the kind in the fleet.
+
+    path : JSON file that `casadical fleet --json` wrote
+    Raises InputError: the file holds no robots.
+    """
+    robots = load_json(path).get("robots")
+    if not isinstance(robots, list):
+        raise InputError(f"{path}: holds no robots; give what `casadical fleet PLANT --json FILE` wrote")
+    words = [str(row.get("changes", "")) for row in robots if isinstance(row, dict)]
+    return {kind: often + sum(text.count(kind) for text in words) for kind, often in CHANGE_FREQUENCY.items()}
+
+
 def usual_changes(robot: Robot) -> Prior:
     """Return a prior of joint zeros, tool and base about the robot's values.
 
@@ -442,6 +458,7 @@ def judge_touches(
     *,
     tolerance_mm: float | None = None,
     noise_mm: float | None = None,
+    fleet: str | Path | None = None,
     seed: int = 0,
 ) -> Touches:
     """Return whether a calibrated robot is still valid, from points touched on one or several days.
@@ -454,6 +471,8 @@ def judge_touches(
     tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:
         twice what the file states
     noise_mm : standard deviation of a touched coordinate [mm]; None: not known
+    fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
+        None: those of `CHANGE_FREQUENCY`
     seed : random seed of the posterior samples
     Raises InputError: no positions, fewer than two of them, another frame or robot, a file without
         covariance.
@@ -489,10 +508,12 @@ def judge_touches(
     else:
         notes.append("no date in every table's name: the days are in the order given")
     distinct = distinct[-30:]  # older days are not used
+    weights = CHANGE_FREQUENCY if fleet is None else changes_in_fleet(Path(fleet))
     model = TouchModel.of_robot(
         arm,
         [m for _, m in distinct],
         None if noise_mm is None else 1e-3 * noise_mm,
+        weights=weights,
         dates=tuple(day_of(p) for p, _ in distinct),
     )
     residual_m = 1e-3 * np.linalg.norm(model.residual_mm, axis=1)

@@ -137,6 +137,18 @@ def test_where_touches_do_not_decide_two_more_are_named(place, tmp_path):
     assert again.page().tiles[0].value == f"{100 * again.probability:.1f}" > "50"
 
 
+def test_a_fleet_whose_tools_are_hit_makes_the_tool_more_probable(place, tmp_path):
+    file, true, q = place
+    robots = [{"changes": "tool"}] * 30
+    (tmp_path / "fleet.json").write_text(json.dumps({"robots": robots}))
+    table = day(tmp_path, 1, moved(true, {"tool_z": 2e-4}), q[:3])
+    plain, known = (judge_touches(file, [table], fleet=f) for f in (None, tmp_path / "fleet.json"))
+    assert known.draws.probability("tool") > plain.draws.probability("tool")
+    (tmp_path / "fleet.json").write_text("{}")
+    with pytest.raises(InputError, match="holds no robots"):
+        judge_touches(file, [table], fleet=tmp_path / "fleet.json")
+
+
 def test_a_day_that_changed_does_not_widen_its_own_limit(place, tmp_path) -> None:
     """Of a file that leaves much unexplained, beside which the days differ by the noise alone."""
     file, true, q = place

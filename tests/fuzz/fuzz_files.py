@@ -83,7 +83,7 @@ def kinds(place: Path) -> dict[str, Kind]:
     from casadical.export.controller.programs.program import read_target_program
     from casadical.export.controller.programs.target import Given
     from casadical.fleet.store import rows
-    from casadical.fleet.touches import judge_touches
+    from casadical.fleet.touches import changes_in_fleet, judge_touches
     from casadical.measurements.logs.reading import is_log, read_log
     from casadical.pose_selection.workspace import read_workspace
     from casadical.project.acceptance.certificate import certificate
@@ -179,6 +179,7 @@ def kinds(place: Path) -> dict[str, Kind]:
         *(Kind(name, [(here / name).read_bytes()], log_folder(up), 2) for name, up in SYSTEMS.items()),
         Kind("drive.toml", [DRIVE.encode()], lambda p: read_drive(p, 2), 2),
         Kind("certificate.toml", [DETAILS.encode()], certified, 2),
+        Kind("fleet.json", [(here / "fleet.json").read_bytes()], changes_in_fleet, 1),
         Kind("2026-03-01.csv", [(here / "2026-03-01.csv").read_bytes()], touches, 2),
         Kind("iso.csv", [(here / "iso.csv").read_bytes()], iso, 2),
         Kind("stdin.csv", [(here / "stdin.csv").read_bytes()], followed, 3),

@@ -79,7 +79,7 @@ COMMANDS: dict[tuple[str, ...], tuple[tuple[Sequence[str], ...], dict[str, str |
         "--effects": "effects", "--seed": "number", "--laws": None, "--json": "out", "--drive": "path",
         "--reference": "path", "--out": "out"}),
     ("verify",): ((("in/results", *ROBOT), DAYS, DAYS), {
-        "--touches": None, "--tolerance-mm": "number", "--noise-mm": "number",
+        "--touches": None, "--fleet": "path", "--tolerance-mm": "number", "--noise-mm": "number",
         "--chart": "out", "--update": "out", "--json": "out", "--promised-mm": "number", "--iso9283": None}),
     ("certificate",): ((("in/results",),), {
         "--details": "path", "--problem": "path", "--iso9283": "path", "--out": "out", "--json": "out"}),
@@ -98,7 +98,7 @@ CHANGED = (
     "p/robot.toml", "p/problem.toml", "p/poses.csv", "results/KM.robot.toml", "program.csv", "dh.csv", "arm.urdf",
     "room.toml", "net.json", "results/result.json", "log.csv", "log.csv", "rtde.csv", "drive.toml",
     "sage/state_motor.csv", "sage/joint_list.txt", "2026-03-01.csv", "iso.csv", "certificate.toml", "my.effect.toml",
-    "stdin.csv", "live/measured.jsonl", "live/problem.toml", "w/withheld.json", "w/key.json",
+    "fleet.json", "stdin.csv", "live/measured.jsonl", "live/problem.toml", "w/withheld.json", "w/key.json",
     "w/answers.jsonl", "places.csv",
 )  # fmt: skip
 # Valid command lines, and files that they read besides those that they name.
@@ -117,7 +117,7 @@ LINES = (
     ("plan " + R + " --wires 2 --places in/places.csv -n 4 --out out/c.csv", ""),
     ("plan " + R + " in/p/poses.csv --isolability --for in/my.effect.toml", ""),
     ("plan in/p --iso9283 --room in/room.toml --out out/c.csv", "p/robot.toml"),
-    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches "
+    ("verify in/results in/2026-03-01.csv in/2026-03-02.csv --touches --fleet in/fleet.json "
      "--noise-mm 0.05 --tolerance-mm 1 --chart out/c.csv --update out/u.toml",
      "results/result.json results/KM.robot.toml"),
     ("plan in/results --touches 5 --room in/room.toml --out out/t.csv", ""),

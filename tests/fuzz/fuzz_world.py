@@ -58,7 +58,7 @@ def world(place: Path) -> None:
         "room.toml": "casadical = 1\nfloor_mm = -2000\n[[joint]]\nnumber = 1\nlimits_deg = [-90, 90]\n",
         "places.csv": "x_mm,y_mm,z_mm\n900,0,300\n0,900,200\n-900,0,100\n0,-900,400\n",
         "arm.urdf": URDF, "drive.toml": DRIVE, "certificate.toml": DETAILS, "my.effect.toml": EFFECTS,
-        "foreign.txt": "mine\n", "empty": "",
+        "fleet.json": json.dumps({"robots": [{"changes": "joint_zero"}]}), "foreign.txt": "mine\n", "empty": "",
     }  # fmt: skip
     for name, content in texts.items():
         (place / "in" / name).write_text(content)
