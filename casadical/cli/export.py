@@ -148,7 +148,7 @@ def export_model(
         None,
         metavar="CAMPAIGN.csv",
         help="For mjcf: measured positions, from which the robot is calibrated and diagnosed; "
-        "the causes found go into the model.",
+        "the causes found go into the model. Or a joint log, which the model replays in MuJoCo.",
     ),
     effects: o.Effects = None,
     into: Path | None = Option(

@@ -88,6 +88,7 @@ class Drive(TomlTable):
     read_skew : time between the readings of one joint and the next [s]
     floor : height of the tool point when the arm rests on the surface below, over the origin of the
         measuring frame [m]
+    lower_stop, upper_stop : angles beyond which no joint comes [rad]
     log_rate_Hz : sampling rate of logs [Hz]
     log_angles, log_effort : unit of angles, and meaning of the field effort, where a log does not
         say it
@@ -119,6 +120,8 @@ class Drive(TomlTable):
     command_filter: Annotated[Each, _TIME] = None
     read_skew: Annotated[Each, _TIME] = None
     floor: Annotated[float | None, _HEIGHT] = None
+    lower_stop: Annotated[EachSigned, _ANGLE] = None
+    upper_stop: Annotated[EachSigned, _ANGLE] = None
     log_rate_Hz: Annotated[float, Field(gt=0, le=1e6)] | None = None
     log_angles: Literal["deg", "rad", "percent"] | None = None
     log_effort: Literal["torque", "current"] | None = None

@@ -15,8 +15,15 @@ from casadical.export.controller.drivers import DRIVER_FORMS as DRIVERS
 from casadical.export.controller.drivers import driver_file
 from casadical.export.mjcf.into_mjcf import into_mjcf
 from casadical.export.mjcf.mjcf import MjcfExport, mjcf
-from casadical.export.mjcf.moving import actuators_of, has_motion_parameters, moving_mjcf, omitted_drive_parameters
+from casadical.export.mjcf.moving import (
+    actuators_of,
+    has_motion_parameters,
+    moving_mjcf,
+    omitted_drive_parameters,
+    replay_in_words,
+)
 from casadical.export.omission import geometry_alone, left_out, rigid_omissions
+from casadical.measurements.logs.reading import is_log, read_log
 from casadical.project.calibration import Calibration, calibrate
 from casadical.project.diagnosis import Options, diagnose_campaign, effects_named, read_campaigns
 from casadical.project.problem import read_campaign_robot, read_problem, read_problem_robot
@@ -93,7 +100,8 @@ def robot_model(
         other software: "ur", "standard_dh", "modified_dh", "xacro"
     nominal : robot file from before the calibration, needed by a driver's kinematics and a user's
         own model
-    campaign : for "mjcf", table of measured poses from which the robot is calibrated and diagnosed
+    campaign : for "mjcf", table of measured poses from which the robot is calibrated and diagnosed,
+        or a joint log that the model replays in MuJoCo
     effects : for "mjcf", the effects to be diagnosed, as the option of `casadical diagnose`
     into : for "mjcf", a user's MuJoCo model into which the calibrated geometry is written
     joints : for `into`, names of the arm's joints in that model, separated by commas
@@ -125,14 +133,23 @@ def robot_model(
         if effects and campaign is None:
             raise InputError("--effects says with which effects --campaign is diagnosed; give --campaign CSV, too")
         show("calibrating")
-        robot = robot_to_write(source, campaign, effects, show)
+        logged = campaign if campaign and is_log(campaign) else None
+        robot = robot_to_write(source, None if logged else campaign, effects, show)
+        moves = has_motion_parameters(robot) and into is None
+        if logged and not moves:
+            raise InputError(
+                f"{logged.name}: a joint log, and no drives to replay it: casadical diagnose ARM LOG --out DIR"
+            )
         if into is not None:
             made = _into_users(source, nominal, campaign, into, str(joints), springs, robot)
         else:
-            made = moving_mjcf(robot) if has_motion_parameters(robot) else mjcf(robot)
+            made = moving_mjcf(robot) if moves else mjcf(robot)
         counted = (f"the controller's readings J: {robot.readings_in_words}",) if robot.counts_otherwise else ()
         omitted = (*left_out(robot, made.omitted, "a MuJoCo model", leave_out), *made.notes, *counted)
         sentences = (*(f"effect {text}" for text in made.written), *(f"LEFT OUT {text}" for text in omitted))
+        if moves:
+            show("replaying in MuJoCo")
+            sentences += (replay_in_words(robot, made.text, read_log(logged, robot) if logged else None),)
         data = {"robot": robot.name, "written": list(made.written), "left_out": list(omitted)}
         return RobotModel(made.text, sentences, data, f"{robot.name}, {robot.n} joints")
     if form == "actuators":

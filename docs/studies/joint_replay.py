@@ -17,35 +17,16 @@ import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
-import mujoco
 import numpy as np
 
 from casadical import read_robot
 from casadical.diagnosis.motion.replay import Replay, replayed
 from casadical.diagnosis.motion.result import diagnose_log
-from casadical.export.mjcf.moving import moving_mjcf
-from casadical.measurements.logs.log import JointLog
+from casadical.export.mjcf.moving import driven, moving_mjcf
 from casadical.measurements.logs.reading import read_log
 from casadical.project.diagnosis import read_logs
 
 ROOT = Path(__file__).parents[2]
-
-
-def driven(text: str, run: JointLog) -> np.ndarray:
-    """Angles of a run by MuJoCo, from its first reading and its commands, shape (rows, joints)."""
-    model = mujoco.MjModel.from_xml_string(text)
-    data, t, out = mujoco.MjData(model), run.time - run.time[0], np.empty_like(run.position)
-    assert run.command is not None
-    data.qpos[:] = run.position[0]
-    for i in range(model.nu):
-        if samples := int(model.actuator_history[i, 0]):
-            mujoco.mj_initCtrlHistory(model, data, i, None, np.full((samples, 1), run.command[0, i]))
-    for k, now in enumerate(t):
-        while data.time < now - 1e-9:
-            data.ctrl[:] = [np.interp(data.time, t, column) for column in run.command.T]
-            mujoco.mj_step(model, data)
-        out[k] = data.qpos
-    return out
 
 
 def picture(found: Replay, path: str) -> None:

@@ -77,7 +77,7 @@ assert (gain > 0).all()
 # logged commands of the first motion, one of those it was fitted to (what is left of others is above). On the right the
 # loop that dry friction draws over the command: the reading stays behind on the way up and on the way down.
 
-assert casadical("export", "model", out / "diagnosed.robot.toml", "--out", "so101.xml") == 0
+assert casadical("export", "model", out / "diagnosed.robot.toml", "--campaign", paths[0], "--out", "so101.xml") == 0
 
 try:
     import mujoco
@@ -93,9 +93,6 @@ if mujoco:
     model = mujoco.MjModel.from_xml_path(str(folder / "so101.xml"))
     data, driven = mujoco.MjData(model), np.empty_like(position)
     data.qpos[:] = position[0]
-    for i in range(model.nu):
-        if samples := int(model.actuator_history[i, 0]):
-            mujoco.mj_initCtrlHistory(model, data, i, None, np.full((samples, 1), command[0, i]))
     for k, now in enumerate(t):
         while data.time < now - 1e-9:
             data.ctrl[:] = [np.interp(data.time, t, column) for column in command.T]

@@ -194,13 +194,10 @@ class Response:
     def armature(self) -> Array:
         """Return the rotor inertia at each joint, shape (joints,) [kg m^2].
 
-        It is the joint's inertia minus that of the links with all joints in the middle of their
-        ranges, and at least `MIN_ROTOR_SHARE` of the former.
+        It is the joint's inertia minus that of the links (`link_inertia`), and at least
+        `MIN_ROTOR_SHARE` of the former.
         """
-        d, n = self.dynamics, len(self.gain)
-        middle, none = np.tile(np.mean(d.robot.limits, axis=0), (n, 1)), np.zeros((n, n))
-        links = np.diag(d.torque(middle, none, np.eye(n), np.append(d.values[: 10 * n], np.zeros(n)), np.zeros(3)))
-        return np.asarray(np.maximum(self.inertia - links, MIN_ROTOR_SHARE * self.inertia))
+        return np.asarray(np.maximum(self.inertia - link_inertia(self.dynamics), MIN_ROTOR_SHARE * self.inertia))
 
     def drive(self) -> Drive:
         """Return the drive of the given robot with the identified parameters, to four digits."""
@@ -213,9 +210,37 @@ class Response:
             "delay": self.delay,
         }
         rounded: dict[str, Any] = {name: [float(f"{v:.4g}") for v in each] for name, each in numbers.items()}
+        if limits := limits_of(self.stops, len(self.gain)):
+            # Joints without a stop get the range of an exported model, 2 % beyond the declared one.
+            beyond = 0.02 * np.ptp(self.dynamics.robot.limits, axis=0)
+            for name, end, own, way in zip(
+                ("lower_stop", "upper_stop"), limits, self.dynamics.robot.limits, (-1, 1), strict=True
+            ):
+                rounded[name] = np.where(np.isfinite(end), end, own + way * beyond).round(4).tolist()
         if self.floor:
             rounded["floor"] = round(self.floor.height, 4)
         return (self.dynamics.given.drive or Drive()).model_copy(update=rounded)
+
+
+def link_inertia(dynamics: Dynamics) -> Array:
+    """Return the inertia of the links at each joint, all in the middle of their ranges, (joints,)."""
+    n = dynamics.robot.n
+    middle, none = np.tile(np.mean(dynamics.robot.limits, axis=0), (n, 1)), np.zeros((n, n))
+    values = np.append(dynamics.values[: 10 * n], np.zeros(n))
+    return np.diag(dynamics.torque(middle, none, np.eye(n), values, np.zeros(3)))
+
+
+def response_of(robot: Robot) -> Response:
+    """Return the response that the drives of a robot declare; undeclared parameters are zero."""
+    drive, dynamics, n = robot.drive or Drive(), arm_of(robot).dynamics, robot.n
+    names = ("kp", "bias", "friction", "damping", "rotor_inertia_at_joint", "delay")
+    values = (drive.of_joints(name, n) for name in names)
+    gain, bias, friction, damping, rotor, delay = (np.zeros(n) if v is None else v for v in values)
+    ends = [(way, drive.of_joints(name, n)) for way, name in ((-1, "lower_stop"), (1, "upper_stop"))]
+    stops = [Stop(j, way, float(a), 0, 0, None) for way, e in ends if e is not None for j, a in enumerate(e)]
+    floor, inertia = None if drive.floor is None else Floor(dynamics, drive.floor), rotor + link_inertia(dynamics)
+    moved = np.ones(n, dtype=bool)
+    return Response(dynamics, gain, bias, friction, damping, inertia, delay, (), moved, floor=floor, stops=tuple(stops))
 
 
 def pieces_of(run: JointLog, length: float = PIECE_DURATION_S) -> list[Piece]:

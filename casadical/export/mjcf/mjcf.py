@@ -108,7 +108,7 @@ def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
 def name_joints(root: ET.Element, robot: Robot) -> None:
     """Give joints and their actuators the names that the robot's joints have, where all are unlike."""
     names = [row.name for row in robot.joints]
-    taken = {str(node.get("name")) for node in root.iter("joint")}
+    taken = {str(node.get("name")) for node in root.iter("joint")} - {f"joint{i}" for i in robot.numbers}
     if not all(names) or len(set(names)) < robot.n or taken & set(names):
         return
     joint_names = {f"joint{i}": name for i, name in enumerate(names, 1)}

@@ -1,8 +1,10 @@
 """MuJoCo models that move as the real arm does, from the drive parameters (`[drive]`) of a robot.
 
 Each joint has dry friction, damping and armature; its actuator has the servo's gain, constant
-torque, limit, filter and delay, and its `ctrl` is the command. Bodies have their inertias. A spring
-between servo and link is an additional joint. A surface on which the tool came to rest is a plane,
+torque and limit, and its `ctrl` is the command. Delay and filter of commands are contained in
+damping and armature, so that there is no history to fill before the first step. A stop is the end
+of a joint's range. Bodies have their inertias. A spring between servo and link is an additional
+joint. A surface on which the tool came to rest is a plane,
 which a ball at the measured point touches without friction. The same numbers by joint names, as
 JSON, are for actuator models of other simulators (Isaac Lab, Genesis).
 """
@@ -13,9 +15,11 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from casadical.core.basics import InputError
+from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
+from casadical.diagnosis.motion.response import response_of
 from casadical.export.mjcf.elements import add_spring, numbers
+from casadical.export.mjcf.equilibrium import load_mujoco
 from casadical.export.mjcf.mjcf import (
     HARDEST_IMPEDANCE,
     MEASURED_SITE,
@@ -26,6 +30,7 @@ from casadical.export.mjcf.mjcf import (
     name_joints,
     xml_text,
 )
+from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
 # JSON key of each drive parameter that a simulation of motion needs, by attribute of `Drive`.
@@ -61,21 +66,24 @@ def moving_mjcf(robot: Robot) -> MjcfExport:
     still = mjcf(robot, named=False)
     root = ET.fromstring(still.text)
     about = ["Written by casadical. Joints follow commands (ctrl) as [drive] of the robot says."]
-    if _each(robot.drive, "delay", robot).max() > TIME_STEP_S / 2:
-        about += [
-            "A reset fills the history of delayed commands with zeros, so that the arm first heads for its zero;",
-            "fill it before the first step: mj_initCtrlHistory(model, data, i, None, np.full((nsample, 1), ctrl_i)).",
-        ]
+    if (late := float(_each(robot.drive, "delay", robot).max())) > 0:
+        about.append(f"Damping and armature contain the delay of commands (up to {1e3 * late:.3g} ms).")
     describe(root, about, still.written, (*still.left_out, *_unrepresented_drive_properties(robot)))
     for compiler in root.iter("compiler"):
         compiler.set("balanceinertia", "true")
     bodies = {str(body.get("name")): body for body in root.iter("body")}
-    moved = ("rotor_inertia_at_joint", "armature"), ("damping", "damping"), ("friction", "frictionloss")
+    damping, armature = _with_delays(robot, robot.drive)
+    friction = _each(robot.drive, "friction", robot)
+    moved = ("armature", armature), ("damping", damping), ("frictionloss", friction)
+    given = (robot.drive.of_joints(name, robot.n) for name in ("lower_stop", "upper_stop"))
+    stops = [angles for angles in given if angles is not None]
     for i, row in enumerate(robot.joints, 1):
         body = bodies[f"link{i}"]
         joint = next(node for node in body.iter("joint") if node.get("name") == f"joint{i}")
-        for name, attribute in moved:
-            joint.set(attribute, numbers(float(_each(robot.drive, name, robot)[i - 1])))
+        for attribute, values in moved:
+            joint.set(attribute, numbers(float(values[i - 1])))
+        if len(stops) == 2:
+            joint.set("range", numbers(*(float(end[i - 1]) for end in stops)))
         if row.compliance:
             add_spring(body, f"joint{i}_spring", "0 0 1", 1 / row.compliance)
     for body in root.iter("body"):
@@ -125,25 +133,83 @@ def _set_floor(root: ET.Element, height: float | None) -> None:
 
 
 def _actuator(robot: Robot, drive: Drive, i: int) -> ET.Element:
-    """Return the MJCF actuator of joint i, from 1: force = kp (ctrl - q) - bias.
-
-    As far as `drive` declares it, ctrl is filtered and delayed, and the force limited.
-    """
-    row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit", "command_filter", "delay")
-    kp, bias, limit, within, delay = (float(_each(drive, name, robot)[i - 1]) for name in names)
+    """Return the MJCF actuator of joint i, from 1: force = kp (ctrl - q) - bias, limited if declared."""
+    row, names = robot.joints[i - 1], ("kp", "bias", "torque_limit")
+    kp, bias, limit = (float(_each(drive, name, robot)[i - 1]) for name in names)
     servo = ET.Element("general", name=f"drive{i}", joint=f"joint{i}", biastype="affine", gainprm=numbers(kp))
     servo.set("biasprm", numbers(-bias, -kp, 0))
     servo.set("ctrlrange", numbers(row.lower, row.upper))
     if limit:
         servo.set("forcerange", numbers(-limit, limit))
-    if within:
-        servo.set("dyntype", "filterexact")
-        servo.set("dynprm", numbers(within))
-    if delay > TIME_STEP_S / 2:
-        servo.set("delay", numbers(delay))
-        servo.set("nsample", str(int(np.ceil(delay / TIME_STEP_S)) + 2))
-        servo.set("interp", "linear")
     return servo
+
+
+def _with_delays(robot: Robot, drive: Drive) -> tuple[Array, Array]:
+    """Return damping and armature that contain delay and filter of commands, (joints,) each [SI].
+
+    A delay d and a filter of time constant T multiply J s^2 + b s + kp, the denominator of the
+    response, by e^(s d) (1 + s T), whose product is expanded up to s^2.
+    """
+    names = ("kp", "damping", "rotor_inertia_at_joint", "delay", "command_filter")
+    kp, damping, armature, delay, within = (_each(drive, name, robot) for name in names)
+    first, second = delay + within, delay**2 / 2 + delay * within
+    return damping + kp * first, armature + damping * first + kp * second
+
+
+def driven(text: str, log: JointLog) -> Array:
+    """Return the positions of a model in MuJoCo that follows a log's commands, (rows, joints) [rad].
+
+    Each run starts at rest at its first readings; no later reading is used.
+
+    text : model of `moving_mjcf`; Raises InputError: MuJoCo is not installed.
+    """
+    mujoco = load_mujoco()
+    from mujoco.rollout import rollout
+
+    model, out = mujoco.MjModel.from_xml_string(text), []
+    data, kind = mujoco.MjData(model), mujoco.mjtState.mjSTATE_FULLPHYSICS
+    places = model.jnt_qposadr[model.actuator_trnid[:, 0]]
+    for run in log.runs():
+        assert run.command is not None
+        mujoco.mj_resetData(model, data)
+        data.qpos[places] = run.position[0]
+        start, t = np.empty(mujoco.mj_stateSize(model, kind)), run.time - run.time[0]
+        mujoco.mj_getState(model, data, start, kind)
+        steps = TIME_STEP_S * np.arange(1 + int(np.ceil(t[-1] / TIME_STEP_S)))
+        command = np.column_stack([np.interp(steps, t, column) for column in run.command.T])
+        states, _ = rollout(model, data, start[None], command[None, :-1])
+        q = np.concatenate([run.position[:1], states[0][:, 1 + places]])  # a state starts with its time
+        out.append(np.column_stack([np.interp(t, steps, column) for column in q.T]))
+    return np.concatenate(out)
+
+
+def replay_in_words(robot: Robot, text: str, log: JointLog | None = None) -> str:
+    """Return a sentence on how a model moves in MuJoCo: its errors, and those of casadical's replay.
+
+    text : model of `moving_mjcf`; log : whose commands the model follows; None: sines of 8 s, where
+        the replays are compared with each other
+    """
+    middle, time = np.mean(robot.limits, axis=0), np.arange(0.0, 8.0, 0.02)
+    size = np.minimum(0.1 * np.ptp(robot.limits, axis=0), 0.3)
+    sines = middle + size * np.sin(time[:, None] * (2 + 0.3 * np.arange(robot.n)))
+    run = log or JointLog(time, tuple(f"joint{i}" for i in robot.numbers), sines, sines)
+    try:
+        moved = driven(text, run)
+    except InputError as error:
+        return f"not replayed in MuJoCo: {error}"
+    own, unit = response_of(robot).predicted(run), "mrad" if all(robot.revolute) else "mrad or mm"
+
+    def rms(error: Array) -> str:
+        return f"{1e3 * float(np.sqrt(np.nanmean(error**2))):.3g}"
+
+    if log is None:
+        return f"replay of 8 s of sines in MuJoCo: {rms(moved - own)} {unit} rms from casadical's own replay"
+    assert log.command is not None
+    before, after, same = (rms(log.position - angles) for angles in (log.command, moved, own))
+    return (
+        f"replay of {log.source} in MuJoCo alone: {before} {unit} rms before, {after} with this model "
+        f"(casadical's own replay: {same})"
+    )
 
 
 def _each(drive: Drive, name: str, robot: Robot) -> Any:
