@@ -1,8 +1,7 @@
-"""Cost of each effect: replays without one effect at a time, and torque errors model by model.
+"""Cost of each effect: replays without one effect at a time, for every arm and without a threshold.
 
-Both are of samples that were not fitted, for every arm and without a threshold: a response that was
-identified is replayed again with one effect removed, and a torque is predicted by the bodies of
-the file, by fitted bodies, with friction, and with friction that grows with load.
+A response that was identified is replayed again, with one effect removed, in runs that were not
+fitted.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +12,6 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table
 from casadical.diagnosis.motion.response import Response
-from casadical.diagnosis.motion.signals import Arm, motion_of
 from casadical.measurements.logs.log import JointLog
 
 # Function that removes an effect from a response, by the effect's name in tables.
@@ -31,12 +29,6 @@ NAMED_SHARE = 0.8
 # An effect counts as having no cost if its removal raises the mean square error by less than this
 # fraction of it.
 NEGLIGIBLE_RISE = 0.1
-WITHHELD_THIRDS = 3  # number of parts of each run that are held out in turn in fits of torques
-FRICTION_MEMORY_RAD = 3e-3  # half-width of the play operator of dry friction [rad]
-# Prior standard deviation of a friction coefficient, divided by the joint's peak torque.
-SIGMA_FRICTION = 0.3
-# Fraction of the samples that count as independent, as noise is correlated.
-INDEPENDENT_SAMPLE_SHARE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,64 +121,3 @@ def effect_table(
             if there.get(name, True)
         },
     )
-
-
-def torque_table(log: JointLog, arm: Arm) -> Mapping[str, Array] | None:
-    """Return the rms torque error of each joint by model, shape (joints,) [N m].
-
-    Keys are the models' names, from the file's bodies to those with fitted friction. Each third of
-    each run is predicted by a fit to the others. None where no torque was logged, nor a current
-    with a declared torque constant.
-    """
-    if log.torque is None and (log.current is None or log.current_unsigned or arm.per_ampere is None):
-        return None
-    m = motion_of(log, arm, (FRICTION_MEMORY_RAD,))
-    assert m.torque is not None
-    n, Y = arm.joints, arm.regressor(m.q, m.v, m.a)
-    residual, peak = m.torque - Y @ arm.inertial - arm.rotor * m.a, np.quantile(np.abs(m.torque), 0.99, axis=0) + 1e-9
-    slip, load = m.memory[FRICTION_MEMORY_RAD], np.abs(Y @ arm.inertial) / peak
-    fast, diagonal = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9, np.eye(n)
-
-    def own(values: Array, size: float = SIGMA_FRICTION) -> Array:
-        """Return a column for each joint, shape (samples, joints, joints), nonzero in its own row.
-
-        values : shape (samples, joints); size : prior standard deviation, divided by peak torque
-        """
-        return np.asarray((size * peak * values)[:, :, None] * diagonal)
-
-    bodies = [Y @ arm.spread, (arm.rotor * m.a)[:, :, None] * diagonal, own(np.ones_like(m.q))]
-    friction = [own(slip), own(m.v / fast), own(m.v * np.abs(m.v) / fast**2)]
-    models = {
-        "fitted bodies": bodies,
-        "and friction": bodies + friction,
-        "and friction that grows with load": [*bodies, *friction, own(slip * load)],
-    }
-    starts = {r: np.flatnonzero(m.run == r) for r in np.unique(m.run)}
-    third = np.concatenate([(WITHHELD_THIRDS * np.arange(len(at))) // len(at) for at in starts.values()])
-    out = {"the file's bodies": np.asarray(np.sqrt((residual**2).mean(axis=0)))}
-    for name, columns in models.items():
-        left = np.empty_like(residual)
-        A = np.concatenate(columns, axis=2)
-        weight = 1 / list(out.values())[-1]
-        white, r = A * weight[:, None], residual * weight
-        for k in range(WITHHELD_THIRDS):
-            fit = third != k
-            rows = white[fit].reshape(-1, A.shape[2])
-            H = INDEPENDENT_SAMPLE_SHARE * rows.T @ rows + np.eye(A.shape[2])
-            x = np.linalg.solve(H, INDEPENDENT_SAMPLE_SHARE * rows.T @ r[fit].ravel())
-            left[~fit] = residual[~fit] - A[~fit] @ x
-        out[name] = np.asarray(np.sqrt((left**2).mean(axis=0)))
-    return out
-
-
-def explained(torques: Mapping[str, Array]) -> str:
-    """Return a sentence on the percentage of the torque error that each further model explains.
-
-    Percentages are of mean squares and averaged over the joints. torques : as of `torque_table`
-    """
-    squares = [rms**2 for rms in torques.values()]
-    parts = [
-        f"{name.removeprefix('and ')} {100 * float(((a - b) / (squares[0] + 1e-300)).mean()):.0f} %"
-        for name, a, b in zip(list(torques)[1:], squares, squares[1:], strict=False)
-    ]
-    return f"Of the torque error of the file's bodies, on rows that were not fitted: {', '.join(parts)}."

@@ -21,10 +21,11 @@ from casadical.core.reporting.result import Result
 from casadical.core.statistics import best_of, first_of_best
 from casadical.diagnosis.motion.against import Arbitration, arbitrated, arbitration_tables
 from casadical.diagnosis.motion.effect_table import EffectTable, effect_table
+from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.response import Response, fitted
 from casadical.diagnosis.motion.signals import arm_of, torque_of
 from casadical.identification.figures import banded
-from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.log import JointLog, joined
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import to_toml
 
@@ -63,6 +64,7 @@ class Replay(Result):
         Key("torque_Nm", "torque"),
         Key("effects", lambda replay: {k: [*map(float, rms)] for k, rms in replay.effects.without.items()}),
         Key("summary", "effects.sentence"),
+        Key("friction_law", lambda replay: replay.friction_laws.plain["laws"] if replay.friction_laws else {}),
         Key("against", lambda replay: [a.plain(replay.runs[0].joints) for a in replay.against]),
         Key("drive", lambda replay: replay.response.drive().table()),
     )
@@ -104,6 +106,15 @@ class Replay(Result):
     def effects(self) -> EffectTable:
         """Return the rms errors of replays with one effect removed at a time."""
         return effect_table(self.runs, self.predicted, self.responses, self.before)
+
+    @cached_property
+    def friction_laws(self) -> FrictionLaws | None:
+        """Return friction laws by the servos' torques, gain times position error, in the runs.
+
+        None where a torque was logged, from which the diagnosis of the logs has them.
+        """
+        arm = arm_of(self.response.robot())
+        return None if self.torque else friction_laws(joined(self.runs), arm, self.response.floor)
 
     @cached_property
     def moves(self) -> Array:
@@ -166,6 +177,7 @@ class Replay(Result):
             seconds=sum(float(run.time[-1] - run.time[0]) for run in self.runs),
             tables=[*self._tables()],
             summary=self.effects.sentence,
+            friction=self.friction_laws,
             against=[(a, 1e3 * float(np.sqrt((a.rms**2).mean()))) for a in self.against],
             still=[name for name, moved in zip(joints, self.response.moved, strict=True) if not moved],
             dead_band=self._dead_band(),
@@ -204,6 +216,8 @@ class Replay(Result):
                 yield Table(title, ("joint", "before", "after", "less"), rows, frozenset({1, 2, 3}))
         parts = (r.gain, r.friction, r.friction / r.gain * 1e3, r.damping, r.armature, r.delay * 1e3, r.bias)
         drives = [(name, *(f"{v:.3g}" for v in own)) for name, own in zip(joints, np.column_stack(parts), strict=True)]
+        if self.friction_laws:
+            yield self.friction_laws.tables()[-1]
         if self.against:
             yield from arbitration_tables(joints, self.after, self.against)
         title = (

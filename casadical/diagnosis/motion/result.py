@@ -1,6 +1,6 @@
 """The diagnosis of a joint log as a result: residual of each joint, causes that fit, confidence."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, ClassVar
@@ -20,8 +20,8 @@ from casadical.diagnosis.motion.base import (
     LogView,
     log_view,
 )
-from casadical.diagnosis.motion.effect_table import explained, torque_table
 from casadical.diagnosis.motion.floor import Stop, stops_of
+from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
 from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
 from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
@@ -65,7 +65,8 @@ class LogDiagnosis(Result):
         Key("alike", lambda d: [_plain(label, p) for label, p in d.outcome.alike]),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
-        Key("torque_by_model", lambda d: {k: [*map(float, rms)] for k, rms in (d.torques or {}).items()}),
+        Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
+        Key("friction_law", lambda d: d.torques.plain["laws"] if d.torques else {}),
         Key("ranking"),
         Key("none", lambda d: d.outcome.rankings[0].none),
         Key("payload_kg", lambda d: (p := d.payload()) and dict(zip(("beyond", "sigma"), p, strict=True))),
@@ -150,9 +151,8 @@ class LogDiagnosis(Result):
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
             said=said,
-            explained=explained(self.torques) if self.torques else "",
+            friction=self.torques,
             residuals=self._gap_table(),
-            torques=self._torque_table(),
             fits=self._fits(),
             small=[f for f in found if f.share < 1 and not f.named],
             missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
@@ -172,20 +172,10 @@ class LogDiagnosis(Result):
         return Table(title, columns, rows, frozenset({1, 2, 3, 4}))
 
     @cached_property
-    def torques(self) -> Mapping[str, Array] | None:
-        """Return the rms torque error of each joint by model in held-out thirds of runs [N m].
-
-        See `torque_table`; None without torques.
-        """
-        return torque_table(self.log, self.arm)
-
-    def _torque_table(self) -> Iterator[Table]:
-        """Yield the table of the rms torque errors by model, if torques were logged."""
-        if self.torques:
-            rows = [(name, *(f"{v:.3g}" for v in rms)) for name, rms in self.torques.items()]
-            title = "Torque that each model leaves, rms of each joint [N m], each third of a run by a fit to the others"
-            names = self.log.joints[: self.arm.joints]
-            yield Table(title, ("model", *names), rows, frozenset(range(1, 1 + self.arm.joints)))
+    def torques(self) -> FrictionLaws | None:
+        """Return torque errors by model and friction law in held-out thirds; None without torques."""
+        known = self.log.torque is not None or (self.log.current is not None and not self.log.current_unsigned)
+        return friction_laws(self.log, self.arm) if known else None
 
     def _where(self, j: int) -> str:
         """Return the range of angle, speed, load or time with the largest residual of joint j.

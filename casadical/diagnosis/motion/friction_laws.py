@@ -1,0 +1,251 @@
+"""Torque errors model by model, and the friction law of an arm: probability and held-out error.
+
+The laws are the six of Better Actuator Models (Duclusaud et al. 2025), and friction proportional to
+the torque alone. All are linear in their coefficients, each joint has coefficients of its own, and
+masses have the priors of the robot file. The torque is the logged one, or the gain of an identified
+servo times its position error. Each third of each run is predicted by a fit to the others, and the
+rows are those in which the joint moves.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.reporting.blocks import Table
+from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor
+from casadical.diagnosis.motion.signals import REGRESSOR_BLOCK_SAMPLES, SMOOTHING_WIDTH_S, Arm, motion_of, smoothed
+from casadical.measurements.logs.log import JointLog
+
+WITHHELD_THIRDS = 3  # number of parts of each run that are held out in turn
+FRICTION_MEMORY_RAD = 1e-3  # half-width of the play operator of dry friction [rad]
+# Prior standard deviation of a coefficient, divided by the joint's peak torque.
+SIGMA_FRICTION = 0.3
+# Fraction of the samples that count as independent, as noise is correlated.
+INDEPENDENT_SAMPLE_SHARE = 0.05
+# Tried Stribeck curves: speed, divided by the joint's 99 % speed, and exponent.
+STRIBECK_CURVES = tuple(product((0.05, 0.15, 0.4), (1, 2)))
+MAX_ROWS = 20_000  # of longer logs every k-th row is used
+MIN_MOVING_SHARE = 0.05  # of a joint that moves in a smaller fraction of the rows, all rows count
+# A law predicts held-out rows better if its misfit is lower by this fraction.
+MIN_MISFIT_DECREASE = 0.02
+NAMED_PROBABILITY = 0.95  # laws that together have this probability are reported
+# Columns of each joint: constant, rotor, dry and viscous friction, and dry friction times the mean of
+# motor torque and load, the motor torque, and the load; then six for each Stribeck curve.
+OFFSET, ROTOR, DRY, VISCOUS, CURVED, LOAD, MOTOR, EXTERNAL, N_COLUMNS = range(9)
+N_SLOW_COLUMNS = 6
+_BODIES, _COULOMB = (OFFSET, ROTOR), (OFFSET, ROTOR, DRY, VISCOUS, CURVED)
+# Columns of the models whose errors are reported beside those of the laws.
+MODELS: Mapping[str, Sequence[int]] = {
+    "fitted bodies": _BODIES,
+    "and friction": _COULOMB,
+    "and friction that grows with load": (*_COULOMB, LOAD),
+}
+# Columns of each law, and those that vanish above a Stribeck speed, from 0: dry friction, the same
+# times mean, motor torque and load, and the squares of load and motor torque, the smaller of both.
+LAWS: Mapping[str, tuple[Sequence[int], Sequence[int]]] = {
+    "M1 Coulomb": (_COULOMB, ()),
+    "M2 Stribeck": (_COULOMB, (0,)),
+    "M3 load": ((*_COULOMB, LOAD), ()),
+    "M4 Stribeck, load": ((*_COULOMB, LOAD), (0, 1)),
+    "M5 directional": ((*_COULOMB, MOTOR, EXTERNAL), (0, 2, 3)),
+    "M6 quadratic": ((*_COULOMB, MOTOR, EXTERNAL), (0, 2, 3, 4, 5)),
+    "loss ~ torque": ((*_BODIES, VISCOUS, CURVED, MOTOR), ()),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionLaws:
+    """Rms torque errors of held-out rows by model and by friction law, and the laws' probabilities.
+
+    joints : names of the joints
+    models : errors by model, from the file's bodies to those with friction, (joints,) each [N m]
+    laws : errors by law, shape (joints,) each [N m]; probability : by law, given that one is true
+    misfit : by law, sum of squared errors of held-out rows, divided by the variances of noise
+    """
+
+    joints: tuple[str, ...]
+    models: Mapping[str, Array]
+    laws: Mapping[str, Array]
+    probability: Mapping[str, float]
+    misfit: Mapping[str, float]
+
+    @property
+    def plain(self) -> dict[str, dict[str, Any]]:
+        """Return errors by model ("models"), and error and probability by law ("laws"), for JSON."""
+        laws = {law: {"probability": self.probability[law], "rms_Nm": rms.tolist()} for law, rms in self.laws.items()}
+        return {"models": {name: rms.tolist() for name, rms in self.models.items()}, "laws": laws}
+
+    @property
+    def likely(self) -> list[str]:
+        """Return the most probable laws, which together have `NAMED_PROBABILITY`."""
+        order = sorted(self.probability, key=lambda law: -self.probability[law])
+        sums = np.cumsum([self.probability[law] for law in order])
+        return order[: 1 + int(np.searchsorted(sums, NAMED_PROBABILITY))]
+
+    @property
+    def better(self) -> list[str]:
+        """Return further laws that predict held-out rows better than any of `likely`.
+
+        Where none of the laws is true, probabilities are too certain.
+        """
+        limit = min(self.misfit[law] for law in self.likely) * (1 - MIN_MISFIT_DECREASE)
+        return [law for law in self.probability if law not in self.likely and self.misfit[law] < limit]
+
+    @property
+    def sentence(self) -> str:
+        """Return a sentence on the friction law, or on those between which the log does not decide."""
+        likely = ", ".join(f"{law} {100 * self.probability[law]:.0f} %" for law in self.likely)
+        doubt = f", yet held-out rows are fitted better by {' and '.join(self.better)}" if self.better else ""
+        return f"Friction law: {'undecided, ' if len(self.likely) > 1 else ''}{likely}{doubt}."
+
+    @property
+    def explained(self) -> str:
+        """Return a sentence on the percentage of the torque error that each further model explains.
+
+        Percentages are of mean squares and averaged over the joints.
+        """
+        squares = [rms**2 for rms in self.models.values()]
+        parts = [
+            f"{name.removeprefix('and ')} {round(100 * float(((a - b) / (squares[0] + 1e-300)).mean()))} %"
+            for name, a, b in zip(list(self.models)[1:], squares, squares[1:], strict=False)
+        ]
+        return f"Of the torque error of the file's bodies, on rows that were not fitted: {', '.join(parts)}."
+
+    def tables(self) -> list[Table]:
+        """Return the tables of the rms torque errors, by model and by friction law."""
+        errors = "rms of each joint [N m], each third of a run by a fit to the others"
+        models = [(name, *(f"{v:.3g}" for v in rms)) for name, rms in self.models.items()]
+        laws = [(law, f"{self.probability[law]:.2f}", *(f"{v:.3g}" for v in rms)) for law, rms in self.laws.items()]
+        n, names = len(self.joints), [name.replace("_", " ") for name in self.joints]  # wrapped at spaces
+        return [
+            Table(f"Torque that each model leaves, {errors}", ("model", *names), models, frozenset(range(1, 1 + n))),
+            Table(f"Friction laws, {errors}", ("law", "prob.", *names), laws, frozenset(range(1, 2 + n))),
+        ]
+
+
+def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> FrictionLaws | None:
+    """Return torque errors by model and by friction law, with the laws' probabilities.
+
+    arm : with the gains and delays of its servos, if the torque follows from position errors
+    floor : surface; rows in contact with it are left out
+    None where no torque was logged, nor a current with a declared torque constant, nor are there
+    commands and gains.
+    """
+    m = motion_of(log, arm, (FRICTION_MEMORY_RAD,))
+    torque = m.torque if log.torque is not None or arm.per_ampere is not None else None
+    if torque is None and m.command is not None and arm.kp is not None:
+        torque = arm.kp * (m.command - m.position)
+    if torque is None:
+        return None
+    n, peak = arm.joints, np.quantile(np.abs(torque), 0.99, axis=0) + 1e-9
+    fast, slip = np.quantile(np.abs(m.v), 0.99, axis=0) + 1e-9, m.memory[FRICTION_MEMORY_RAD]
+    # Rows near a reversal, where the friction of the smoothed signals has not reached its full size,
+    # would be mistaken for friction that falls with speed.
+    slides, kernel = (m.rest == 0) & (np.abs(slip) > 0.99), np.ones(2 * round(SMOOTHING_WIDTH_S / m.step / 2) + 1)
+    moves = m.by_run(lambda part: smoothed(1.0 * part, kernel / len(kernel)) > 0.999, slides)
+    moves |= moves.mean(axis=0) < MIN_MOVING_SHARE
+    if floor:
+        moves &= (floor.above(m.position) > CONTACT_MARGIN_M)[:, None]
+    starts = {r: np.flatnonzero(m.run == r) for r in np.unique(m.run)}
+    third = np.concatenate([(WITHHELD_THIRDS * np.arange(len(at))) // len(at) for at in starts.values()])
+    own, scale = N_COLUMNS + N_SLOW_COLUMNS * len(STRIBECK_CURVES), SIGMA_FRICTION * peak
+    rows = slice(None, None, 1 + len(m.q) // MAX_ROWS)
+    every = (m.v, m.a / (np.abs(m.a).max(axis=0) + 1e-9), slip, moves, third, torque - arm.rotor * m.a)
+    v, a, slip, moves, third, torque = (values[rows] for values in every)
+    Y = arm.regressor(m.q[rows], v, m.a[rows])
+
+    def sums_of(friction: Array) -> tuple[Array, Array]:
+        """Return sums of products of all columns in each third, (thirds, joints, n, n), and counts.
+
+        friction : coefficients by which friction adds to the motor torque, by columns from `DRY` to
+            `LOAD`, (joints, 4)
+        """
+        sums, counts = np.zeros(0), np.zeros((WITHHELD_THIRDS, n))
+        for k in range(0, len(v), REGRESSOR_BLOCK_SAMPLES):
+            s = slice(k, k + REGRESSOR_BLOCK_SAMPLES)
+            speed, dry, bodies = v[s] / fast, slip[s], Y[s] @ arm.inertial
+            plain = [np.ones_like(dry), a[s], dry, speed, speed * np.abs(speed)]
+            load = np.abs(bodies)
+            terms = zip(friction.T, [*plain[DRY:], dry * load / peak], strict=False)
+            made = bodies + scale * sum((x * column for x, column in terms), np.zeros_like(dry))
+            motor, load = np.abs(made) / peak, load / peak
+            columns = [*plain, dry * (motor + load) / 2, dry * motor, dry * load]
+            for share, exponent in STRIBECK_CURVES:
+                slow = dry * np.exp(-(np.abs(speed / share) ** exponent))
+                squares = slow * load**2 * (motor > load), slow * motor**2 * (motor <= load)
+                columns += [slow, slow * (motor + load) / 2, slow * motor, slow * load, *squares]
+            residual = (torque[s] - bodies)[:, :, None]
+            A = np.concatenate([Y[s] @ arm.spread, np.moveaxis(scale * np.stack(columns), 0, 2), residual], axis=2)
+            A = (A * moves[s][:, :, None]).transpose(1, 0, 2)
+            if not sums.size:
+                sums = np.zeros((WITHHELD_THIRDS, n, A.shape[2], A.shape[2]))
+            for part in range(WITHHELD_THIRDS):
+                there = A[:, third[s] == part]
+                sums[part] += there.transpose(0, 2, 1) @ there
+                counts[part] += moves[s][third[s] == part].sum(axis=0)
+        return sums, counts
+
+    sums, counts = sums_of(np.zeros((n, 0)))
+    total = np.maximum(counts.sum(axis=0), 1)
+    alone = np.sqrt(sums[:, :, -1, -1].sum(axis=0) / total)
+
+    def held_out(columns: Sequence[int], sigma: Array) -> Array:
+        """Return the rms errors of held-out thirds with some columns, shape (joints,) [N m]."""
+        square = np.zeros(n)
+        for part in range(WITHHELD_THIRDS):
+            x, _ = _solved(sums.sum(axis=0) - sums[part], own, columns, sigma)
+            square += np.einsum("ja,jab,jb->j", x, sums[part], x)
+        return np.asarray(np.sqrt(np.maximum(square, 0) / total))
+
+    def at(law: str) -> list[list[int]]:
+        """Return the columns of a law, for each tried Stribeck curve."""
+        fixed, slow = LAWS[law]
+        return [
+            [*fixed, *(N_COLUMNS + N_SLOW_COLUMNS * k + c for c in slow)]
+            for k in range(len(STRIBECK_CURVES) if slow else 1)
+        ]
+
+    sigma = alone + 1e-9 * peak
+    for _ in range(2):
+        x, _ = _solved(sums.sum(axis=0), own, MODELS["and friction that grows with load"], sigma)
+        sums, _ = sums_of(x[:, -1 - own :][:, DRY : LOAD + 1])
+        sigma = np.min([held_out(columns, sigma) for columns in at("M6 quadratic")], axis=0) + 1e-9 * peak
+    models = {"the file's bodies": alone}
+    for name, columns in MODELS.items():
+        models[name] = held_out(columns, list(models.values())[-1])
+    evidence, laws = {}, {}
+    for law in LAWS:
+        each = [_solved(sums.sum(axis=0), own, columns, sigma)[1] for columns in at(law)]
+        evidence[law] = float(np.logaddexp.reduce(each) - np.log(len(each)))
+        laws[law] = held_out(at(law)[int(np.argmax(each))], sigma)
+    total_evidence = float(np.logaddexp.reduce(list(evidence.values())))
+    probability = {law: float(np.exp(e - total_evidence)) for law, e in evidence.items()}
+    misfit = {law: float((counts.sum(axis=0) * (rms / sigma) ** 2).sum()) for law, rms in laws.items()}
+    return FrictionLaws(log.joints[:n], models, laws, probability, misfit)
+
+
+def _solved(sums: Array, own: int, columns: Sequence[int], sigma: Array) -> tuple[Array, float]:
+    """Return the coefficients of all columns and -1 for the torque, and the log evidence [nats].
+
+    The coefficients have the shape (joints, n_bodies + own + 1), zero in columns that are not used;
+    evidence is relative to that of the file's bodies.
+    sums : products of bodies' columns, joint's columns and torque, (joints, n, n), n as above
+    own : number of columns of each joint; columns : the used ones; sigma : noise, (joints,) [N m]
+    """
+    n, bodies, m = len(sums), sums.shape[1] - own - 1, len(columns)
+    H, right = np.eye(bodies + n * m), np.zeros(bodies + n * m)
+    local = np.concatenate([np.arange(bodies), bodies + np.asarray(columns)])
+    places = [np.concatenate([np.arange(bodies), bodies + j * m + np.arange(m)]) for j in range(n)]
+    for place, products, noise in zip(places, sums, sigma, strict=True):
+        share = INDEPENDENT_SAMPLE_SHARE / noise**2
+        H[np.ix_(place, place)] += share * products[np.ix_(local, local)]
+        right[place] += share * products[local, -1]
+    solution, out = np.linalg.solve(H, right), np.zeros((n, sums.shape[1]))
+    for x, place in zip(out, places, strict=True):
+        x[local] = solution[place]
+    out[:, -1] = -1.0
+    return out, 0.5 * float(right @ solution - np.linalg.slogdet(H)[1])
