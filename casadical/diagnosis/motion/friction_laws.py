@@ -16,6 +16,7 @@ import numpy as np
 
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table
+from casadical.core.statistics import first_of_best
 from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor
 from casadical.diagnosis.motion.signals import REGRESSOR_BLOCK_SAMPLES, SMOOTHING_WIDTH_S, Arm, motion_of, smoothed
 from casadical.measurements.logs.log import JointLog
@@ -221,7 +222,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     for law in LAWS:
         each = [_solved(sums.sum(axis=0), own, columns, sigma)[1] for columns in at(law)]
         evidence[law] = float(np.logaddexp.reduce(each) - np.log(len(each)))
-        laws[law] = held_out(at(law)[int(np.argmax(each))], sigma)
+        laws[law] = held_out(at(law)[first_of_best(each, logs=True)], sigma)
     total_evidence = float(np.logaddexp.reduce(list(evidence.values())))
     probability = {law: float(np.exp(e - total_evidence)) for law, e in evidence.items()}
     misfit = {law: float((counts.sum(axis=0) * (rms / sigma) ** 2).sum()) for law, rms in laws.items()}
