@@ -15,6 +15,8 @@ import json
 import shutil
 import tempfile
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -96,24 +98,37 @@ async def answer_of(app: Any, request: dict[str, Any]) -> tuple[int, bytes]:
     return answers[0]["status"] if answers else 0, b"".join(m.get("body", b"") for m in answers[1:])
 
 
+def planar_folder(parent: Path) -> Path:
+    """Return a new problem folder of the planar arm, without measurements."""
+    folder = parent / "arm"
+    folder.mkdir()
+    shutil.copy(ROOT / "problems/planar/robot.toml", folder)
+    (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\nmethods = ["KM"]\n')
+    return folder
+
+
+@contextmanager
+def page_with_readings(folder: Path) -> Iterator[LivePage]:
+    """Yield the page of a session of this folder with eight simulated readings."""
+    with journal(folder) as (course, add):
+        session = LiveSession(folder, course, add, data="synthetic")
+        source = SimulatedSource(session.robot, session.next_pose, 8)
+        while not source.ended:
+            session.feed(source)
+            session.look_ahead()
+        yield LivePage(session, None, 0.01, TOKEN)
+
+
 def run(n_requests: int) -> Counter[int]:
-    """Send requests to the page of a session of eight simulated readings; return how often each status came.
+    """Send requests to the page; return how often each status came.
 
     Raises AssertionError for the first request that breaks a rule.
     """
     statuses: Counter[int] = Counter()
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) / "arm"
-        folder.mkdir()
-        shutil.copy(ROOT / "problems/planar/robot.toml", folder)
-        (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\nmethods = ["KM"]\n')
-        with journal(folder) as (course, add):
-            session = LiveSession(folder, course, add, data="synthetic")
-            source = SimulatedSource(session.robot, session.next_pose, 8)
-            while not source.ended:
-                session.feed(source)
-                session.look_ahead()
-            app = LivePage(session, None, 0.01, TOKEN).app()
+        folder = planar_folder(Path(scratch))
+        with page_with_readings(folder) as page:
+            app, course, fields = page.app(), page.session.course, page.session.fields
 
             @settings(
                 max_examples=n_requests,
@@ -123,7 +138,7 @@ def run(n_requests: int) -> Counter[int]:
                 phases=(Phase.generate,),
                 suppress_health_check=list(HealthCheck),
             )
-            @given(requests((*session.fields, "x_m", "")))
+            @given(requests((*fields, "x_m", "")))
             def send(request: dict[str, Any]) -> None:
                 entries = len(course.readings), [r.struck for r in course.readings]
                 if request["path"] == "/events" and request["method"] == "GET":

@@ -20,37 +20,27 @@ import pytest
 from casadical.core.basics import InputError
 from casadical.project.live import LiveSession
 from casadical.project.live.server import MAX_CONNECTIONS, REQUEST_TIMEOUT_S, LivePage, bound
-from casadical.project.live.sources import SimulatedSource, journal
+from casadical.project.live.sources import journal
 
 ROOT = Path(__file__).parents[3]
 
-TOKEN = "the token of these tests"
+TOKEN = fuzz_page.TOKEN
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 
 @pytest.fixture
 def arm(tmp_path: Path) -> Path:
-    folder = tmp_path / "arm"
-    folder.mkdir()
-    shutil.copy(ROOT / "problems/planar/robot.toml", folder)
-    (folder / "problem.toml").write_text('casadical = 1\ntitle = "t"\nmethods = ["KM"]\n')
-    return folder
+    return fuzz_page.planar_folder(tmp_path)
 
 
 @contextmanager
 def client(folder: Path) -> Iterator:
     """A client of the page of a session with eight simulated readings; it has the token."""
     testing = pytest.importorskip("starlette.testclient", reason="starlette is not installed: no page was served")
-    with journal(folder) as (course, add):
-        session = LiveSession(folder, course, add, data="synthetic")
-        source = SimulatedSource(session.robot, session.next_pose, 8)
-        while not source.ended:
-            session.feed(source)
-            session.look_ahead()
-        page = LivePage(session, None, 0.01, TOKEN)
-        with testing.TestClient(page.app(), base_url="http://127.0.0.1:8000") as found:
-            found.params = {"token": TOKEN}
-            yield session, found
+    address = "http://127.0.0.1:8000"
+    with fuzz_page.page_with_readings(folder) as page, testing.TestClient(page.app(), base_url=address) as found:
+        found.params = {"token": TOKEN}
+        yield page.session, found
 
 
 def test_commands_are_answered_in_sentences(arm: Path) -> None:
