@@ -43,8 +43,8 @@ def new(
         None,
         metavar="FILE",
         help="Measured poses: CSV or text in any usual form, .xlsx, .mat, .npy or .npz, headings in five "
-        "languages; several files are joined by a column that they share, by time, or by the order of "
-        "their rows; default: synthetic ones, marked as such.",
+        "languages; a ROS bag with joint states and poses of a board; several files are joined by a column that they "
+        "share, by time, or by the order of their rows; default: synthetic ones, marked as such.",
     ),
     headings: str | None = Option(
         None,

@@ -10,12 +10,15 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from rosbags.rosbag2 import Writer
+from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
 from casadical import InputError, Measurements, calibrate, identify, read_problem
 from casadical.core.parts import Placement
 from casadical.core.transforms import frame, from_rpy
 from casadical.identification.accuracy import predicted, turn_errors
+from casadical.measurements.logs.systems import UR_JOINTS, stations_of_bag
 from casadical.project.check import precheck
 from casadical.project.check.repair import repaired
 from casadical.project.hand_eye import hand_eye_of
@@ -140,6 +143,50 @@ def test_samples_of_easy_handeye2_need_joint_readings(tmp_path: Path, joints: bo
     assert (read.inverted, read.camera) == (True, "in hand")
     at = [int(np.abs(m.q - q).sum(axis=1).argmin()) for q in read.q]
     np.testing.assert_allclose(read.position, seen(False).position[at], atol=1e-9)
+
+
+def test_stations_of_a_ros_bag_are_the_rests_of_the_joints(tmp_path: Path) -> None:
+    """Joints are named in the order of the alphabet, as UR's driver has them; /tf has the links, too."""
+    m, store = seen(True, poses=14), get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    names = sorted(UR_JOINTS)
+    turns = Rotation.from_matrix(m.orientation).as_quat()
+    with Writer(tmp_path / "bag", version=9) as bag:
+        topics = {
+            "/joint_states": bag.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store),
+            "/tf": bag.add_connection("/tf", "tf2_msgs/msg/TFMessage", typestore=store),
+        }
+
+        def write(topic: str, t: float, message: object) -> None:
+            bag.write(topics[topic], int(1e9 * t), store.serialize_cdr(message, type(message).__msgtype__))
+
+        def header(t: float, frame_id: str) -> object:
+            stamp = types["builtin_interfaces/msg/Time"](sec=int(t), nanosec=int(1e9 * (t % 1)))
+            return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+
+        def transform(t: float, child: str, p: np.ndarray, turn: np.ndarray) -> object:
+            parts = types["geometry_msgs/msg/Vector3"](*p), types["geometry_msgs/msg/Quaternion"](*turn)
+            both = types["geometry_msgs/msg/Transform"](*parts)
+            return types["geometry_msgs/msg/TransformStamped"](header(t, "camera"), child, both)
+
+        for k in range(280):  # two seconds at each station, the first one of them at rest
+            t, (station, part) = 100 + 0.1 * k, divmod(k, 20)
+            after = m.q[min(station + 1, 13)]
+            q = m.q[station] + max(0, part - 10) / 10 * (after - m.q[station])
+            values = [q[list(UR_JOINTS).index(name)] for name in names]
+            lists = [np.array(v, dtype=float) for v in (values, [], [])]
+            write("/joint_states", t, types["sensor_msgs/msg/JointState"](header(t, ""), names, *lists))
+            p = m.position[station] + (0.0 if part <= 10 or station == 13 else 0.3)
+            both = [transform(t, "charuco_board", p, turns[station]), transform(t, "forearm", p + 1, turns[0])]
+            write("/tf", t + 0.01, types["tf2_msgs/msg/TFMessage"](both))
+    table = stations_of_bag(tmp_path / "bag").frame
+    np.testing.assert_allclose(table.iloc[:, :6], m.q, atol=1e-9)
+    np.testing.assert_allclose(table[["x_m", "y_m", "z_m"]], m.position, atol=1e-9)
+    (tmp_path / "dh.csv").write_text(DH)
+    given = {"dh": tmp_path / "dh.csv", "convention": "standard", "data": tmp_path / "bag"}
+    parts = [m for _, m in new_problem(tmp_path / "arm", **given).parts()]
+    assert sum(map(len, parts)) == 14
+    assert (parts[0].inverted, parts[0].camera) == (True, "in hand")
 
 
 def test_new_says_and_keeps_what_the_robot_tells(tmp_path: Path) -> None:

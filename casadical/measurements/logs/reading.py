@@ -26,7 +26,7 @@ from casadical.measurements.logs.columns import (
 )
 from casadical.measurements.logs.findings import found_in, refuse_frozen, refuse_other_units, with_signs
 from casadical.measurements.logs.log import CHANNELS, JointLog
-from casadical.measurements.logs.systems import BAG_SUFFIXES, LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, lerobot, sage
+from casadical.measurements.logs.systems import LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, is_bag, lerobot, sage
 from casadical.measurements.raw_table import plain_headings, read_table
 
 
@@ -70,11 +70,7 @@ def is_log(path: str | Path) -> bool:
     time and motion alone counts too, so that the reader can say what it lacks.
     """
     path = Path(path)
-    if (
-        path.name == SAGE_STATE_FILE
-        or path.suffix.lower() in BAG_SUFFIXES
-        or any((path / n).exists() for n in (SAGE_STATE_FILE, "metadata.yaml"))
-    ):
+    if path.name == SAGE_STATE_FILE or is_bag(path) or (path / SAGE_STATE_FILE).exists():
         return True
     try:
         headings = _plain_headings(path)
@@ -114,7 +110,7 @@ def _logged(path: Path, names: Sequence[str], unit: str | None) -> Logged:
 
     names : of the robot's joints; unit : of angles, for LeRobot's files that do not state it
     """
-    if path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists():
+    if is_bag(path):
         return bag(path)
     if path.name == SAGE_STATE_FILE or (path / SAGE_STATE_FILE).exists():
         return sage(path.parent if path.name == SAGE_STATE_FILE else path)

@@ -3,18 +3,20 @@
 Streams with their own time stamps are merged into one log.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from casadical.core.basics import Array, InputError, optional
 from casadical.core.reading import MAX_TABLE_BYTES, foreign, load_json, read_text, regular
 from casadical.measurements.logs.columns import Logged, logged
 from casadical.measurements.raw_table import RawTable, read_table, refuse_many
-from casadical.measurements.table_form import clean
+from casadical.measurements.table_form import Form, clean
 
 # File of the measured states in a folder of SAGE.
 SAGE_STATE_FILE = "state_motor.csv"
@@ -65,6 +67,10 @@ def lerobot(path: Path, table: RawTable, unit: str | None) -> Logged:
     return replace(log, units=dict.fromkeys(log.units, unit or "deg"))
 
 
+# Function of topic and message that yields names, channel and values of each channel.
+_Reader = Callable[[str, Any], Iterator[tuple[tuple[str, ...], str, Any]]]
+
+
 @dataclass
 class _Stream:
     """Messages of one ROS topic that name the same joints.
@@ -85,6 +91,78 @@ def bag(path: Path) -> Logged:
     """Return the joint states of a ROS bag or an MCAP file, and the commands in it.
 
     Raises InputError."""
+    streams, topics = _streams(path, _READERS)
+    logs = [_of_stream(stream, path) for stream in streams.values()]
+    if not any("position" in log.channels for log in logs):
+        raise InputError(
+            f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record "
+            "/joint_states (sensor_msgs/msg/JointState) and the controller's state, which has the "
+            "commands"
+        )
+    return joined(sorted(logs, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a file or folder is a ROS bag or an MCAP file, by its name and what is in it."""
+    return path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").exists()
+
+
+def stations_of_bag(path: Path) -> RawTable:
+    """Return a table of the stations in a ROS bag: joint readings at rest, and the mean pose of a target there.
+
+    The poses are those of a transform or pose topic, or of the frame on /tf that a board's or marker's name has.
+    Raises InputError: no joint states, no such poses or several, or fewer than five rests.
+    """
+    from scipy.spatial.transform import Rotation
+
+    streams, topics = _streams(path, {"JointState": _states, **_POSE_READERS})
+    poses = {key: stream for key, stream in streams.items() if "pose" in stream.rows}
+    boards = {k: v for k, v in poses.items() if _TARGET_NAME.search(" ".join(k))}
+    # The frames of a robot's links are on /tf, too.
+    poses = boards or {k: v for k, v in poses.items() if not k[0].startswith("/tf")}
+    states = max((s for s in streams.values() if "position" in s.rows), key=lambda s: len(s.stamps), default=None)
+    if states is None or len(poses) != 1:
+        found = "; ".join(" ".join(key) for key in poses) or ", ".join(topics)
+        raise InputError(
+            f"{path}: needs joint states and one stream of poses of a target (geometry_msgs PoseStamped, "
+            f"TransformStamped, or a frame on /tf named for a board, marker or tag); there are {found}"
+        )
+    ((key, seen),) = poses.items()
+    order = np.argsort(states.stamps)
+    time, q = 1e-9 * np.array(states.stamps)[order], np.array(states.rows["position"], dtype=float)[order]
+    stamps, images = 1e-9 * np.array(seen.stamps), np.array(seen.rows["pose"], dtype=float)
+    # A joint rests that moves by less than this [rad or m] from a quarter of a second before an image until after it.
+    at = [[np.interp(stamps + late, time, column) for column in q.T] for late in (-0.25, 0.0, 0.25)]
+    still = (np.ptp(at, axis=0).max(axis=0) < 2e-3) & (stamps > time[0]) & (stamps < time[-1])
+    there = np.array(at[1]).T
+    begins = still & np.append(True, ~still[:-1] | (np.abs(np.diff(there, axis=0)).max(axis=1) > 2e-3))
+    groups = [np.flatnonzero(still & (np.cumsum(begins) == k + 1)) for k in range(int(begins.sum()))]
+    if len(groups) < 5:
+        raise InputError(
+            f"{path}: the joints rested at {len(groups)} stations with images; allowed: five or more, of half a second"
+        )
+    rows = [
+        [*there[g].mean(axis=0), *images[g, :3].mean(axis=0), *Rotation.from_quat(images[g, 3:]).mean().as_quat()]
+        for g in groups
+    ]
+    # Universal Robots' drivers send joints in the order of the alphabet; others number them.
+    numbers = [UR_JOINTS.index(n) + 1 if n in UR_JOINTS else int(*re.findall(r"\d+$", n)) for n in states.names]
+    known = sorted(numbers) == list(range(1, len(numbers) + 1))
+    names = [f"q{k}_rad" if known else f"{name} [rad]" for k, name in zip(numbers, states.names, strict=True)]
+    table = pd.DataFrame(rows, columns=[*names, "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
+    table = table[[f"q{k + 1}_rad" for k in range(len(names))] + list(table.columns[len(names) :])] if known else table
+    said = (
+        f"{path.name}: {len(groups)} stations at which the joints of {states.topic} rested, with {int(still.sum())} "
+        f"poses of {' '.join(key)}, their mean at each."
+    )
+    return RawTable(path, tuple(map(str, table)), (), table, np.arange(len(table)) + 1, Form("bag"), said=(said,))
+
+
+def _streams(path: Path, readers: Mapping[str, _Reader]) -> tuple[dict[tuple[str, ...], _Stream], list[str]]:
+    """Return the streams of a bag's messages, by topic and what they name, and all topics with their types.
+
+    readers : type of ROS message -> its reader. Raises InputError.
+    """
     needed = f"{path}: reading bags needs rosbags: pip install 'casadical[logs]'"
     highlevel, typesys = optional("rosbags.highlevel", needed), optional("rosbags.typesys", needed)
     for file in (f for f in path.iterdir() if f.exists() and not f.is_dir()) if path.is_dir() else (path,):
@@ -98,19 +176,15 @@ def bag(path: Path) -> Logged:
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         with highlevel.AnyReader([path], default_typestore=store) as reader:
             topics = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections})
-            wanted = [c for c in reader.connections if c.msgtype.rsplit("/", 1)[-1] in _READERS]
+            wanted = [c for c in reader.connections if c.msgtype.rsplit("/", 1)[-1] in readers]
             for connection, received, data in reader.messages(wanted) if wanted else ():
                 refuse_many(path, (size := size + len(data)) // 8)
                 message = reader.deserialize(data, connection.msgtype)
-                _keep(streams, connection.topic, connection.msgtype.rsplit("/", 1)[-1], message, received)
-    logs = [_of_stream(stream, path) for stream in streams.values()]
-    if not any("position" in log.channels for log in logs):
-        raise InputError(
-            f"{path}: no joint states; there are {', '.join(topics) or 'no topics'}; record "
-            "/joint_states (sensor_msgs/msg/JointState) and the controller's state, which has the "
-            "commands"
-        )
-    return joined(sorted(logs, key=lambda log: ("position" in log.channels, len(log.time)), reverse=True))
+                read = readers[connection.msgtype.rsplit("/", 1)[-1]]
+                # A TFMessage has several transforms, each with its own stamp.
+                for part in getattr(message, "transforms", [message]):
+                    _keep(streams, connection.topic, read, part, received)
+    return streams, topics
 
 
 def _states(topic: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
@@ -145,22 +219,42 @@ def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
                 yield tuple(message.joint_names), name, getattr(point, values, ())
 
 
-# Type of ROS message that is used -> its reader.
-_READERS = {"JointState": _states, "JointTrajectoryControllerState": _controller}
+def _pose(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
+    """Yield frames, "pose", and position [m] and quaternion (x, y, z, w) of a stamped pose or transform."""
+    held = getattr(message, "transform", None) or message.pose
+    p, turn = (
+        getattr(held, a, None) or getattr(held, b)
+        for a, b in (("translation", "position"), ("rotation", "orientation"))
+    )
+    frames = tuple(f for f in (message.header.frame_id, getattr(message, "child_frame_id", "")) if f)
+    yield frames, "pose", (p.x, p.y, p.z, turn.x, turn.y, turn.z, turn.w)
 
 
-def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, kind: str, message: Any, received: int) -> None:
-    """Append a message's stamp and values to the stream of its topic and joints.
+# Type of ROS message of joints that is used -> its reader.
+_READERS: Mapping[str, _Reader] = {"JointState": _states, "JointTrajectoryControllerState": _controller}
+# Type of ROS message of poses that is used -> its reader.
+_POSE_READERS: Mapping[str, _Reader] = dict.fromkeys(("TransformStamped", "PoseStamped", "TFMessage"), _pose)
+# Words in the name of a frame or topic that mark it as that of a target.
+_TARGET_NAME = re.compile("board|marker|aruco|tag|checker|chess|target|object")
+# Joints of Universal Robots' arms from the base on.
+UR_JOINTS = (
+    *("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"),
+    *("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"),
+)
 
-    kind : message type, a key of `_READERS`; received : time of receipt [ns]
+
+def _keep(streams: dict[tuple[str, ...], _Stream], topic: str, read: _Reader, message: Any, received: int) -> None:
+    """Append a message's stamp and values to the stream of its topic and joints or frames.
+
+    read : reader of its type; received : time of receipt [ns]
     """
     stamp = message.header.stamp
-    for k, (names, channel, values) in enumerate(_READERS[kind](topic, message)):
+    for k, (names, channel, values) in enumerate(read(topic, message)):
         stream = streams.setdefault((topic, *names), _Stream(topic, names, [], [], {}))
         if not k:
             stream.stamps.append(int(stamp.sec) * 10**9 + int(stamp.nanosec))
             stream.received.append(received)
-        if len(values) == len(names):
+        if len(values) == len(names) or channel == "pose":
             stream.rows.setdefault(channel, []).append(values)
 
 

@@ -26,6 +26,7 @@ from casadical.measurements.columns import Columns, is_ours
 from casadical.measurements.corners import INTRINSICS
 from casadical.measurements.headings import Question, Understanding
 from casadical.measurements.kinds.registry import kinds
+from casadical.measurements.logs.systems import is_bag, stations_of_bag
 from casadical.measurements.measurements import Measurements
 from casadical.measurements.raw_table import RawTable, read_table
 from casadical.measurements.reading import from_columns
@@ -202,7 +203,7 @@ def _table(paths: Sequence[Path], headings: str) -> RawTable:
         headings; empty: its own
     Raises InputError: another number of headings than of columns.
     """
-    tables = each_of(partial(read_table, path) for path in paths)
+    tables = each_of(partial(stations_of_bag if is_bag(path) else read_table, path) for path in paths)
     for k, raw in enumerate(tables):
         if headings and (len(tables) == 1 or not raw.form.header_line):
             tables[k] = with_headings(raw, [name.strip() for name in headings.split(",")])
