@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from casadical.core.basics import InputError, Show, silent
+from casadical.core.basics import Array, InputError, Show, silent
 from casadical.core.linear_gaussian.marginals import NO_COLUMNS
 from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, candidates_of
@@ -24,6 +24,7 @@ from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect, LinkMasses
+from casadical.identification.accuracy import predicted
 from casadical.identification.identification import (
     Prepared,
     calibrate_base_model,
@@ -233,7 +234,39 @@ class _Question:
         if self.laws:
             self.show("laws in place of the causes")
             found = _held_against_laws(found)
+        found = self.with_level_varied(found)
         return replace(found, prior=prior if prior.free or prior.frozen else None, changes=changed)
+
+    def with_level_varied(self, found: Diagnosis) -> Diagnosis:
+        """Return the diagnosis with a sentence where its cause at joint 1 hangs on the level.
+
+        The weight turns an upright axis only as far as it leans in the frame of an instrument that is
+        taken as level. Where the cause is less probable than `Settings.min_claim` if the robot
+        stands upright instead, the sentence says so. The poses are turned for that, not the model.
+        """
+        case = found.case
+        causes = [c for c in found.causes if c.joint == 1 and c.effects and c.confidence >= SETTINGS.min_claim]
+        turn = _turn_to_upright(case.robot, case.m) if causes and case.observations.plain else None
+        if turn is None:
+            return found
+        self.show("the causes of joint 1 if the robot stands upright")
+        lean = float(np.degrees(np.arccos(turn[2, 2])))
+        (m,) = self.prepared.sets
+        upright = replace(self.prepared, sets=(replace(m, position=m.position @ turn.T),), identification=None)
+        # Rivals of a cause are at its joint.
+        near = [c for c in self.candidates if c.joint == 1 or c.variants[0][0].joint == 1]
+        other = make_case(calibrate_base_model(upright), near, self.prepared.free)
+        other, said = other.with_inliers(case.inliers).with_form(case.form), []
+        for cause in causes:
+            ranking = State(other.with_variants(cause.label, [cause.effects])).rank(())
+            likely = [f"{k} {ranking.probability[k]:.2f}" for k in ranking.order[:2]]
+            if ranking.order[0] != cause.label or ranking.probability[cause.label] < SETTINGS.min_claim:
+                said.append(
+                    f"the instrument is level, and the axis of joint 1 leans by {lean:.2g} deg: {cause.label} hangs on "
+                    f"it; if the robot stands upright instead, it is {' or '.join(likely)}; level the instrument, or "
+                    'say frame = "base" in [gravity] of the robot file'
+                )
+        return replace(found, case=replace(case, assumed=(*case.assumed, *said)))
 
 
 def _prepared(
@@ -327,6 +360,27 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
         parts += [f"{1e3 * angle:.3g} mrad of an angle"] * bool(kind.angles)
         said.append(f"noise of {m.source} ({m.kind}): {' and '.join(parts)}, before causes or declared")
     return tuple(said)
+
+
+def _turn_to_upright(robot: Robot, m: Measurements) -> Array | None:
+    """Return the rotation that makes the axis of a leaning joint 1 vertical, shape (3, 3); or None.
+
+    None unless the robot file declares gravity along the measuring frame's z, and this axis leans by
+    0.2 to 3 degrees: the base of an arm that leans more is no upright one.
+    robot : calibrated; m : its poses
+    """
+    if robot.gravity_frame != "measuring" or robot.joints[0].kind != "revolute" or np.any(robot.gravity[:2]):
+        return None
+    two = m[np.zeros(2, dtype=np.int64)]
+    R = predicted(robot, replace(two, q=two.q + np.outer([0.0, np.pi / 2], np.eye(robot.n)[0])))[1]
+    S = R[1] @ R[0].T
+    axis = np.array([S[2, 1] - S[1, 2], S[0, 2] - S[2, 0], S[1, 0] - S[0, 1]]) / 2
+    up = np.array([0.0, 0.0, np.copysign(1.0, axis[2])])
+    v, c = np.cross(axis, up), float(axis @ up)
+    if not np.radians(0.2) < np.arccos(min(c, 1.0)) < np.radians(3.0):
+        return None
+    K = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.asarray(np.eye(3) + K + K @ K / (1 + c))
 
 
 def _refuse_coarser(found: Diagnosis) -> Diagnosis:

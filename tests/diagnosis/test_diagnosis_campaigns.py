@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cases import ANSWERS, ROOT, diagnose, diagnosed, practice, robot, simulated
-from planted import planted
+from cases import ANSWERS, ROOT, diagnose, diagnosed, plant, practice, robot, simulated
+from planted import campaign, planted
 
 from casadical.diagnosis.candidates import choose, standard_candidates
 from casadical.diagnosis.details import analyse
@@ -19,7 +19,7 @@ from casadical.fleet.store import one_robot
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
 from casadical.measurements.derived_columns import derive
-from casadical.measurements.reading import read_measurements
+from casadical.measurements.reading import from_table, read_measurements
 
 VERDICTS = {"none", "explained", "ambiguous", "unknown"}
 
@@ -208,3 +208,15 @@ def test_what_stands_for_a_missing_column_is_no_candidate_where_it_was_logged() 
         kinds = {type(e) for c in found if c.label == "backlash@3" for v in c.variants for e in v}
         assert (BacklashByLoad in kinds) is there
         assert ("a warm-up that was not measured" in {c.label for c in found}) is there
+
+
+@pytest.mark.parametrize(("lean_deg", "said"), [(1.35, True), (0.0, False)])
+def test_a_claim_that_hangs_on_the_level_of_the_instrument_says_so(lean_deg: float, said: bool) -> None:
+    """No weight turns the upright joint 1; as the instrument leans, wind-up and backlash seem to differ by its sign."""
+    table = campaign(plant(robot("ur10e")), 100, 1, [planted("friction_windup", 1, size=80e-6)], noise_mm=0.015)
+    m = from_table(table, 6)
+    c, s = np.cos(np.radians(lean_deg)), np.sin(np.radians(lean_deg))
+    d = diagnose(robot("ur10e"), replace(m, position=m.position @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])))
+    assert d.causes[0].joint == 1
+    assert (d.causes[0].confidence > 0.9) == said
+    assert ('or say frame = "base"' in " ".join(page_of(d).split())) == said
