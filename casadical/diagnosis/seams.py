@@ -148,7 +148,7 @@ def _observed(structure: Structure, count: int, kind: MeasurementKind, point: bo
     structure : includes the probe; count : number of base parameters, P
     point : whether the measured target is an unknown point
     """
-    model, own = expressions(structure), _seams(structure, count)
+    model, own = expressions(structure, False), _seams(structure, count)
     phi, probes = model.phi[:count], model.phi.numel() - count
     position = model.function("p", "R")
     ends: list[tuple[ca.SX, ca.SX]] = []
@@ -185,7 +185,7 @@ def _seams(structure: Structure, count: int) -> Seams:
     They are taken at zero of the seam variables.
     structure : includes the probe, whose parameters are last; count : number of the others, P
     """
-    model, arm = expressions(structure), structure.arm
+    model, arm = expressions(structure, False), structure.arm
     phi, seams = model.phi[:count], model.phi[count:]
     zero = ca.SX.zeros(seams.numel())
     parts = ca.substitute([model.p, ca.jacobian(model.p, phi), ca.jacobian(model.p, seams)], [seams], [zero])

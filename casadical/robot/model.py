@@ -216,7 +216,7 @@ class Structure:
 
 
 @lru_cache(maxsize=64)
-def expressions(structure: Structure, fixed_loads: bool = False) -> Expressions:
+def expressions(structure: Structure, fixed_loads: bool) -> Expressions:
     """Return the expressions of a structure, composed once for all robots that share it.
 
     fixed_loads : whether gravity torques are those of the nominal geometry. Strictly, a longer last

@@ -346,7 +346,7 @@ class Robot(Shown, Arm):
     @cached_property
     def model(self) -> Model:
         """The symbolic model and its CasADi functions."""
-        return Model(self, self.declared, self.constants, expressions(self.structure))
+        return Model(self, self.declared, self.constants, expressions(self.structure, False))
 
     @cached_property
     def structure(self) -> Structure:
