@@ -42,7 +42,7 @@ MODE_OPTIONS = {
     "--isolability": ("poses", "effects", "json_file"),
     "--iso9283": ("out", "room", "cube_mm", "seed"),
     "--touches": ("out", "room", "touches", "noise_mm", "seed"),
-    "--camera": ("n", "out", "room", "seed", "json_file"),
+    "--camera": ("n", "out", "room", "noise_mm", "view", "seed", "json_file"),
 }
 
 
@@ -144,8 +144,14 @@ def plan(
         False,
         "--camera",
         help="Choose stations (default: 25) at which a camera sees its board, from those measured "
-        "so far, and say what 10, 15, 25 and 40 would give; written to --out (default: "
-        "stations.csv).",
+        "so far (of a robot file: from --view and --noise-mm, with the camera on the flange), and say what 10, 15, 25 "
+        "and 40 would give; written to --out (default: stations.csv).",
+    ),
+    view: str = Option(
+        "0.3,0.9,25,50",
+        metavar="NEAR,FAR,OFF,OBLIQUE",
+        help="With --camera and a robot file: distances of the board [m], and its largest angles off the camera's axis "
+        "and between line of sight and board's normal [deg].",
     ),
     seed: o.Seed = 0,
     details: o.Details = False,
@@ -176,7 +182,7 @@ def plan(
         _touches(problem, touches, out or Path("touches.csv"), noise_mm, room, seed, quiet)
         return
     if camera:
-        _camera(problem, n or 25, out or Path("stations.csv"), room, json_file, seed, quiet)
+        _camera(problem, n or 25, out or Path("stations.csv"), room, json_file, seed, quiet, view, noise_mm)
         return
     chosen = partial(
         plan_problem,
@@ -289,21 +295,34 @@ def _touches(
 
 
 def _camera(
-    problem: Path, n: int, out: Path, room: Path | None, json_file: Path | None, seed: int, quiet: bool
+    problem: Path,
+    n: int,
+    out: Path,
+    room: Path | None,
+    json_file: Path | None,
+    seed: int,
+    quiet: bool,
+    view: str,
+    noise_mm: float | None,
 ) -> None:
     """Choose n stations at which a camera sees its board, and write their table to `out`.
 
-    room : file of a workspace
+    room : file of a workspace; view, noise_mm : of the camera, where only a robot is known
     """
-    from casadical.pose_selection.camera_stations import camera_stations
+    from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
     from casadical.pose_selection.workspace import read_workspace
     from casadical.project.calibration import calibrate
+    from casadical.project.problem import read_campaign_robot
 
     console = wrapped(quiet)
     with working(quiet, "choosing stations"):
-        found = calibrate(problem).identification
+        seen = read_view(view) if problem.is_file() else None
+        if seen:
+            found = simulated_stations(read_campaign_robot(problem), seen, 1e-3 * (noise_mm or 1.0), seed)
+        else:
+            found = calibrate(problem).identification
         workspace = read_workspace(room, found.robot) if room else None
-        planned = camera_stations(found, n, workspace, seed)
+        planned = camera_stations(found, n, workspace, seed, seen)
     tell(console, *planned.blocks())
     keep(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
     suggest(console, "when the poses of the board stand beside these readings", "calibrate", problem, out)

@@ -1,13 +1,14 @@
 """Stations at which a camera should see its target, and the accuracy to expect of so many.
 
 Stations are chosen one by one, each by the largest reduction of the mean variance of the target's place in the camera
-over all candidates (V-optimality), for base, tool and geometry with the prior that a calibration has found.
+over all candidates (V-optimality, `experimental_design`), for base, tool and geometry with the prior that a calibration
+has found: of the stations so far, or of simulated ones with the nominal arm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -17,17 +18,23 @@ from casadical.core.basics import Array, InputError
 from casadical.core.reporting.blocks import Block, Table, Words
 from casadical.core.reporting.plain import Key
 from casadical.core.reporting.result import Result
-from casadical.core.statistics import first_of_best
+from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.identification.departure import DRAWN_GROUPS
+from casadical.identification.identification import identify
 from casadical.identification.least_squares import LeastSquares
 from casadical.identification.result import Identification
-from casadical.measurements.camera_noise import lines_of_sight
+from casadical.measurements.camera_noise import Camera, CameraNoise, lines_of_sight, whitening
 from casadical.measurements.measurements import Measurements, unmeasured
 from casadical.pose_selection.candidates import draw
+from casadical.pose_selection.experimental_design import Design, grow_to
 from casadical.pose_selection.selection import readings_table, short_tour, travel_distances
 from casadical.pose_selection.workspace import Workspace
 from casadical.robot.robot import Robot
+
+# Nearest and farthest distance of a target [m], and its largest angles off the camera's axis and between line of sight
+# and board's normal [rad].
+View = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,7 @@ class CameraStations(Result):
     """Stations at which a camera sees its target, in an order with short travel.
 
     robot : calibrated on the stations so far; q : readings, shape (n, joints) [rad or m]
+    source : what the view is known from, in words
     visible : what the stations so far show of the camera's view: distances [m], largest angles off its axis and
         between line of sight and board's normal [rad]
     forecast : a row for each number of stations, with expected errors of the target's place (rms over the candidates)
@@ -46,8 +54,9 @@ class CameraStations(Result):
 
     robot: Robot
     q: Array
-    visible: tuple[float, float, float, float]
+    visible: View
     forecast: pd.DataFrame
+    source: str = "in the stations so far"
 
     @property
     def table(self) -> pd.DataFrame:
@@ -64,19 +73,19 @@ class CameraStations(Result):
         return [
             Words(
                 f"The target is taken as visible from {near:.2f} to {far:.2f} m, up to {np.rad2deg(off):.0f} deg off "
-                f"the camera's axis and {np.rad2deg(oblique):.0f} deg oblique, as in the stations so far."
+                f"the camera's axis and {np.rad2deg(oblique):.0f} deg oblique, as {self.source}."
             ),
             Table("Expected errors [mm]", ("stations", "place of the target", "hand-eye"), rows, frozenset({0, 1, 2})),
         ]
 
 
 def camera_stations(
-    found: Identification, n: int = 25, workspace: Workspace | None = None, seed: int = 0
+    found: Identification, n: int = 25, workspace: Workspace | None = None, seed: int = 0, view: View | None = None
 ) -> CameraStations:
     """Return n stations for a new calibration of an arm and its camera.
 
     found : calibration of the stations so far, which tell the view, the noise, and the frames; workspace : where poses
-        may lie, None: the robot's limits
+        may lie, None: the robot's limits; view : None: as the stations so far show it
     Raises InputError where no camera measured full poses, or too few stations are visible.
     """
     m, robot = found.problem.sets[0], found.robot
@@ -86,19 +95,20 @@ def camera_stations(
             'and turned, and calibrate first (camera = "in hand" or "to base" in problem.toml says where it is)'
         )
     rng, where = np.random.default_rng(seed), workspace or Workspace()
-    limits = zip(_view(m)[[0, 0, 1, 2]], (0.02, 0.98, 0.98, 0.98), strict=True)
-    near, far, off, oblique = (float(np.quantile(part, share)) for part, share in limits)
+    away, off, oblique = _view(m)
+    of_stations = zip((away, away, off, oblique), (0.02, 0.98, 0.98, 0.98), strict=True)
+    near, far, *angles = (float(np.quantile(part, share)) for part, share in of_stations)
+    visible = view or (near, far, angles[0], angles[1])
     # Near the stations so far most readings see the target, elsewhere few do.
     close = m.q[rng.integers(len(m), size=8_000)] + rng.normal(0, 0.3, (8_000, robot.n))
     q = np.concatenate([close, draw(robot, 8_000, where, rng)])
     q = q[where.allows(robot, q)]
-    away, angle, slant = _view(_exact(robot, q, m))
-    q = q[(away > near) & (away < far) & (angle < off) & (slant < oblique)][:1_500]
+    q = q[_visible(_exact(robot, q, m.camera, m.noise), visible)][:1_500]
     if len(q) < 2 * n:
         raise InputError(
             f"{m.source}: only {len(q)} of 16000 readings see the target; allowed: twice as many as -n {n}"
         )
-    J, lengths = _columns(found, robot, _exact(robot, q, m))
+    J, lengths = _columns(found, robot, _exact(robot, q, m.camera, m.noise))
     own, _ = _columns(found, robot, m)
     names = found.names
     drawn = np.array([robot.parameters[name].group in DRAWN_GROUPS for name in names])
@@ -112,27 +122,70 @@ def camera_stations(
         return stations, 1e3 * float(np.sqrt(place)), float(np.sqrt(hand))
 
     rows = [row(len(m), np.linalg.inv(prior + np.einsum("nip,niq->pq", own, own)))]
-    C, chosen = np.linalg.inv(prior), list[int]()
-    while len(chosen) < max(n, 40):
-        D = J @ C
-        S = np.eye(6) + D @ J.transpose(0, 2, 1)
-        gain = np.einsum("nip,pq,niq->n", np.linalg.solve(S, D), mean, D)
-        gain[chosen] = -np.inf
-        k = first_of_best(gain)
-        chosen.append(k)
-        C = C - D[k].T @ np.linalg.solve(S[k], D[k])
-        if len(chosen) in (10, 15, 25, 40, n):
-            rows.append(row(len(chosen), C))
-    best = q[chosen[:n]]
+    design = Design(mean, J, prior, q, 0.0, q[:0])
+    for size in sorted({10, 15, 25, 40, n}):
+        grow_to(design, size)
+        rows.append(row(len(design.chosen), design.C))
+    best = q[design.chosen[:n]]
     forecast = pd.DataFrame(rows, columns=["stations", "place_mm", "hand_eye_mm"])
     order = short_tour(travel_distances(robot, best))
-    return CameraStations(robot, best[order], (near, far, off, oblique), forecast)
+    said = CameraStations.source if view is None else "was given; the first row is of 15 simulated stations"
+    return CameraStations(robot, best[order], visible, forecast, said)
 
 
-def _exact(robot: Robot, q: Array, m: Measurements) -> Measurements:
-    """Return the poses that the robot's model has at readings q, with the camera and noise of m."""
+def read_view(text: str) -> View:
+    """Return the view that four numbers tell: distances [m], angles [deg]. Raises InputError for others."""
+    try:
+        near, far, off, oblique = (float(number) for number in text.split(","))
+    except ValueError:
+        near = far = off = oblique = 0.0
+    if not (0 < near < far and 0 < off < 90 and 0 < oblique < 90):
+        raise InputError(f"--view {text}: allowed: NEAR,FAR,OFF,OBLIQUE, two rising distances [m] and two angles [deg]")
+    return near, far, float(np.deg2rad(off)), float(np.deg2rad(oblique))
+
+
+def simulated_stations(robot: Robot, view: View, sigma: float = 1e-3, seed: int = 0) -> Identification:
+    """Return the calibration of a nominal arm from 15 simulated stations of a camera on its flange.
+
+    The camera looks along the flange's z axis at a board that stands in front of it. Its noise is sigma [m] across the
+    line of sight, three times as much along it, and 2 mrad (0.7 mrad about it).
+
+    view : as of `camera_stations`. Raises InputError: too few readings see the board.
+    """
+    from scipy.spatial.transform import Rotation
+
+    rng, noise = np.random.default_rng(seed), CameraNoise((1.0, 3.0, 1.0, 0.35), distance=(view[0] + view[1]) / 2)
+    arm = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="pose"))
+    for middle in draw(robot, 50, Workspace(), rng):
+        q = np.vstack([middle, np.clip(middle + rng.normal(0, 0.3, (4_000, robot.n)), *robot.limits)])
+        p, R = predicted(robot, unmeasured(q))
+        board = frame(R[0] @ np.diag([1.0, -1.0, -1.0]), p[0] + noise.distance * R[0][:, 2])
+        placed = replace(arm, base=replace(arm.base, T=np.linalg.inv(board) @ arm.base.T))
+        m = _exact(placed, q, "in hand", noise)
+        if len(seen := np.flatnonzero(_visible(m, view))) >= 15:
+            break
+    else:
+        raise InputError(
+            f"{robot.name}: no 15 readings see a board from {view[0]:g} to {view[1]:g} m; give another view"
+        )
+    m = m[seen[:15]]
+    white = np.repeat([sigma, 2e-3], 3) * rng.normal(size=(15, 6))
+    off = np.linalg.solve(whitening(m.view, noise), white[..., None])[..., 0]
+    assert m.position is not None
+    turned = m.orientation @ Rotation.from_rotvec(-off[:, 3:]).as_matrix()
+    return identify(placed, replace(m, position=m.position - off[:, :3], orientation=turned, noise=None), ["kinematic"])
+
+
+def _visible(m: Measurements, view: View) -> Array:
+    """Return a mask of the poses at which the target is in the view, shape (n,)."""
+    (away, angle, slant), (near, far, off, oblique) = _view(m), view
+    return np.asarray((away > near) & (away < far) & (angle < off) & (slant < oblique))
+
+
+def _exact(robot: Robot, q: Array, camera: Camera, noise: CameraNoise) -> Measurements:
+    """Return the poses that the robot's model has at readings q, with a camera and its noise."""
     p, R = predicted(robot, unmeasured(q))
-    return Measurements(q, "pose", position=p, orientation=R, camera=m.camera, noise=m.noise)
+    return Measurements(q, "pose", position=p, orientation=R, camera=camera, noise=noise)
 
 
 def _view(m: Measurements) -> Array:

@@ -9,7 +9,8 @@ or that of pixels through a PnP fit ("pnp": 0.25 px, a board of 10 x 7 corners w
 12 % of the poses are wrong by decimetres. The hand-eye transform is compared with the true one in the nominal last row
 (the offset and zero of the last joint are not separable from it): X_g, in mm. Held out: the target's place in the
 camera at 200 other stations, without noise, rms in mm, after the fit's own target. "Chosen" frees the geometry as
-calibrate does, "equal weights" too, but as if it were not known that a camera measured. --opencv adds OpenCV's
+calibrate does, "equal weights" too, but as if it were not known that a camera measured. "Oracle" knows the noise and
+the size of the errors of the geometry, which nobody does: the best that any estimator can do. --opencv adds OpenCV's
 solvers, for eye in hand.
 """
 
@@ -25,7 +26,9 @@ from casadical.core.parts import Joint, Placement
 from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.identification.identification import identify
+from casadical.identification.least_squares import LeastSquares
 from casadical.identification.result import Identification
+from casadical.measurements.camera_noise import to_camera_axes
 from casadical.measurements.measurements import Measurements
 from casadical.project.robot_columns import as_poses
 from casadical.robot.robot import Robot
@@ -182,6 +185,19 @@ def held_out_error(found: Identification, held_out: Measurements, in_hand: bool)
     return 1e3 * float(np.sqrt(((p - seen.position) ** 2).sum(axis=1).mean()))
 
 
+def oracle(start: Robot, m: Measurements, size: float, noise: Array) -> Robot:
+    """The robot that is fitted with the true weights, and a prior of the true width on its geometry.
+
+    start : nominal geometry with base and tool near to theirs; size, noise : as of SCENES
+    """
+    W = to_camera_axes(m.view) / noise[:, None]
+    names = start.parameters.select(["kinematic"] if size else ["placement"])
+    priors = {p.name: (p.value, 1e-3 * size) for p in start.parameters if p.group == "geometry" and size}
+    white = replace(m, extra={"whitening": W}, noise=None, camera="")
+    problem = LeastSquares(start, (white,), names, "linear", priors, ((1e-3, 1e-3),))
+    return start.with_values(problem.values(problem.solve().v))
+
+
 def by_opencv(robot: Robot, m: Measurements, in_hand: bool) -> dict[str, Array]:
     """Solver -> hand-eye transform (4, 4) by OpenCV with the nominal arm."""
     import cv2
@@ -222,6 +238,12 @@ def judged(entry: tuple[str, str, bool, int, int, bool]) -> kept.Row:
         X = in_last_row(robot, found.robot, found.robot.tool.T)
         row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
         row[f"{name} held out"] = held_out_error(found, held_out, what[2])
+    size, noise, outliers = SCENES[what[0]]
+    if not (isinstance(noise, float) or outliers):
+        frames = {p.name: p.value for p in found.robot.parameters if p.group in ("base", "tool")}
+        best = oracle(found.start.with_values(frames), fit, size, noise)
+        X = in_last_row(robot, best, best.tool.T)
+        row["oracle"] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
     if opencv and what[2]:
         for name, X in by_opencv(robot, fit, True).items():
             row[name] = 1e3 * float(np.linalg.norm(X[:3, 3] - truth[:3, 3]))
@@ -273,6 +295,7 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--opencv", action="store_true")
+    parser.add_argument("--scenes", default="abcefgh", help="first letters of their names")
     parser.add_argument("--clocks", action="store_true", help="only moving arms with two clocks")
     kept.add_options(parser, "camera")
     given = parser.parse_args()
@@ -283,6 +306,7 @@ def main() -> None:
         ("/".join(map(str, entry)), entry)
         for run in range(given.runs)
         for name in SCENES
+        if name[0] in given.scenes
         for entry in [
             (name, list(ARMS)[run % 2], run // 2 % 2 == 0, (15, 25, 40)[run % 3], given.seed + run, given.opencv)
         ]

@@ -8,7 +8,7 @@ from test_camera_noise import MIDDLE, seen_by_hand
 
 from casadical import InputError, Measurements, identify
 from casadical.identification.accuracy import predicted
-from casadical.pose_selection.camera_stations import camera_stations
+from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
 
 
 def test_stations_see_the_board_and_more_of_them_promise_less_error() -> None:
@@ -37,6 +37,21 @@ def test_the_forecast_of_measured_stations_is_the_error_that_they_have() -> None
         if seed < 2:
             promised.append(camera_stations(found, 10).forecast["hand_eye_mm"][0])
     assert np.sqrt(np.mean(np.square(off))) == pytest.approx(np.mean(promised), rel=0.5)
+
+
+def test_of_a_nominal_arm_stations_are_planned_from_a_view() -> None:
+    """More noise promises more error, in proportion where the arm is nominal; the board is in the given view."""
+    robot, _, _ = seen_by_hand(12)
+    view = read_view("0.35,0.7,20,45")
+    planned = [camera_stations(simulated_stations(robot, view, sigma), 12, view=view) for sigma in (3e-4, 3e-3)]
+    assert planned[0].table.shape == (12, 6)
+    assert planned[0].visible == view
+    assert list(planned[0].forecast["stations"]) == [15, 10, 12, 15, 25, 40]
+    assert 2 * planned[0].forecast["place_mm"].iloc[-1] < planned[1].forecast["place_mm"].iloc[-1]
+    assert "simulated stations" in planned[0].blocks()[0].text
+    for wrong in ("0.5,0.3,20,45", "0.3,0.9,20", "a,b,c,d"):
+        with pytest.raises(InputError, match="two rising distances"):
+            read_view(wrong)
 
 
 def test_without_poses_of_a_camera_there_is_no_plan() -> None:
