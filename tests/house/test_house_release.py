@@ -6,13 +6,14 @@ import sys
 import tarfile
 import tomllib
 import zipfile
-from importlib.metadata import version
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 
 import pytest
 from command_line import ROOT
 
 import casadical
+from casadical.core.reporting import drawing
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 REPORTED = ("urdf", "xlsx", "plots", "report", "withheld", "mujoco")
@@ -106,3 +107,26 @@ def test_constraints_are_of_versions_that_are_allowed_and_no_newer_major_is() ->
         assert low <= pins[name] < high, name
         assert high == (pins[name][0] + 1,), f"{name}: allowed below {high}, tried with {pins[name]} only"
         assert numbers(version(name)) < high, f"{name}: the tests run with a version that is not allowed"
+
+
+def test_every_dependency_has_an_upper_bound() -> None:
+    for line in (*PROJECT["dependencies"], *(x for extra in PROJECT["optional-dependencies"].values() for x in extra)):
+        assert "<" in line or line.startswith("casadical["), line
+
+
+def test_messages_name_the_smallest_extra_with_the_missing_module() -> None:
+    """Each call of `optional`: the extra that its message names has the module's distribution, and little more."""
+    given = {extra: {re.split("[<>=]", x)[0] for x in xs} for extra, xs in PROJECT["optional-dependencies"].items()}
+    given, distributions = {k: v for k, v in given.items() if k not in ("dev", "docs")}, packages_distributions()
+    for path in (ROOT / "casadical").rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        hints = dict(re.findall(r"^ *(\w+) = (f?\".*\")$", text, re.MULTILINE))
+        calls = re.findall(r"(?<!def )\boptional\(\s*\"([\w.]+)\",\s*(\w+\b(?!\")|f?\".*?\")\s*\)", text)
+        assert len(calls) == len(re.findall(r"(?<!def )\boptional\(", text)), path
+        for module, said in calls:
+            hint = hints.get(said) or (drawing.MISSING_PLOTLY if said == "MISSING_PLOTLY" else said)
+            names = {name.lower() for name in distributions[module.partition(".")[0]]}
+            sizes = {extra: len(has) for extra, has in given.items() if names & has}
+            extra = "".join(re.findall(r"casadical\[(\w+)\]", hint))
+            told = all(x in hint for x in given[extra]) if sizes else f"pip install {names.pop()}" in hint
+            assert told or sizes[extra] == min(sizes.values()), (path, module, hint)
