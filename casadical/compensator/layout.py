@@ -48,7 +48,9 @@ class Layout:
         object.__setattr__(self, "periodic", tuple(sorted(int(joint) for joint in self.periodic)))
         if min((self.joints, self.outputs, *self.hidden)) < 1:
             raise InputError(f"every layer of a network needs at least one neuron, got {self}")
-        if len(set(self.periodic)) != len(self.periodic) or not set(self.periodic) <= set(range(self.joints)):
+        if len(set(self.periodic)) != len(self.periodic) or not all(
+            0 <= joint < self.joints for joint in self.periodic
+        ):
             raise InputError(f"periodic names joints 0 to {self.joints - 1}, each once; got {self.periodic}")
 
     @property

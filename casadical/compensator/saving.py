@@ -1,8 +1,9 @@
 """Compensators as files: versioned JSON with full precision and a sha256; no pickles."""
 
+import json
 import os
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -11,15 +12,46 @@ from casadical.compensator.checksummed_json import checksummed, read_checksummed
 from casadical.compensator.compensator import Compensator
 from casadical.compensator.layout import JointBox, Layout
 from casadical.compensator.network import Network
-from casadical.compensator.report import BeforeAfter, Errors
+from casadical.compensator.report import BeforeAfter
 from casadical.core.basics import InputError
 
 # Name of the file format, which is in each file.
 FILE_FORMAT = "casadical-compensator"
 # Version of the file format, which is in each file.
 FORMAT_VERSION = 1
-# Largest number of joints, layers, or neurons of a layer in a file.
-MAX_LAYER_SIZE = 1000
+# Fields of a compensator that are saved unchanged.
+_UNCHANGED_FIELDS = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")
+
+
+class _SavedNetwork(BaseModel):
+    """Schema of a `Network` in a file, without its layout."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    box_rad: JointBox
+    output_scale_mm: float = Field(gt=0)
+    weights: list[float]
+
+
+class _Saved(BaseModel):
+    """Schema of a saved compensator."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    layout: Layout
+    network: _SavedNetwork | None
+    trained_box_rad: JointBox
+    training: BeforeAfter
+    choice: BeforeAfter
+    validation: BeforeAfter | None
+    chosen_by: str
+    margin: float
+    trainer: str
+    settings: dict[str, Any]
+    note: str
+    seed: int
+    data_sha256: str
+    verdict: str
 
 
 def save_compensator(compensator: Compensator, path: str | os.PathLike[str]) -> None:
@@ -68,10 +100,22 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
     >>> casadical.compensator.load_compensator("net.json").helps == net.helps
     True
     """
-    body = read_checksummed(path, FILE_FORMAT, FORMAT_VERSION)
+    document = read_checksummed(path, FILE_FORMAT, FORMAT_VERSION)
+    body = {name: value for name, value in document.items() if name not in ("format", "version")}
     try:
-        _Saved.model_validate(body)
-        compensator = _compensator(body)
+        saved = _Saved.model_validate_json(json.dumps(body))
+        network = None
+        if (net := saved.network) is not None:
+            network = Network(saved.layout, net.box_rad, np.array(net.weights), net.output_scale_mm)
+        compensator = Compensator(
+            network=network,
+            layout=saved.layout,
+            trained_box=saved.trained_box_rad,
+            training=saved.training,
+            choice=saved.choice,
+            validation=saved.validation,
+            **{name: getattr(saved, name) for name in _UNCHANGED_FIELDS},
+        )
         _refuse_large(compensator)
         return compensator
     except ValidationError as error:
@@ -80,8 +124,6 @@ def load_compensator(path: str | os.PathLike[str]) -> Compensator:
         raise InputError(f"{path} does not hold a usable compensator: {place}: {fault['msg']}") from None
     except InputError as error:
         raise InputError(f"{path} does not hold a usable compensator: {error}") from None
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path} lacks a field of a compensator, or has a wrong one: {error!r}") from None
 
 
 def _refuse_large(found: Compensator) -> None:
@@ -105,100 +147,3 @@ def _refuse_large(found: Compensator) -> None:
             f"were {found.training.before.max_mm:.3g} mm at most; allowed: 10 times that; train it "
             "again"
         )
-
-
-class _Strict(BaseModel):
-    """Base of the tables of a saved compensator: no other keys, no conversions, finite numbers."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _SavedLayout(_Strict):
-    """Schema of a `Layout` in a file."""
-
-    joints: int = Field(ge=1, le=MAX_LAYER_SIZE)
-    hidden: list[Annotated[int, Field(ge=1, le=MAX_LAYER_SIZE)]] = Field(max_length=MAX_LAYER_SIZE)
-    outputs: int = Field(ge=1, le=MAX_LAYER_SIZE)
-    periodic: list[int]
-
-
-class _SavedBox(_Strict):
-    """Schema of a `JointBox` in a file [rad]."""
-
-    lower: list[float]
-    upper: list[float]
-
-
-class _SavedNetwork(_Strict):
-    """Schema of a `Network` in a file, without its layout."""
-
-    box_rad: _SavedBox
-    output_scale_mm: float = Field(gt=0)
-    weights: list[float]
-
-
-class _SavedErrors(_Strict):
-    """Schema of `Errors` in a file [mm]."""
-
-    poses: int = Field(ge=0)
-    mean_mm: float = Field(ge=0)
-    max_mm: float = Field(ge=0)
-    std_mm: float = Field(ge=0)
-
-
-class _SavedComparison(_Strict):
-    """Schema of a `BeforeAfter` in a file."""
-
-    before: _SavedErrors
-    after: _SavedErrors
-    gain: float
-    gain_error: float
-
-
-class _Saved(BaseModel):
-    """The keys and types of a saved compensator; `Compensator` and its parts check consistency."""
-
-    model_config = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
-
-    layout: _SavedLayout
-    network: _SavedNetwork | None
-    trained_box_rad: _SavedBox
-    training: _SavedComparison
-    choice: _SavedComparison
-    validation: _SavedComparison | None
-    chosen_by: str
-    margin: float
-    trainer: str
-    note: str
-    seed: int
-    data_sha256: str
-
-
-# Fields of a compensator that are saved unchanged.
-_UNCHANGED_FIELDS = ("chosen_by", "margin", "trainer", "settings", "note", "seed", "data_sha256")
-
-
-def _compensator(body: dict[str, Any]) -> Compensator:
-    """Return the compensator from the fields of a file, as of `_body`."""
-    layout = Layout(**body["layout"])
-    net = body["network"]
-    network = None
-    if net is not None:
-        network = Network(layout, _box(net["box_rad"]), np.array(net["weights"]), float(net["output_scale_mm"]))
-    return Compensator(
-        network=network,
-        layout=layout,
-        trained_box=_box(body["trained_box_rad"]),
-        training=_before_after(body["training"]),
-        choice=_before_after(body["choice"]),
-        validation=None if body["validation"] is None else _before_after(body["validation"]),
-        **{name: body[name] for name in _UNCHANGED_FIELDS},
-    )
-
-
-def _box(value: dict[str, Any]) -> JointBox:
-    return JointBox(tuple(value["lower"]), tuple(value["upper"]))
-
-
-def _before_after(value: dict[str, Any]) -> BeforeAfter:
-    return BeforeAfter(Errors(**value["before"]), Errors(**value["after"]), value["gain"], value["gain_error"])

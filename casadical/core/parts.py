@@ -516,9 +516,11 @@ def with_estimated_masses(robot: A) -> A:
     # Estimated mass of all moving links together, divided by the cube of the reach [kg/m^3].
     link_mass_per_cubed_reach = 10.0
     masses = link_mass_per_cubed_reach * robot.reach**3 * shares / shares.sum()
+    # The mass centre of a link is half way to the next link's origin, of the last one to the tool.
+    ends = [np.array([j.a, -np.sin(j.alpha) * j.d, np.cos(j.alpha) * j.d]) for j in robot.joints[1:]]
     joints = tuple(
-        replace(joint, body=Body(float(f"{mass:.3g}"), _middle(robot, i)))
-        for i, (joint, mass) in enumerate(zip(robot.joints, masses, strict=True))
+        replace(joint, body=Body(float(f"{mass:.3g}"), np.asarray(end / 2)))
+        for joint, mass, end in zip(robot.joints, masses, [*ends, robot.tool.T[:3, 3]], strict=True)
     )
     # Prior standard deviation of each estimated mass, divided by the mass.
     estimated_mass_prior_share = 2.0
@@ -526,14 +528,3 @@ def with_estimated_masses(robot: A) -> A:
     estimated_centre_prior_of_reach = 0.1
     width = BodyWidth(estimated_mass_prior_share, float(f"{estimated_centre_prior_of_reach * robot.reach:.2g}"))
     return replace(robot, joints=joints, masses="estimated", body_width=width)
-
-
-def _middle(robot: Arm, i: int) -> Array:
-    """Return the midpoint of the link of index i, from 0, in its frame, shape (3,) [m].
-
-    It is half way to the next link's origin or, for the last link, to the tool point.
-    """
-    if i + 1 == robot.n:
-        return np.asarray(robot.tool.T[:3, 3] / 2)
-    after = robot.joints[i + 1]
-    return np.array([after.a, -np.sin(after.alpha) * after.d, np.cos(after.alpha) * after.d]) / 2

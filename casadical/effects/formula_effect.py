@@ -412,21 +412,14 @@ def variable(context: Context, name: str, moments: dict[int, Symbolic] | None = 
     if name[0] == "m":
         link, composed = int(name[1:-1]), {} if moments is None else moments
         if link not in composed:
-            composed[link] = _moment(context, link) / context.peak_moment
+            # The moment about the link's origin in the link's frame; of link 0, the pedestal, about
+            # the first link's origin in the base frame.
+            moment = context.moment(max(link, 1))
+            moment = context.frames[link - 1][:3, :3].T @ moment if link else moment
+            composed[link] = moment / context.peak_moment
         return composed[link][axis]
     number = int(name.removeprefix("tau").removeprefix("q"))
     return context.load(number) if name.startswith("tau") else context.q[number - 1]
-
-
-def _moment(context: Context, link: int) -> Symbolic:
-    """Return the moment of the weight of a link and all after it, shape (3,) [N m].
-
-    It is about the origin of the link's frame (1-based) and in that frame; for link 0, the
-    pedestal, about the origin of the first link's frame and in the base frame.
-    """
-    if link == 0:
-        return context.moment(1)
-    return context.frames[link - 1][:3, :3].T @ context.moment(link)
 
 
 def grown_link(number: int, context: Context, growth: Symbolic) -> Symbolic:

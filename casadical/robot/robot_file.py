@@ -152,6 +152,11 @@ def to_toml(
     document = tomlkit.document()
     for line in comment.splitlines():
         document.add(tomlkit.comment(shown(line)))
+    # Bounds and priors that are not the default ones, by group.
+    width_units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
+    widths = {group: in_file_units(w, **width_units) for group, w in robot.widths.items() if w != WIDTHS[group]}
+    if robot.body_width != BodyWidth():
+        widths["body"] = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
     # Keys of a four-bar with their units in a file.
     four_bar_units = {"crank": "mm", "coupler": "mm", "rocker": "mm", "offset": "deg"}
     tables = {
@@ -165,7 +170,7 @@ def to_toml(
         "gravity": {"frame": robot.gravity_frame, "vector_m_per_s2": [float(g) for g in robot.gravity]},
         "payload": _body_table(robot.payload) if robot.payload else None,
         "drive": robot.drive.table() if robot.drive else None,
-        "width": _width_tables(robot),
+        "width": widths,
         "joint": [_joint_table(joint) for joint in robot.joints],
         "four_bar": [
             {"driven": f.driven, "carrier": f.carrier, **in_file_units(f, **four_bar_units)} for f in robot.loops
@@ -270,11 +275,3 @@ def readings_table(readings: Coupling, kind: str) -> dict[str, Any]:
     unit, to_unit = ("mm", _mm) if kind == "prismatic" else ("deg", _deg)
     offset = {f"offset_{unit}": to_unit(readings.at)} if readings.at else {}
     return {"readings": [[j, float(k)] for j, k in readings.follows], **offset}
-
-
-def _width_tables(robot: Robot) -> dict[str, Any]:
-    """Return bounds and priors that are not the default ones, by group, in mm and deg."""
-    of_bodies = {"mass_share": robot.body_width.share, "com_mm": _mm(robot.body_width.centre)}
-    units = {"length_bound": "mm", "angle_bound": "deg", "length_prior": "mm", "angle_prior": "deg"}
-    groups = {group: in_file_units(w, **units) for group, w in robot.widths.items() if w != WIDTHS[group]}
-    return groups | ({} if robot.body_width == BodyWidth() else {"body": of_bodies})

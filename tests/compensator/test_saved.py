@@ -50,7 +50,7 @@ def test_an_unchanged_copy_is_read(saved: Path, tmp_path: Path) -> None:
         (lambda b: b["network"].update(weights=[True] * len(b["network"]["weights"])), "valid number"),
         (lambda b: b["network"]["weights"].pop(), "weights; the array's shape"),
         (lambda b: b["layout"].update(hidden=[5.7]), "valid integer"),
-        (lambda b: b["layout"].update(hidden=[10**9]), "less than or equal"),
+        (lambda b: b["layout"].update(hidden=[10**9]), "weights"),
         (lambda b: b["layout"].update(joints=True), "valid integer"),
         (lambda b: b["network"]["box_rad"].update(lower=[0.0]), "box"),
         (lambda b: b["training"]["before"].update(max_mm="large"), "valid number"),

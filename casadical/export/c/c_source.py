@@ -91,6 +91,14 @@ def _values(program: TapeProgram) -> dict[str, str]:
     """Return values of the placeholders that every C template may use, by key."""
     real, command, network = program.real, program.command, program.network
     double = real == "double"
+    product, box = program.product, ""
+    for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
+        degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
+        box += f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n"
+    lines = [" Notes of the robot file:"]
+    for note in command.notes if command else ():  # which cannot terminate the comment
+        safe = note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
+        lines += wrap(safe, 110, initial_indent="  - ", subsequent_indent="    ")
     # values of FLT_EVAL_METHOD at which arithmetic in this type is not evaluated in a wider one
     methods = (0, 1, 16, 32, 64) if double else (0, 16, 32)
     values = {
@@ -103,9 +111,9 @@ def _values(program: TapeProgram) -> dict[str, str]:
         "bits": "binary64" if double else "binary32",
         "n": str(program.n),
         "steps": str(command.steps if command else 0),
-        "box": _box_text(program.product),
+        "box": box,
         "joint_units": joint_units(program.product),
-        "notes": _notes(command.notes) if command else "",
+        "notes": "".join(f" *{line}\n" for line in lines) + " *\n" if len(lines) > 1 else "",
         "wider": " && ".join(f"(FLT_EVAL_METHOD != {m})" for m in methods),
         "MANT_DIG": "DBL_MANT_DIG" if double else "FLT_MANT_DIG",
         "mant_dig": "53" if double else "24",
@@ -152,48 +160,23 @@ def _command_values(command: Command, program: TapeProgram) -> dict[str, str]:
         # The header is read by C++ before 17 too, which has no hexadecimal floating constants.
         # The decimal constant gives the same number when it is read back.
         values[f"{key}_decimal"] = repr(float(NUMPY_TYPE[real](numbers[key]))) + ("F" if real == "float" else "")
-    return values | {
-        "pose_text": pose,
-        "freedom": _freedom(command),
-        "damping2": f"{limits.damping**2:.6g}",
-        "tolerance_mm": f"{limits.tolerance_mm:.6g}",
-    }
-
-
-def _freedom(command: Command) -> str:
-    """Return lines of a C comment on directions in which the joints cannot move or rotate the tool.
-
-    They are "" if there are none.
-    """
     moved, turned = command.freedom
     words = [f"in {moved} of 3 directions"] if moved < 3 else []
     if residual_size(command) == 6 and turned < 3:
         words += [f"turned in {turned} of 3 directions as near as can be, the position first"]
-    return f",\n * {', '.join(words)}: the joints reach no more, and the status is of these" if words else ""
+    unreached = f",\n * {', '.join(words)}: the joints reach no more, and the status is of these" if words else ""
+    return values | {
+        "pose_text": pose,
+        "freedom": unreached,
+        "damping2": f"{limits.damping**2:.6g}",
+        "tolerance_mm": f"{limits.tolerance_mm:.6g}",
+    }
 
 
 def joint_units(product: Product) -> str:
     """Return the units of the joint readings, in words."""
     linear = [f"q[{i}]" for i, unit in enumerate(product.units) if unit == "m"]
     return f"radians, {', '.join(linear)} in metres" if linear else "radians"
-
-
-def _box_text(product: Product) -> str:
-    """Return lines of a C comment with the range of each joint reading, in rad and deg or in m."""
-    text = ""
-    for i, (low, high, unit) in enumerate(zip(product.lower, product.upper, product.units, strict=True)):
-        degrees = f"  ({np.rad2deg(low):.6g} to {np.rad2deg(high):.6g} deg)" if unit == "rad" else " m"
-        text += f" *   q[{i}]  {low:.9g} to {high:.9g}{degrees}\n"
-    return text
-
-
-def _notes(notes: tuple[str, ...]) -> str:
-    """Return the notes of the robot file as lines of a C comment, which they cannot terminate."""
-    lines = [" Notes of the robot file:"]
-    for note in notes:
-        safe = note.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *")
-        lines += wrap(safe, 110, initial_indent="  - ", subsequent_indent="    ")
-    return "".join(f" *{line}\n" for line in lines) + " *\n" if notes else ""
 
 
 # Random seed of the test vectors, fixed so that exports are reproducible.

@@ -104,17 +104,6 @@ def _bound(node: Node, args: list[Interval], box: list[Interval], real: Real) ->
     return _INTERVAL_RULES[node.op](*args)
 
 
-def _widened(interval: Interval, real: Real) -> Interval:
-    """Return an interval widened by the rounding errors of one operation in the real type.
-
-    It is the whole real line where the operation could overflow.
-    """
-    c = COEFFICIENTS[real]
-    share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
-    low, high = (v - abs(v) * share * s - c.smallest * s for v, s in zip(interval, (1.0, -1.0), strict=True))
-    return (low, high) if low >= -c.largest and high <= c.largest else _REAL_LINE
-
-
 def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]:
     """Return bounds of the result of every node of a tape, for inputs within a box.
 
@@ -123,11 +112,16 @@ def bounds(tape: Tape, lower: Array, upper: Array, real: Real) -> list[Interval]
     lower, upper : ends of the box of inputs, shape (n_in,)
     """
     intervals: list[Interval] = []
+    largest, smallest = COEFFICIENTS[real].largest, COEFFICIENTS[real].smallest
+    share = 2.0**-21 if real == "float" else 2.0**-50  # at least four roundings
     box = [(float(a), float(b)) for a, b in zip(lower, upper, strict=True)]
     for node in tape.nodes:
         exact = _bound(node, [intervals[a] for a in node.args], box, real)
-        keep = node.op in _EXACT_OPERATIONS or (node.op == "mul" and exact == (0.0, 0.0))
-        intervals.append(exact if keep else _widened(exact, real))
+        if not (node.op in _EXACT_OPERATIONS or (node.op == "mul" and exact == (0.0, 0.0))):
+            low, high = (v - abs(v) * share * s - smallest * s for v, s in zip(exact, (1.0, -1.0), strict=True))
+            # Where the operation could overflow, nothing is known of its result.
+            exact = (low, high) if low >= -largest and high <= largest else _REAL_LINE
+        intervals.append(exact)
     return intervals
 
 

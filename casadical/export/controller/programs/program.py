@@ -361,8 +361,13 @@ def correct_file(
     if not accuracy_off:
         refuse_accuracy(read.source, read.targets)
     result = corrected_program(read, cell)
-    said = [_stated(model)] if folder else [f"LEFT OUT {line}" for line in followed(sources)[1]]
-    if not folder:
+    if folder:
+        figures, said = Manifest.read(model).figures, ["remaining error: not measured"]
+        median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
+        if median is not None and worst is not None:
+            said = [f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"]
+    else:
+        said = [f"LEFT OUT {line}" for line in followed(sources)[1]]
         robot = robot_of(sources.robot)
         said += filter(None, [poses_of(robot) if oriented else "", unreached(robot)])
         said += measured_range(robot)
@@ -385,15 +390,3 @@ def _transforms(language: ProgramLanguage, option: str, entries: Sequence[str]) 
     if twice := next((text for name, (_, text) in zip(names, pairs, strict=True) if names.count(name) > 1), ""):
         raise InputError(f"{option} {twice}: one of this name is given twice; keep one")
     return {name: language.transform(option, numbers) for name, (_, numbers) in zip(names, pairs, strict=True)}
-
-
-def _stated(folder: Path) -> str:
-    """Return a sentence on the position error [um] that a correction leaves, from its manifest.
-
-    folder : exported folder, at whose export the error was measured
-    """
-    figures = Manifest.read(folder).figures
-    median, worst = figures.get("rest_um_median"), figures.get("rest_um_worst")
-    if median is None or worst is None:
-        return "remaining error: not measured"
-    return f"remaining error, measured at export on random poses: median {median:g} um, worst {worst:g} um"
