@@ -193,7 +193,8 @@ def _channel(words: Sequence[str]) -> str:
     said = {*words}
     channel = next((name for name, telling in _QUANTITIES.items() if said & telling), "")
     if said & _COMMANDED:
-        return {"position": "command", "speed": "command_speed"}.get(channel, "")
+        alone = "command" if said <= _COMMANDED | WORDS["joint"] else ""  # "elbow command"
+        return {"position": "command", "speed": "command_speed", "": alone}.get(channel, "")
     return channel
 
 

@@ -29,6 +29,9 @@ from casadical.measurements.logs.log import CHANNELS, JointLog
 from casadical.measurements.logs.systems import LEROBOT_CHANNELS, SAGE_STATE_FILE, bag, is_bag, lerobot, sage
 from casadical.measurements.raw_table import plain_headings, read_table
 
+# Channels whose unit contains an angle or a length.
+MOTION_CHANNELS = {"position", "command", "speed", "command_speed"}
+
 
 def read_log(
     path: str | Path,
@@ -52,7 +55,8 @@ def read_log(
     path = Path(path)
     if robot and robot.drive:
         unit, effort = unit or robot.drive.log_angles, effort or robot.drive.log_effort
-    log = _logged(path, [joint.name for joint in robot.joints if joint.name] if robot else [], unit)
+    names = [name for j in robot.joints for name in (j.name, j.leader[0] if j.leader else "")] if robot else []
+    log = _logged(path, [name for name in names if name], unit)
     if effort == "current" and "torque" in log.channels:
         channels = {("current" if name == "torque" else name): columns for name, columns in log.channels.items()}
         log = replace(log, channels=channels, notes=tuple(n for n in log.notes if "effort is read" not in n))
@@ -141,6 +145,8 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
             none = np.full(len(log.time), np.nan)
             arrays[channel] = np.column_stack([columns.get(key, none) for key in keys])[used]
             lost = np.isnan(arrays[channel]).all(axis=0)
+            if channel in MOTION_CHANNELS:  # readings of coupled joints are computed
+                lost &= np.array([key != "" for key in keys])
             # The diagnosis needs commands, torques and currents of all joints of a robot, or of
             # none.
             driven = channel in ("command", "torque", "current")
@@ -153,6 +159,19 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
     if "position" not in arrays:
         raise InputError(f"{log.source}: the positions of the robot's joints have no number in any row")
     notes += _into_si(log, keys, arrays, kinds, unit, robot)
+    for k, joint in enumerate(robot.joints if robot else ()):
+        if joint.leader and _plain(keys[k]) == _plain(joint.leader[0]) != _plain(joint.name):
+            for channel in MOTION_CHANNELS & {*arrays}:
+                offset = joint.leader[3] * (channel in ("position", "command"))
+                arrays[channel][:, k] = joint.leader[2] * arrays[channel][:, k] + offset
+            notes += (f"{joint.name} as {keys[k]}, which it mimics",)
+    if robot is not None and "" in keys:
+        for channel in MOTION_CHANNELS & {*arrays}:
+            made, still = robot.coupled(arrays[channel]), robot.coupled(np.zeros((1, robot.n)))
+            led = made if channel in ("position", "command") else made - still
+            arrays[channel] = np.where([key == "" for key in keys], led, arrays[channel])
+        lacking = ", ".join(name for name, key in zip(names, keys, strict=True) if not key)
+        notes += (f"{lacking}: not in the log, and computed from the joints that it follows",)
     if robot is not None and robot.counts_otherwise:
         A = robot.reading_map[0]
         for channel in ("position", "command"):
@@ -171,7 +190,8 @@ def assembled(log: Logged, robot: Arm | None, unit: str | None = None) -> JointL
 def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...], tuple[str, ...]]:
     """Return the log's names (keys) of the joints, the robot's names, sentences on dropped joints.
 
-    Both lists are in the robot's order. Raises InputError where the log lacks a joint.
+    Both lists are in the robot's order; the name of a coupled joint that the log lacks is empty.
+    Raises InputError where the log lacks another joint.
     """
     there = list(log.channels["position"])
     numbered = all(is_number(key) for key in there)
@@ -180,7 +200,11 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
     if robot is None:
         return there, tuple(f"joint {int(k) + ('0' in there)}" if is_number(k) else k for k in there), ()
     own = [joint.name or f"joint {i}" for i, joint in enumerate(robot.joints, 1)]
-    keys = there[: robot.n] if numbered else _by_name(there, own)
+    free = [joint.coupling is None for joint in robot.joints]
+    if numbered and sum(free) == len(there) < robot.n:
+        keys = [there[sum(free[:i])] if alone else "" for i, alone in enumerate(free)]
+    else:
+        keys = there[: robot.n] if numbered else _by_name(there, robot)
     if len(keys) < robot.n:
         raise InputError(
             f"{log.source}: positions of {len(there)} joints ({', '.join(there)}), the robot "
@@ -192,18 +216,23 @@ def _joints(log: Logged, robot: Arm | None) -> tuple[list[str], tuple[str, ...],
     return keys, tuple(own), (f"{said} and were left out",) if unread else ()
 
 
-def _by_name(there: Sequence[str], own: Sequence[str]) -> list[str]:
+def _by_name(there: Sequence[str], robot: Arm) -> list[str]:
     """Return the log's name of each of the robot's joints, fewer where one is missing.
 
-    there : the log's names; own : the robot's. Where no name fits, the joints are taken in order.
+    Where no name fits, the joints are taken in order. The name of a joint that follows others is
+    empty where the log lacks it; of one with a leader outside of the chain it may be the leader's.
     """
+    keys_of, keys = {_plain(key): key for key in there}, []
+    for i, joint in enumerate(robot.joints, 1):
+        names = (joint.name or f"joint {i}", joint.leader[0] if joint.leader else "")
+        key = next((keys_of[_plain(name)] for name in names if _plain(name) in keys_of), "")
+        keys += [key] if key or joint.coupling else []
+    return keys if any(keys) else list(there[: robot.n])
 
-    def plain(name: str) -> str:
-        return re.sub(r"[\W_]+|joint", "", name.casefold())
 
-    keys_of = {plain(key): key for key in there}
-    keys = [keys_of[plain(name)] for name in own if plain(name) in keys_of]
-    return keys if len(keys) == len(own) or keys else list(there[: len(own)])
+def _plain(name: str) -> str:
+    """Return a joint's name without signs, capitals and the word joint."""
+    return re.sub(r"[\W_]+|joint", "", name.casefold())
 
 
 def _kinds(log: Logged, keys: Sequence[str], robot: Arm | None) -> tuple[str, ...]:
@@ -290,16 +319,14 @@ def _into_si(
     given : unit of angles that is declared, None: it is inferred from their size
     """
     guessed: dict[str, list[str]] = {}
-    # Channels whose unit contains an angle or a length.
-    motion_channels = ("position", "command", "speed", "command_speed")
     for channel, values in arrays.items():
         for k, key in enumerate(keys):
             unit = log.units.get((channel, key), "")
-            if not unit and channel in motion_channels and kinds[k] == "revolute":
+            if not unit and channel in MOTION_CHANNELS and kinds[k] == "revolute":
                 unit = given or _angle_unit(log, channel, keys)
                 if not given:
                     guessed.setdefault(unit, []).append(f"{channel} {key}")
-            if unit == "percent" and channel in motion_channels:
+            if unit == "percent" and channel in MOTION_CHANNELS:
                 values[:, k] = _of_range(values[:, k], robot, k, channel, log.source)
             else:
                 values[:, k] *= SI_FACTORS.get(unit, 1.0)

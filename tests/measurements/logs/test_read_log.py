@@ -9,6 +9,7 @@ import pytest
 from casadical import InputError, Joint, Robot
 from casadical.measurements.logs.log import JointLog
 from casadical.measurements.logs.reading import is_log, read_log
+from casadical.robot.urdf import read_urdf
 
 T = np.arange(400) / 100
 Q = np.column_stack([0.5 * np.sin(T), 1.0 + 0.3 * np.cos(2 * T)])
@@ -237,3 +238,41 @@ def test_headings_as_people_write_them(columns, tmp_path) -> None:
     log = read_log(tmp_path / "log.csv", ARM)
     assert log.position == pytest.approx(Q)
     assert log.current == pytest.approx(np.column_stack([T, -T]))
+
+
+URDF = """<robot name="m"><link name="base"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="thumb"/>
+<link name="finger"/>{joints}</robot>"""
+
+
+def urdf_joint(name, parent, child, mimic=""):
+    ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>'
+    limit = '<limit lower="-2" upper="2" effort="9" velocity="3"/>'
+    return f'<joint name="{name}" type="revolute">{ends}{limit}{mimic}</joint>'
+
+
+@pytest.mark.parametrize("numbered", [False, True])
+def test_joints_that_mimic_others_need_no_column(numbered, tmp_path) -> None:
+    """The wrist mimics a joint of the chain, the finger one beside it; what they would read is computed by hand."""
+    joints = urdf_joint("pan", "base", "l1") + urdf_joint("lift", "l1", "l2")
+    joints += urdf_joint("wrist", "l2", "l3", '<mimic joint="lift" multiplier="-1" offset="0.1"/>')
+    joints += urdf_joint("grip", "l3", "thumb")
+    if not numbered:
+        joints += urdf_joint("finger_joint", "l3", "finger", '<mimic joint="grip" multiplier="-2" offset="0.05"/>')
+    (tmp_path / "m.urdf").write_text(URDF.format(joints=joints))
+    robot = read_urdf(tmp_path / "m.urdf", tip_link="l3" if numbered else "finger")
+    t = np.arange(0, 5, 0.02)
+    pan, lift, grip = (0.3 * np.sin((k + 1) * t) for k in range(3))
+    said = [("1", pan), ("2", lift)] if numbered else [("pan", pan), ("lift", lift), ("grip", grip)]
+    columns = {"time_s": t}
+    for joint, q in said:
+        columns |= {f"q{joint}_rad" if numbered else f"{joint} position rad": q}
+        columns |= {f"command{joint}_rad" if numbered else f"{joint} command rad": q + 0.01}
+        columns |= {f"v{joint}_rad_s" if numbered else f"{joint} velocity rad/s": np.gradient(q, t)}
+    pd.DataFrame(columns).to_csv(tmp_path / "log.csv", index=False)
+    log = read_log(tmp_path / "log.csv", robot)
+    wanted = [pan, lift, 0.1 - lift, *([] if numbered else [0.05 - 2 * grip])]
+    np.testing.assert_allclose(log.position, np.column_stack(wanted), atol=1e-12)
+    factor = np.array([1, 1, -1, -2])[: robot.n]
+    np.testing.assert_allclose(log.command - log.position, 0.01 * np.tile(factor, (len(t), 1)), atol=1e-12)
+    np.testing.assert_allclose(log.speed, np.gradient(np.column_stack(wanted), t, axis=0), atol=1e-9)
+    assert any("wrist: not in the log, and computed" in text for text in log.findings)
