@@ -30,31 +30,31 @@ INDEPENDENT_SAMPLE_SHARE = 0.05
 # Tried Stribeck curves: speed, divided by the joint's 99 % speed, and exponent.
 STRIBECK_CURVES = tuple(product((0.05, 0.15, 0.4), (1, 2)))
 MAX_ROWS = 20_000  # of longer logs every k-th row is used
-MIN_MOVING_SHARE = 0.05  # of a joint that moves in a smaller fraction of the rows, all rows count
 # A law predicts held-out rows better if its misfit is lower by this fraction.
 MIN_MISFIT_DECREASE = 0.02
 NAMED_PROBABILITY = 0.95  # laws that together have this probability are reported
 # Columns of each joint: constant, rotor, dry and viscous friction, and dry friction times the mean of
-# motor torque and load, the motor torque, and the load; then six for each Stribeck curve.
-OFFSET, ROTOR, DRY, VISCOUS, CURVED, LOAD, MOTOR, EXTERNAL, N_COLUMNS = range(9)
-N_SLOW_COLUMNS = 6
-_BODIES, _COULOMB = (OFFSET, ROTOR), (OFFSET, ROTOR, DRY, VISCOUS, CURVED)
+# motor torque and load, the motor torque, and the load.
+JOINT_COLUMNS = ("constant", "rotor", "dry", "viscous", "curved", "mean", "motor", "load")
+# Columns of each joint and Stribeck curve, which vanish above its speed. Squared is the smaller of
+# load and motor torque.
+SLOW_COLUMNS = ("slow", "slow_mean", "slow_motor", "slow_load", "slow_load_squared", "slow_motor_squared")
 # Columns of the models whose errors are reported beside those of the laws.
-MODELS: Mapping[str, Sequence[int]] = {
-    "fitted bodies": _BODIES,
-    "and friction": _COULOMB,
-    "and friction that grows with load": (*_COULOMB, LOAD),
+MODELS: Mapping[str, str] = {
+    "fitted bodies": "constant rotor",
+    "and friction": "constant rotor dry viscous curved",
+    "and friction that grows with load": "constant rotor dry viscous curved mean",
 }
-# Columns of each law, and those that vanish above a Stribeck speed, from 0: dry friction, the same
-# times mean, motor torque and load, and the squares of load and motor torque, the smaller of both.
-LAWS: Mapping[str, tuple[Sequence[int], Sequence[int]]] = {
-    "M1 Coulomb": (_COULOMB, ()),
-    "M2 Stribeck": (_COULOMB, (0,)),
-    "M3 load": ((*_COULOMB, LOAD), ()),
-    "M4 Stribeck, load": ((*_COULOMB, LOAD), (0, 1)),
-    "M5 directional": ((*_COULOMB, MOTOR, EXTERNAL), (0, 2, 3)),
-    "M6 quadratic": ((*_COULOMB, MOTOR, EXTERNAL), (0, 2, 3, 4, 5)),
-    "loss ~ torque": ((*_BODIES, VISCOUS, CURVED, MOTOR), ()),
+# Columns of each law.
+LAWS: Mapping[str, str] = {
+    "M1 Coulomb": "constant rotor dry viscous curved",
+    "M2 Stribeck": "constant rotor dry viscous curved slow",
+    "M3 load": "constant rotor dry viscous curved mean",
+    "M4 Stribeck, load": "constant rotor dry viscous curved mean slow slow_mean",
+    "M5 directional": "constant rotor dry viscous curved motor load slow slow_motor slow_load",
+    "M6 quadratic": "constant rotor dry viscous curved motor load slow slow_motor slow_load "
+    "slow_load_squared slow_motor_squared",
+    "loss ~ torque": "constant rotor viscous curved motor",
 }
 
 
@@ -148,12 +148,12 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     # would be mistaken for friction that falls with speed.
     slides, kernel = (m.rest == 0) & (np.abs(slip) > 0.99), np.ones(2 * round(SMOOTHING_WIDTH_S / m.step / 2) + 1)
     moves = m.by_run(lambda part: smoothed(1.0 * part, kernel / len(kernel)) > 0.999, slides)
-    moves |= moves.mean(axis=0) < MIN_MOVING_SHARE
+    moves |= moves.mean(axis=0) < 0.05  # of a joint that hardly moves all rows count
     if floor:
         moves &= (floor.above(m.position) > CONTACT_MARGIN_M)[:, None]
     starts = {r: np.flatnonzero(m.run == r) for r in np.unique(m.run)}
     third = np.concatenate([(WITHHELD_THIRDS * np.arange(len(at))) // len(at) for at in starts.values()])
-    own, scale = N_COLUMNS + N_SLOW_COLUMNS * len(STRIBECK_CURVES), SIGMA_FRICTION * peak
+    own, scale = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * len(STRIBECK_CURVES), SIGMA_FRICTION * peak
     rows = slice(None, None, 1 + len(m.q) // MAX_ROWS)
     every = (m.v, m.a / (np.abs(m.a).max(axis=0) + 1e-9), slip, moves, third, torque - arm.rotor * m.a)
     v, a, slip, moves, third, torque = (values[rows] for values in every)
@@ -162,8 +162,8 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     def sums_of(friction: Array) -> tuple[Array, Array]:
         """Return sums of products of all columns in each third, (thirds, joints, n, n), and counts.
 
-        friction : coefficients by which friction adds to the motor torque, by columns from `DRY` to
-            `LOAD`, (joints, 4)
+        friction : coefficients by which friction adds to the motor torque, of dry, viscous and
+            curved friction and of that which grows with load, (joints, 4)
         """
         sums, counts = np.zeros(0), np.zeros((WITHHELD_THIRDS, n))
         for k in range(0, len(v), REGRESSOR_BLOCK_SAMPLES):
@@ -171,7 +171,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
             speed, dry, bodies = v[s] / fast, slip[s], Y[s] @ arm.inertial
             plain = [np.ones_like(dry), a[s], dry, speed, speed * np.abs(speed)]
             load = np.abs(bodies)
-            terms = zip(friction.T, [*plain[DRY:], dry * load / peak], strict=False)
+            terms = zip(friction.T, [*plain[2:], dry * load / peak], strict=False)
             made = bodies + scale * sum((x * column for x, column in terms), np.zeros_like(dry))
             motor, load = np.abs(made) / peak, load / peak
             columns = [*plain, dry * (motor + load) / 2, dry * motor, dry * load]
@@ -202,27 +202,27 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
             square += np.einsum("ja,jab,jb->j", x, sums[part], x)
         return np.asarray(np.sqrt(np.maximum(square, 0) / total))
 
-    def at(law: str) -> list[list[int]]:
-        """Return the columns of a law, for each tried Stribeck curve."""
-        fixed, slow = LAWS[law]
-        return [
-            [*fixed, *(N_COLUMNS + N_SLOW_COLUMNS * k + c for c in slow)]
-            for k in range(len(STRIBECK_CURVES) if slow else 1)
-        ]
+    def at(text: str) -> list[list[int]]:
+        """Return the columns that a text names, for each tried Stribeck curve if some are slow."""
+        words = text.split()
+        fixed, slow = ([names.index(w) for w in words if w in names] for names in (JOINT_COLUMNS, SLOW_COLUMNS))
+        starts = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * np.arange(len(STRIBECK_CURVES) if slow else 1)
+        return [fixed + [int(start) + c for c in slow] for start in starts]
 
     sigma = alone + 1e-9 * peak
     for _ in range(2):
-        x, _ = _solved(sums.sum(axis=0), own, MODELS["and friction that grows with load"], sigma)
-        sums, _ = sums_of(x[:, -1 - own :][:, DRY : LOAD + 1])
-        sigma = np.min([held_out(columns, sigma) for columns in at("M6 quadratic")], axis=0) + 1e-9 * peak
+        (columns,) = at(LAWS["M3 load"])
+        x, _ = _solved(sums.sum(axis=0), own, columns, sigma)
+        sums, _ = sums_of(x[:, -1 - own :][:, columns[2:]])
+        sigma = np.min([held_out(columns, sigma) for columns in at(LAWS["M6 quadratic"])], axis=0) + 1e-9 * peak
     models = {"the file's bodies": alone}
-    for name, columns in MODELS.items():
-        models[name] = held_out(columns, list(models.values())[-1])
+    for name, text in MODELS.items():
+        models[name] = held_out(at(text)[0], list(models.values())[-1])
     evidence, laws = {}, {}
-    for law in LAWS:
-        each = [_solved(sums.sum(axis=0), own, columns, sigma)[1] for columns in at(law)]
+    for law, text in LAWS.items():
+        each = [_solved(sums.sum(axis=0), own, columns, sigma)[1] for columns in at(text)]
         evidence[law] = float(np.logaddexp.reduce(each) - np.log(len(each)))
-        laws[law] = held_out(at(law)[first_of_best(each, logs=True)], sigma)
+        laws[law] = held_out(at(text)[first_of_best(each, logs=True)], sigma)
     total_evidence = float(np.logaddexp.reduce(list(evidence.values())))
     probability = {law: float(np.exp(e - total_evidence)) for law, e in evidence.items()}
     misfit = {law: float((counts.sum(axis=0) * (rms / sigma) ** 2).sum()) for law, rms in laws.items()}

@@ -256,8 +256,7 @@ def test_joints_that_mimic_others_need_no_column(numbered, tmp_path) -> None:
     joints = urdf_joint("pan", "base", "l1") + urdf_joint("lift", "l1", "l2")
     joints += urdf_joint("wrist", "l2", "l3", '<mimic joint="lift" multiplier="-1" offset="0.1"/>')
     joints += urdf_joint("grip", "l3", "thumb")
-    if not numbered:
-        joints += urdf_joint("finger_joint", "l3", "finger", '<mimic joint="grip" multiplier="-2" offset="0.05"/>')
+    joints += urdf_joint("finger_joint", "l3", "finger", '<mimic joint="grip" multiplier="-2" offset="0.05"/>')
     (tmp_path / "m.urdf").write_text(URDF.format(joints=joints))
     robot = read_urdf(tmp_path / "m.urdf", tip_link="l3" if numbered else "finger")
     t = np.arange(0, 5, 0.02)
