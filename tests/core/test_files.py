@@ -112,8 +112,12 @@ def test_a_link_is_followed_and_a_pipe_is_written_into(tmp_path: Path) -> None:
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_is_said_and_nothing_is_changed(tmp_path: Path) -> None:
     (tmp_path / "a").write_text("before")
-    with pytest.raises(InputError, match=r"/dev/full: cannot be written: No space left on device; nothing was written"):
-        write_together({tmp_path / "a": "after", Path("/dev/full"): "x"})
+    new, told = (
+        tmp_path / "new" / "results",
+        "/dev/full: cannot be written: No space left on device; nothing was written",
+    )
+    with pytest.raises(InputError, match=told), claimed([new]):
+        write_together({tmp_path / "a": "after", new / "b": "x", Path("/dev/full"): "x"})
     assert (tmp_path / "a").read_text() == "before"
     assert stat.S_ISCHR(Path("/dev/full").stat().st_mode)
     assert [p.name for p in tmp_path.iterdir()] == ["a"]

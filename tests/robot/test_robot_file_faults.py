@@ -61,9 +61,9 @@ FAULTS = {
         row2("a_mm = 300\nstiffness_Nm_per_rad = 2e5\ncompliant = false"),
         ["joint[2].compliant = false", "leave one of the two out"],
     ),
-    "a gain that drives away": (
-        before_tool("[drive]\nkp_Nm_per_rad = [1, -5]"),
-        ["1 fault\n  drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0"],
+    "a gain that drives away, a clock that none has": (
+        before_tool("[drive]\nkp_Nm_per_rad = [1, -5]\nlog_rate_Hz = 1e99"),
+        ["drive.kp_Nm_per_rad[2] = -5: must be greater than or equal to 0", "log_rate_Hz = 1e+99: must be less than"],
     ),
     "one name for two joints": (
         ("[[joint]]\n", '[[joint]]\nname = "a"\n[[joint]]\nname = "a"\n'),

@@ -97,15 +97,40 @@ def _gauss_newton(model, data: Data, steps: int = 20):
     raise RuntimeError(f"no convergence in {steps} steps")
 
 
+def start(data: Data):
+    """Model of the nominal arm with base frame and tool point in closed form."""
+    R_base, t_base, tool = frames_start(data)
+    first = rigid(np.zeros(3), np.array([0, 0, NOMINAL_DH[0, 3]]))
+    base = np.block([[R_base, t_base[:, None]], [np.zeros((1, 3)), 1.0]]) @ first
+    dh = data.dh.copy()
+    dh[0] = 0.0
+    return base, dh, np.zeros(6), tool
+
+
+class Told:
+    """The same problem for a solver that is told the 27 parameters: residuals and Jacobian of a step from the start."""
+
+    def __init__(self, data: Data) -> None:
+        self.data, self.start, self.evaluations = data, start(data), 0
+
+    def __call__(self, step):
+        """Residuals (3n,) [m] and their Jacobian (3n, 27) at a step (27,) from the start."""
+        self.evaluations += 1
+        model, columns = _apply(self.start, step), []
+        p = _positions(model, self.data.q, columns)
+        return (p - self.data.p.T).ravel(), _jacobian(p, model[0], columns).reshape(-1, p.size).T
+
+    def predicted(self, clock, step):
+        """Predicted positions (m, 3) [m] of the held-out poses, with notes for the table."""
+        clock.note("parameters", N_IDENTIFIABLE)
+        clock.note("evaluations", self.evaluations)
+        return _positions(_apply(self.start, step), self.data.q_held_out).T
+
+
 def contend(data, clock):
     """Predicted positions (m, 3) [m] of the held-out poses."""
     with clock("solve"):
-        R_base, t_base, tool = frames_start(data)
-        first = rigid(np.zeros(3), np.array([0, 0, NOMINAL_DH[0, 3]]))
-        base = np.block([[R_base, t_base[:, None]], [np.zeros((1, 3)), 1.0]]) @ first
-        dh = data.dh.copy()
-        dh[0] = 0.0
-        model, steps = _gauss_newton((base, dh, np.zeros(6), tool), data)
+        model, steps = _gauss_newton(start(data), data)
     clock.note("parameters", N_IDENTIFIABLE)
     clock.note("iterations", steps)
     return _positions(model, data.q_held_out).T
