@@ -156,7 +156,7 @@ class ArmOrCamera(Shown):
     moved: Moved | None = field(metadata=WRITTEN)
     ratios: CameraNoise = field(metadata=WRITTEN)
     sigmas: tuple[float, float]
-    sure: CameraErrors | None = field(default=None, metadata=WRITTEN)
+    sure: CameraErrors | None = None
 
     @property
     def _sides(self) -> tuple[bool | None, bool | None]:
