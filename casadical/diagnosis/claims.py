@@ -78,7 +78,9 @@ def _given_others(state: State, k: int, *, first: bool = False) -> Step:
     if not others and not first:
         return step
     label = step.labels[0]
-    ranking = state.rank(others, keep=label if state.by_label[label].together else "")
+    own = state.by_label[label]
+    later = getattr(own.variants[0][0], "event", 1) > 1
+    ranking = state.rank(others, keep=label if own.together or later else "")
     alike = indistinguishable(ranking, [label, *(c for c in state.listed(ranking) if c != label)])
     certain = ranking.none <= SETTINGS.max_p_nothing_further and len(alike) == 1
     return replace(step, ranking=ranking, labels=(label,) if certain else alike[: max(2, len(alike))])

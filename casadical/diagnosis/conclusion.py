@@ -54,8 +54,10 @@ def conclude(
         """
         last = state.rankings[-1]
         noise = last.noise["" if end == "none" else last.order[0]]
-        # A form that gains little beside what the causes gain may be a flaw of their equations.
-        form = last.noise_form if last.log_noise > SETTINGS.max_flaw * state.log_gain else ""
+        # A form that gains little beside what the causes gain may be a flaw of their equations; one that
+        # would not be detected as a cause is none.
+        least = max(SETTINGS.max_flaw * state.log_gain, -float(np.log(SETTINGS.max_p_nothing_further)))
+        form = last.noise_form if last.log_noise > least else ""
         account = account_of(case, columns, noise, repeated, form)
         return noise, account, noise_floor(case.evidence, noise, account.anchor, seed)
 
@@ -65,6 +67,7 @@ def conclude(
         state, end = richer, "unknown"
         noise, account, floor = noise_of(state, end)
     after = partitioned_errors(case.evidence, columns, noise, seed) if state.steps else before
+    account = account.unless_small(float(before.mean() / after.mean())) if state.steps else account
     error, distance = errors_and_distances(case.whole, columns, noise, case.inliers)
     causes = [_cause(state, step, before, seed) for step in state.steps]
     # Where a joint also scatters, its cause and something else that drives it are equally probable.

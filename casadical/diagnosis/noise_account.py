@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from math import floor, log
-from typing import ClassVar
+from typing import ClassVar, Self
 
 import numpy as np
 from scipy.special import fdtrc
@@ -14,7 +14,8 @@ from casadical.core.reporting.plain import WRITTEN, Key, written
 from casadical.diagnosis.evidence import MAX_REPEATABILITY_M
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_floor import Replicates, scatter_of_coordinate
-from casadical.diagnosis.noise_forms import AR_NOISE, best_ar_form
+from casadical.diagnosis.noise_forms import AR_NOISE, NOISY_JOINT, best_ar_form
+from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.structure import PREVIOUS_POSE, Remainder, Structure, remainder_of
 from casadical.measurements.measurements import Noise
 
@@ -46,6 +47,8 @@ class NoiseAccount:
     like_noise : whether the residual otherwise has Gaussian tails and is isotropic
     doubt : why what is taken as noise may contain an effect, in words; empty without a reason
     only_size_doubted : whether only the size of the noise is the reason, not its form
+    hidden : standard deviation of a coordinate in which the effect in doubt would be [m]: the part of
+        the joints where only these are in doubt, else all of the noise
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -70,6 +73,7 @@ class NoiseAccount:
     like_noise: bool = field(metadata=WRITTEN)
     doubt: str = field(default="", metadata=WRITTEN)
     only_size_doubted: bool = False
+    hidden: float = 0.0
 
     @property
     def anchored(self) -> bool:
@@ -90,6 +94,17 @@ class NoiseAccount:
         if self.rules == Rule.REPEATS:
             return self.repeats
         return float(np.sqrt(self.total**2 - self.excess**2)) if self.excess else 0.0
+
+    def unless_small(self, times: float) -> Self:
+        """Return the account without its doubt if what may hide is small beside what is explained.
+
+        An effect less than `Settings.max_hidden` as large as the named causes together is a rest
+        that an explanation may leave.
+        times : error of the base model divided by that with the causes
+        """
+        explained = self.total * float(np.sqrt(max(times**2 - 1, 0.0)))
+        small = self.hidden < SETTINGS.max_hidden * explained
+        return replace(self, doubt="", only_size_doubted=False) if small else self
 
     @property
     def structure(self) -> float:
@@ -191,8 +206,11 @@ def account_of(case: Case, columns: Array, noise: Noise, repeated: Replicates, l
     judged = replace(found, like_noise=found.like_noise or len(columns) > len(e.r))
     lever = e.noise_prior.lever
     doubt = doubt_of(judged, lever, form or likely_form)
-    of_size = doubt_of(replace(judged, excess=0.0, structures=(), like_noise=True), lever, "")
-    return replace(found, doubt=doubt, only_size_doubted=doubt == of_size != "")
+    white = replace(judged, excess=0.0, structures=(), like_noise=True)
+    of_size, of_joints = doubt_of(white, lever, ""), doubt_of(white, lever, form or likely_form)
+    joints = doubt == of_joints and (likely_form.startswith(NOISY_JOINT) or lever * noise.repeatability > noise.sigma)
+    hidden = float(np.sqrt(max(taken**2 - noise.sigma**2, 0.0))) if joints else taken
+    return replace(found, doubt=doubt, only_size_doubted=doubt == of_size != "", hidden=hidden)
 
 
 def doubt_of(found: NoiseAccount, lever: float, form: str) -> str:

@@ -32,6 +32,8 @@ HEAVY_TAILS = "noise with heavy tails"
 RANDOM_LAG = "readings that lag behind the last motion"
 # Shares of the motion by which readings lag, in units of the joints' repeatability [1/rad].
 LAG_SHARES = (5.0, 20.0, 80.0)
+# Beginning of the label of a joint that repeats worse than the others.
+NOISY_JOINT = "poor repeatability of joint "
 # Label of noise of the instrument that is larger along some axes of its frame than along others.
 UNEQUAL_AXES = "noise that is unequal along x, y and z"
 
@@ -86,7 +88,7 @@ def noisy_joint(case: Case, ranking: Ranking) -> int | None:
 
 def noisy_joint_label(joint: int) -> str:
     """Return the label of a joint's (1-based) poor repeatability in rankings and reports."""
-    return f"poor repeatability of joint {joint}"
+    return f"{NOISY_JOINT}{joint}"
 
 
 def noise_forms(case: Case, chosen: Array, *, of_instrument: bool = True) -> Sequence[Rival]:

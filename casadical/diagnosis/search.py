@@ -90,8 +90,8 @@ class State:
 
         given : steps whose causes are in the model
         also : effects of further causes in the model, by label
-        keep : label of an effect of several joints that stays a candidate even if few joints show
-            it
+        keep : label that stays a candidate: an effect of several joints even if few joints show it,
+            a later event even if the first of its kind is not in the model
         """
         also = also or {}
         skip = frozenset((*(s.labels[0] for s in given), *also))
@@ -101,9 +101,9 @@ class State:
         covered = frozenset(
             c.label for c in self.case.candidates if c.variants[0][0].name in covers or (c.together and c.name in alone)
         )
-        # Of the events of one kind only the first that is not in the model yet is a candidate.
+        # Of the events of one kind only the first that is not in the model yet is a candidate, or `keep`.
         open_events = Counter[tuple[str, int | None]]()
-        for c in self.case.candidates:
+        for c in sorted(self.case.candidates, key=lambda c: c.label != keep):
             if hasattr(c.variants[0][0], "event") and c.label not in skip | covered:
                 open_events[c.name, c.joint] += 1
                 covered |= {c.label} if open_events[c.name, c.joint] > 1 else frozenset[str]()

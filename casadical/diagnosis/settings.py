@@ -41,6 +41,9 @@ class Settings:
         up to which the remaining error may be a flaw
         of a listed effect's equation: none was larger in 44 right claims of mismatched truth; loose
         anchors and hoses leave 0.08 and 0.11 (seeds 77)
+    max_hidden : what is taken as noise is in doubt only if an effect that may hide in it is at least
+        this large beside the named causes (root mean squares): half of them is the smallest effect
+        beside which a listed one must not be called an explanation
     max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
         them above which the causes are no explanation
     min_joint_log_evidence : log evidence [nats], given the others, by which a joint shows an
@@ -118,6 +121,7 @@ class Settings:
     min_explained: float = 0.5
     max_unexplained: float = 0.2
     max_flaw: float = 0.05
+    max_hidden: float = 0.5
     max_block_ratio: float = 1.05
     min_joint_log_evidence: float = 3.0
     max_form_searches: int = 3

@@ -46,8 +46,8 @@ from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 
 ROBOTS = ("hh800", "kr210", "ur10e")
-NAMES = ("develop", "judge", "develop 2", *(f"judge {k}" for k in range(2, 12)))
-SEEDS = dict(zip(NAMES, range(1501, 1514), strict=True))
+NAMES = ("develop", "judge", "develop 2", *(f"judge {k}" for k in range(2, 14)))
+SEEDS = dict(zip(NAMES, range(1501, 1516), strict=True))
 NOISE_MM = 0.02
 # Campaigns of each part.
 PARTS = {

@@ -36,9 +36,7 @@ slow = pytest.mark.slow
 def test_practice_campaign_gets_its_answer(name: str) -> None:
     d, truth = diagnosed(name), ANSWERS[name]
     assert named(d) == {(e["effect"], e["joint"]) for e in truth["effects"]}
-    # With its backlash P01 shows a joint that repeats poorly, which may be a flaw of the equation or another effect.
-    explained = "unknown" if d.account.doubt and name == "hh800-P01" else "explained"
-    assert d.verdict == (explained if truth["effects"] else "none")
+    assert d.verdict == ("explained" if truth["effects"] else "none")
     assert d.noise.sigma == pytest.approx(1e-3 * truth["noise_mm"], rel=0.35)
     assert 1 - d.gap.after / d.gap.before == pytest.approx(truth["true_shrink"], abs=0.15)
     assert 1e3 * d.gap.before == pytest.approx(truth["gap_mean_mm"], rel=0.2)
