@@ -22,7 +22,7 @@ from casadical.blind_check.generation import base_jacobian, unabsorbed_rms
 from casadical.blind_check.metrics import fraction, mean
 from casadical.blind_check.mujoco_physics import Hidden, perturb
 from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
-from casadical.core.basics import Array
+from casadical.core.basics import Array, InputError
 from casadical.core.parts import Target
 from casadical.diagnosis.diagnose import Diagnosis, diagnose
 from casadical.effects import GearEccentricity
@@ -118,7 +118,10 @@ def trial(part: str, number: int, seeds: str) -> Row:
     """One table, made and diagnosed."""
     made: Any = {"ripple": ripple, "wire": wire, "lag": lag, "stops": stops}[part]
     rng = np.random.default_rng([SEEDS[seeds], list(PARTS).index(part), number])
-    found, row = made(ROBOTS[number % 3], number, rng)
+    try:
+        found, row = made(ROBOTS[number % 3], number, rng)
+    except InputError as error:
+        return {"part": part, "verdict": "refused", "named": [], "truth": "", "right": False, "why": str(error)}
     return {"part": part, "verdict": found.verdict, "named": [c.label for c in found.causes], **row}
 
 
@@ -135,6 +138,7 @@ def table(trials: list[Row]) -> str:
         ("ripple, signal of 0.35 or more: joint and cycles right", fraction([t["right"] for t in seen])),
         ("wire: both steps, within a row", fraction([t["right"] for t in of["wire"]])),
         ("lag: said", fraction([t["right"] for t in of["lag"]])),
+        ("wire: refused", fraction([t["verdict"] == "refused" for t in of["wire"]])),
         *((f"{part}: a wrong cause named", fraction([wrong(t) for t in of[part]])) for part in PARTS),
         ("stops: promised over true error", mean([t["promised"] / t["true"] for t in of["stops"]])),
         ("stops: within 15 %", fraction([abs(t["promised"] / t["true"] - 1) < 0.15 for t in of["stops"]])),

@@ -173,6 +173,22 @@ def test_noise_is_in_doubt_unless_poses_or_a_declaration_confirm_it(
     assert (said in doubt) if said else doubt == ""
 
 
+@pytest.mark.parametrize(
+    ("hidden", "times", "doubted"),
+    [
+        (2e-5, 2.2, True),  # what is explained is 1.96 of the noise
+        (2e-5, 2.3, False),
+        (1e-5, 1.4, True),
+        (1e-5, 1.5, False),
+        (2e-5, 0.9, True),  # nothing is explained
+    ],
+)
+def test_a_doubt_of_less_than_half_of_what_is_explained_is_none(hidden: float, times: float, doubted: bool) -> None:
+    account = replace(PLAIN, doubt="the noise is larger than declared", only_size_doubted=True, hidden=hidden)
+    judged = account.unless_small(times)
+    assert (bool(judged.doubt), judged.only_size_doubted) == (doubted, doubted)
+
+
 @pytest.mark.parametrize(("ratio", "far"), [(1.25, False), (1.3, True)])
 def test_noise_exceeds_a_figure_by_the_f_test_with_a_tenth_for_rounding(ratio: float, far: bool) -> None:
     """Of 200 degrees of freedom chance gives sqrt(F) = 1.16 once in a thousand times, with the tenth 1.28."""

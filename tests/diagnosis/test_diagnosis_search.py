@@ -285,3 +285,10 @@ def test_a_floor_that_a_further_form_goes_below_explains_nothing(both: Diagnosis
     assert cut.verdict == "unknown"
     assert cut.unknown_rest > 0.1
     assert len(cut.rankings) == 2
+
+
+def test_a_later_event_keeps_its_label_where_the_first_is_not_in_the_model() -> None:
+    start = case("ur10e-P03", "target_shift").with_events(2, ())
+    first, later = "target_shift", "target_shift#2"
+    labels = {keep: State(start).rank((), keep=keep).probability.keys() & {first, later} for keep in ("", later)}
+    assert labels == {"": {first}, later: {later}}
