@@ -1,11 +1,11 @@
 """The floor plan of the package, drawn from its imports: python docs/studies/architecture.py [--check]
 
-It reads every Python file of the package with `ast` and imports none. It writes docs/images/architecture.svg and the
+Nothing of the package is imported. It writes docs/images/architecture.svg and the
 tables between the markers of docs/architecture.md. `--check` writes nothing and ends in 1 if the page is out of date:
 other rooms, imports or circles, or a figure that differs by more than a tenth.
 
 A room is an entry of the package's folder: a folder or a module. An arrow from room A to room B means that a module of
-A imports one of B, anywhere in the file: inside functions, under TYPE_CHECKING, or as a module's name in a string.
+A imports one of B, anywhere in the file: also inside functions and under TYPE_CHECKING.
 """
 
 from __future__ import annotations
