@@ -79,7 +79,7 @@ class House:
     def circle(self) -> list[str]:
         """Modules that import each other in a loop, or none."""
         try:
-            TopologicalSorter(self.imports).prepare()
+            TopologicalSorter({name: sorted(others) for name, others in sorted(self.imports.items())}).prepare()
         except CycleError as error:
             return list(error.args[1])
         return []
