@@ -72,7 +72,11 @@ def compare(
         refuse_another(first.robot, other.robot, "campaign")
     campaigns = with_common_noise(campaigns)
     names, information, candidates = shared_information(campaigns, same_tool=same_tool, same_frame=same_frame)
-    times = times_of(campaigns)
+    # Times [years], the first at zero; without days `CAMPAIGNS_PER_YEAR` campaigns count as a year.
+    days = np.array([c.day for c in campaigns], dtype=float)
+    times = np.arange(len(days)) / CAMPAIGNS_PER_YEAR
+    if np.isfinite(days).all():
+        times = (days - days[0]) / DAYS_PER_YEAR
     accepted, remaining, swap = changes_in(information, candidates, times, dated=first.day is not None)
     model = _model_given(information, accepted)
     changes = tuple(_change(information, accepted, k, first, swap) for k in range(len(accepted)))
@@ -123,17 +127,6 @@ def shared_information(
     candidates = evidence.candidates_of(first.robot, names)
     information = evidence.SharedInformation(H, b, spread**-2.0).with_jitter(*evidence.daily(candidates))
     return names, information, candidates
-
-
-def times_of(campaigns: Sequence[Estimate]) -> Array:
-    """Return the time of each campaign, shape (n,) [years], the first at zero.
-
-    If any day is not known, `CAMPAIGNS_PER_YEAR` campaigns count as a year.
-    """
-    days = [c.day for c in campaigns]
-    if any(d is None for d in days):
-        return np.arange(len(days)) / CAMPAIGNS_PER_YEAR
-    return np.asarray((np.array(days, dtype=float) - np.array(days[0], dtype=float)) / DAYS_PER_YEAR)
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,7 +65,13 @@ class Fleet(Result):
     derived: ClassVar[tuple[Key, ...]] = (
         Key("fleet", lambda fleet: len(fleet.robots)),
         Key("robots", "_listed"),
-        Key("types", "_shared_by_type"),
+        Key(
+            "types",
+            lambda fleet: [
+                {**plain(c), "corrections": {name: fleet._correction(c, name) for name, _, _ in c.faults}}
+                for c in fleet.commons
+            ],
+        ),
         Key("next", "commands"),
     )
 
@@ -256,7 +262,12 @@ class Fleet(Result):
             title = f"Robots to check first ({len(some)}, the greatest errors [mm])"
             yield Table(title, ("robot", "after", "diagnosis", "changed", "note"), rows, frozenset({1}))
         others = self.good[~self.good["robot"].isin(some["robot"])]
-        noted = [(r["robot"], short(words)) for r in records(others) if (words := without_outlier_notes(r["notes"]))]
+        # Many campaigns have poses left out as outliers.
+        odd = {
+            r["robot"]: [note for note in r["notes"].split("; ") if note and not note.endswith("left out as outliers")]
+            for r in records(others)
+        }
+        noted = [(name, short("; ".join(notes))) for name, notes in odd.items() if notes]
         if noted:
             yield Table(f"Odd about the campaigns of others ({len(noted)})", ("robot", "note"), noted[:MAX_ROWS_SHOWN])
 
@@ -266,12 +277,6 @@ class Fleet(Result):
         columns = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*columns.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])
-
-    @property
-    def _shared_by_type(self) -> list[dict[str, Any]]:
-        """The entries of `commons` as dictionaries for the JSON file, with `corrections` added."""
-        own = [{name: self._correction(c, name) for name, _, _ in c.faults} for c in self.commons]
-        return [{**plain(c), "corrections": each} for c, each in zip(self.commons, own, strict=True)]
 
 
 def _found_in(row: Mapping[str, Any]) -> str:
@@ -286,14 +291,6 @@ def short(error: str, letters: int = MAX_ERROR_LETTERS) -> str:
     """
     line = (error.strip().splitlines() or [""])[-1]
     return line if len(line) <= letters else f"{line[:letters].rsplit(' ', 1)[0]} ..."
-
-
-def without_outlier_notes(notes: str) -> str:
-    """Return a robot's notes, separated by "; ", without those on poses left out as outliers.
-
-    Many campaigns have such poses.
-    """
-    return "; ".join(note for note in notes.split("; ") if not note.endswith("left out as outliers"))
 
 
 def grown(sigmas: Sequence[float], freedom: Sequence[float] | float | None, alarms: float) -> str:

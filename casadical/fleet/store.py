@@ -24,7 +24,7 @@ from casadical.fleet.changes import in_words
 from casadical.fleet.comparison import compare
 from casadical.fleet.estimates import Estimate
 from casadical.project.calibration import calibrate
-from casadical.project.diagnosis import CampaignDiagnosis, diagnose_campaign, read_campaigns
+from casadical.project.diagnosis import diagnose_campaign, read_campaigns
 from casadical.project.outcome import judged_on
 from casadical.project.problem import Problem, read_campaign_robot, read_problem
 from casadical.project.problem_file import own_tables, problem_file
@@ -132,9 +132,10 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
         "at_bounds": ", ".join(last.at_bounds),
         "identified": list(last.names),
     }
-    if with_diagnosis and (diagnosed := first_diagnosis(place)) is not None:
-        causes = ", ".join(c.label for c in diagnosed.diagnosis.causes)
-        row |= {"verdict": diagnosed.diagnosis.verdict, "causes": causes}
+    campaigns = (read_campaigns(place, [table])[0] for table in own_tables(place) if with_diagnosis)
+    if (campaign := next((c for c in campaigns if c.sets[0].position is not None), None)) is not None:
+        found = diagnose_campaign(campaign).diagnosis
+        row |= {"verdict": found.verdict, "causes": ", ".join(c.label for c in found.causes)}
     ordered, said = in_order(estimates, begun=True)
     estimates, notes = ordered, [*notes, *said, *other_regions(ordered)]
     if len(ordered) > 1:
@@ -145,15 +146,6 @@ def _computed(place: Path, with_diagnosis: bool) -> dict[str, Any]:
     days, sigmas, free = (rows * (1.0, 1e3, 1.0)).T.tolist()
     own = {"campaigns": len(estimates), "notes": "; ".join(notes), "days": days, "left_mm": sigmas, "left_free": free}
     return row | own | shared_columns(estimates[-1], read_campaign_robot(place))
-
-
-def first_diagnosis(place: Path) -> CampaignDiagnosis | None:
-    """Return the diagnosis of a problem folder's first table with positions; None without one."""
-    for table in own_tables(place):
-        (campaign,) = read_campaigns(place, [table])
-        if campaign.sets[0].position is not None:
-            return diagnose_campaign(campaign)
-    return None
 
 
 def type_of(problem: Problem) -> str:

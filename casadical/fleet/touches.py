@@ -411,21 +411,6 @@ def changes_in_fleet(path: Path) -> Mapping[str, float]:
     return {kind: often + sum(text.count(kind) for text in words) for kind, often in CHANGE_FREQUENCY.items()}
 
 
-def usual_changes(robot: Robot) -> Prior:
-    """Return a prior of joint zeros, tool and base about the robot's values.
-
-    The standard deviations are the usual sizes of their changes.
-    """
-    model = TouchModel(robot, (), tuple(p.name for p in robot.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
-    sizes = {
-        n: float(s) * robot.parameters[n].scale
-        for c in model.usual_candidates
-        if c.kind != "lengths"
-        for n, s in zip(c.names, c.sizes, strict=True)
-    }
-    return Prior(tuple(sizes), {n: (robot.parameters[n].value, s) for n, s in sizes.items()})
-
-
 def plan_touches(
     robot: str | Path,
     n: int = 5,
@@ -449,7 +434,15 @@ def plan_touches(
     arm, _ = without_instrument(read_robot(result_in(Path(robot))))
     rest = MM_PER_M * arm.remaining.rest / np.sqrt(3) if arm.remaining else 0.0
     noise = Noise(1e-3 * float(np.hypot(noise_mm or (0.0 if rest else 0.1), rest)))
-    return poses_of_changes(arm, n, usual_changes(arm), noise, room, touched, seed)
+    model = TouchModel(arm, (), tuple(p.name for p in arm.parameters if p.prior > 0), np.zeros((0, 0)), 0.0)
+    sizes = {
+        name: float(s) * arm.parameters[name].scale
+        for c in model.usual_candidates
+        if c.kind != "lengths"
+        for name, s in zip(c.names, c.sizes, strict=True)
+    }
+    usual = Prior(tuple(sizes), {name: (arm.parameters[name].value, s) for name, s in sizes.items()})
+    return poses_of_changes(arm, n, usual, noise, room, touched, seed)
 
 
 def judge_touches(

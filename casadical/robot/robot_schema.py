@@ -406,15 +406,10 @@ class RobotFile(RobotTables):
         if effects:
             _refuse_undefined(robot)
         assembly_sides(robot)  # raises InputError for a loop that does not close
-        refuse_far(robot)
+        if far := far_centre(robot):
+            number, words = far
+            raise InputError(f"joint[{number}].body.com: {words}. Is it in the unit that the key says?")
         return robot
-
-
-def refuse_far(robot: Robot) -> None:
-    """Refuse a mass centre too far from its link's frame. Raises InputError; see `far_centre`."""
-    if far := far_centre(robot):
-        number, words = far
-        raise InputError(f"joint[{number}].body.com: {words}. Is it in the unit that the key says?")
 
 
 def far_centre(robot: Robot) -> tuple[int, str] | None:

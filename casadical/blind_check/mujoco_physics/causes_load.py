@@ -93,19 +93,12 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
     mechanism = mark(mechanism, plant, 1, "post", foot)
     mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.2 * arm)
     rest = 0.8 * (post - 1) * lever
-    stiffness = size * rated_torque(plant)[1] / greatest_torque(lever, post, rest)
-    return replace(mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, rest))))
-
-
-def greatest_torque(lever: float, post: float, rest: float) -> float:
-    """Return a balancing spring's largest torque over all angles, divided by its stiffness [m^2].
-
-    lever : distance of the lug from the joint [m]; post : distance of the post divided by `lever`
-    rest : length of the unstretched spring [m]
-    """
     angle = np.linspace(0, np.pi, 181)
     length = lever * np.sqrt(1 + post**2 - 2 * post * np.cos(angle))
-    return float(np.max(post * lever**2 * np.sin(angle) * (1 - rest / length)))
+    # The spring's largest torque over all angles, divided by its stiffness [m^2].
+    peak = float(np.max(post * lever**2 * np.sin(angle) * (1 - rest / length)))
+    stiffness = size * rated_torque(plant)[1] / peak
+    return replace(mechanism, cords=(*mechanism.cords, Cord("balancer", "post", "lug", stiffness, (0.0, rest))))
 
 
 @acts("built")

@@ -38,11 +38,6 @@ UNLISTED: Mapping[str, Kind] = _by_name(
 )
 
 
-def sizes_in_words(sizes: Mapping[str, Any]) -> str:
-    """Return the sizes of an effect as text, "NAME VALUE, .." [SI]."""
-    return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in sizes.items())
-
-
 @dataclass(frozen=True)
 class Hidden:
     """One hidden effect.
@@ -58,8 +53,8 @@ class Hidden:
 
     @property
     def about(self) -> str:
-        """The sizes as text."""
-        return sizes_in_words(self.size)
+        """The sizes as text, "NAME VALUE, .." [SI]."""
+        return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in self.size.items())
 
     @property
     def label(self) -> str:

@@ -311,28 +311,20 @@ def perturb(
         bar = replace(bar, **lengths, crank_zero_rad=bar.crank_zero_rad + zero)
     turned = building.base_turn * np.deg2rad(base[1]) * _in_ball(place)
     shifted = building.base_shift * base[0] * _in_ball(place)
+    before, frame, home = np.eye(4), np.eye(4), []
+    for nominal, error in zip(plant.home, motion(turns, shifts, np.zeros(3)), strict=True):
+        frame = frame @ np.linalg.solve(before, nominal) @ error  # by its error, in the link's own axes
+        before = nominal
+        home.append(frame)
     return replace(
         plant,
-        home=home_with_errors(plant, motion(turns, shifts, np.zeros(3))),
+        home=np.array(home),
         base=plant.base @ motion(turned, shifted, np.zeros(3)),
         reflector=plant.reflector + building.reflector * tool.normal(0, tool_mm * 1e-3, 3),
         stiffness=plant.stiffness * np.exp(spring.normal(0, stiffness_spread, plant.n)),
         mass=plant.mass * np.exp(building.mass_spread * spring.normal(0, 1.0, plant.n)),
         four_bar=bar,
     )
-
-
-def home_with_errors(plant: Plant, wrong: Array) -> Array:
-    """Return the links' poses at zero readings in the base frame with errors, shape (n, 4, 4) [m].
-
-    wrong : transform of each link's frame by its error, in its own axes, shape (n, 4, 4) [m]
-    """
-    before, frame, frames = np.eye(4), np.eye(4), []
-    for nominal, error in zip(plant.home, wrong, strict=True):
-        frame = frame @ np.linalg.solve(before, nominal) @ error
-        before = nominal
-        frames.append(frame)
-    return np.array(frames)
 
 
 def _in_ball(rng: np.random.Generator) -> Array:

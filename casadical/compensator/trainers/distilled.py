@@ -144,7 +144,9 @@ class Taught(Trainer):
     def begin(self, task: Task, seed: int) -> LmRun:
         """Fit the process and return a training on its predictions, with no step done."""
         lessons, note = self._lessons(task, seed)
-        return self.lm.begin(lessons, seed).with_note(note)
+        run = self.lm.begin(lessons, seed)
+        run.chosen = note
+        return run
 
     def _lessons(self, task: Task, seed: int) -> tuple[Task, str]:
         """Return the task of learning the process's predictions, and its length scales in words.

@@ -181,7 +181,7 @@ class LmRun:
         self.folds = min(trainer.folds, task.targets.shape[1])
         self._candidates = trainer.ridges[::-1]
         self.steps, self.level, self.inner = 0, 0, 0
-        self._note = ""
+        self.chosen = ""  # in words, in place of the ridge
         self.ridge: float | None = trainer.ridges[0] if len(trainer.ridges) == 1 or self.folds < 2 else None
         self.scores: list[float] = []
         self._unit = float(np.mean(np.sum(task.targets**2, axis=0)))
@@ -212,15 +212,10 @@ class LmRun:
         """Return the weights of the lowest cost, shape (count,)."""
         return np.asarray(self.batch.weights[np.argmin(self.batch.cost)])
 
-    def with_note(self, text: str) -> Self:
-        """Return the run with this text in place of its own `note`."""
-        self._note = text
-        return self
-
     def note(self) -> str:
         """Return the ridge and how it was chosen, in words."""
-        if self._note:
-            return self._note
+        if self.chosen:
+            return self.chosen
         if not self.scores:
             return f"ridge {self.ridge:g}, given"
         return f"ridge {self.ridge:g}, chosen by {self.folds}-fold cross-validation from {len(self.scores)} candidates"

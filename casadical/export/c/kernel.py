@@ -243,7 +243,8 @@ def load(export: str | Path, *, trust: bool = False) -> Kernel:
     """
     export = Path(export)
     manifest = Manifest.read(export)
-    if not trust and not exported_here(export):
+    own, code = private_folder("exports"), hashlib.sha256(read_bytes(export / "manifest.json")).hexdigest()
+    if not trust and (own is None or not (own / code).is_file()):
         raise InputError(
             f"{export}: was not exported here by you, and its C would be compiled and run; read "
             "it, and give --trust (trust=True), or export again from the robot file"
@@ -278,9 +279,3 @@ def remember(manifest: bytes) -> None:
     if folder is not None:
         with suppress(InputError):  # without the record `correct` asks for --trust
             write_whole(folder / hashlib.sha256(manifest).hexdigest(), "")
-
-
-def exported_here(export: Path) -> bool:
-    """Return whether this user exported the folder here, and its manifest is unchanged."""
-    folder = private_folder("exports")
-    return folder is not None and (folder / hashlib.sha256(read_bytes(export / "manifest.json")).hexdigest()).is_file()

@@ -236,7 +236,8 @@ class Postures:
         wrist = points[4] + _nearest(points[4], axes[4], points[3], axes[3]) * axes[4]
         miss = ca.norm_2(ca.cross(axes[3], wrist - points[3])) + ca.norm_2(ca.cross(axes[5], wrist - points[5]))
         turned = variables[0] - float(self.nominal.variables_of(np.zeros((1, 6)))[0, 0])
-        forward = about_axis(axes[0], turned, ca.DM(self.root[:3, 0]))
+        x, axis, cosine = ca.DM(self.root[:3, 0]), axes[0], ca.cos(turned)  # x rotated about the axis (Rodrigues)
+        forward = cosine * x + ca.sin(turned) * ca.cross(axis, x) + (1 - cosine) * ca.dot(axis, x) * axis
         upper = _perpendicular_part(points[2] - points[1], axes[1])
         lower = _perpendicular_part(wrist - points[2], axes[2])
         bend = ca.dot(ca.cross(upper, lower), ca.cross(ca.DM(self.root[:3, 2]), forward))
@@ -379,9 +380,3 @@ def _nearest(p: ca.SX, d: ca.SX, other: ca.SX, other_d: ca.SX) -> ca.SX:
 def _perpendicular_part(v: ca.SX, axis: ca.SX) -> ca.SX:
     """Return the part of a vector v, (3,), that is perpendicular to a unit vector."""
     return v - ca.dot(v, axis) * axis
-
-
-def about_axis(axis: ca.SX, angle: ca.SX, v: ca.DM) -> ca.SX:
-    """Return a vector v, (3,), rotated about a unit vector by an angle [rad] (Rodrigues)."""
-    c, s = ca.cos(angle), ca.sin(angle)
-    return c * v + s * ca.cross(axis, v) + (1 - c) * ca.dot(axis, v) * axis

@@ -190,15 +190,3 @@ def add_loop(
     ET.SubElement(coupler, "site", name=f"coupler{d}_end", pos=numbers(loop.coupler, 0, 0))
     ET.SubElement(rocker, "site", name=f"rocker{d}_end", pos=numbers(loop.rocker, 0, 0))
     ET.SubElement(links[f"link{d}"], "joint", name=f"joint{d}_driven", axis="0 0 1", armature=heavy)
-
-
-def add_loop_constraints(equality: ET.Element, loop: FourBar) -> None:
-    """Add the equality constraints of a four-bar: coupler to rocker, and driven link to rocker.
-
-    equality : element of the model to which they are added
-    """
-    d = loop.driven
-    ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
-    ET.SubElement(
-        equality, "joint", name=f"driven{d}", joint1=f"joint{d}_driven", joint2=f"rocker{d}", polycoef="0 1 0 0 0"
-    )

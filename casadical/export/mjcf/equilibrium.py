@@ -31,12 +31,16 @@ def positions(xml: str, m: Measurements, payload_factor: float = 1.0) -> Array:
     loop cannot close.
     """
     model = EngineModel(xml)
+    payload = next((b for b in range(model.m.nbody) if model.m.body(b).name == "payload"), None)
     if model.arm != m.q.shape[1]:
         raise InputError(f"{m.source}: {m.q.shape[1]} readings a pose, but the model has {model.arm} drives")
     measured = np.empty((len(m), 3))
     for k in range(len(m)):
-        if "payload_kg" in m.conditions:
-            model.set_payload_mass(payload_factor * float(m.conditions["payload_kg"][k]))
+        if "payload_kg" in m.conditions and payload is not None:
+            mass = payload_factor * float(m.conditions["payload_kg"][k])
+            if model.m.body_mass[payload] != mass:
+                model.m.body_mass[payload] = mass
+                model.mujoco.mj_setConst(model.m, model.d)
         ways = [m.conditions.get(f"approach{i}") for i in range(1, model.arm + 1)]
         approach = np.array([0.0 if way is None else np.sign(way[k]) for way in ways])
         measured[k] = model.rest(m.q[k], approach)
@@ -69,16 +73,9 @@ class EngineModel:
         # Index of the drive whose direction of approach determines a joint's friction.
         self.way = {k: i for i, j in enumerate(self.drives) for k, n in enumerate(names) if n.startswith(names[j])}
         self.sprung = [k for k in range(self.m.njnt) if k not in (*self.free, *self.play)]
-        self._payload = next((b for b in range(self.m.nbody) if self.m.body(b).name == "payload"), None)
         self._loops = [names[k][6:] for k in self.free if names[k].startswith("rocker")]
         self._start: Array | None = None
         self._sides: Array | None = None
-
-    def set_payload_mass(self, mass: float) -> None:
-        """Set the mass of the model's payload [kg], if it has one."""
-        if self._payload is not None and self.m.body_mass[self._payload] != mass:
-            self.m.body_mass[self._payload] = mass
-            self.mujoco.mj_setConst(self.m, self.d)
 
     def rest(self, command: Array, approach: Array) -> Array:
         """Return the measured point at equilibrium, shape (3,) [m], in the measuring frame.

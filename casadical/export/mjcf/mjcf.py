@@ -89,8 +89,10 @@ def mjcf(robot: Robot, *, named: bool = True) -> MjcfExport:
     _tool(last, robot, parts.payload)
     if robot.loops:
         equality = ET.SubElement(root, "equality")
-        for loop in robot.loops:
-            elements.add_loop_constraints(equality, loop)
+        for d in (loop.driven for loop in robot.loops):  # coupler to rocker, and driven link to rocker
+            ET.SubElement(equality, "connect", name=f"four_bar{d}", site1=f"coupler{d}_end", site2=f"rocker{d}_end")
+            joints = {"joint1": f"joint{d}_driven", "joint2": f"rocker{d}", "polycoef": "0 1 0 0 0"}
+            ET.SubElement(equality, "joint", {"name": f"driven{d}"} | joints)
     actuators = ET.SubElement(root, "actuator")
     for i, (joint, drive) in enumerate(zip(robot.joints, parts.drives, strict=True), 1):
         _actuator(actuators, i, joint, drive)

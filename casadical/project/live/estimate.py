@@ -91,12 +91,6 @@ class Estimate:
         return len(self.m)
 
     @property
-    def left_out_mm(self) -> Array:
-        """Return the lengths of the leave-one-out residuals that exist, shape (k,) [mm]."""
-        lengths_mm = np.linalg.norm(self.left_out, axis=1) / MM
-        return np.asarray(lengths_mm[np.isfinite(lengths_mm)])
-
-    @property
     def limit(self) -> float:
         """Return the limit of a reading's `surprise`, above which noise does not explain it."""
         return MAX_SURPRISE[find_kind(self.m.kind).numbers] * self.widened

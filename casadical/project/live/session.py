@@ -483,7 +483,8 @@ class LiveSession:
             readings = [self._reading_json(r, read.get(r.number)) for r in self.course.readings]
             figures: dict[str, Any] | None = None
             if estimate is not None:
-                errors_mm, task = estimate.left_out_mm, expected(estimate.robot, self._task, {}, "task")
+                errors_mm = 1e3 * np.linalg.norm(estimate.left_out, axis=1)
+                errors_mm, task = errors_mm[np.isfinite(errors_mm)], expected(estimate.robot, self._task, {}, "task")
                 promise = (
                     np.quantile(errors_mm, 0.95, method="higher")
                     if len(errors_mm) >= MIN_READINGS_FOR_QUANTILE

@@ -238,7 +238,9 @@ def new_urdf(robot: Robot) -> str:
     root = ET.Element("robot", name=robot.name)
     root.append(ET.Comment(_about(robot)))
     ET.SubElement(root, "link", name="base_link")
-    parent, names = "base_link", urdf_names(robot)
+    parent, names = "base_link", [joint.name for joint in robot.joints]
+    if not all(names) or len(set(names)) < robot.n or f"{MEASURED_LINK}_joint" in names:
+        names = [f"joint{i}" for i in robot.numbers]
     for i, row in enumerate(robot.joints, 1):
         link = ET.SubElement(root, "link", name=f"link{i}")
         if row.body and row.body.mass > 0:
@@ -266,13 +268,6 @@ def new_urdf(robot: Robot) -> str:
     _joint(root, f"{MEASURED_LINK}_joint", "fixed", parent, MEASURED_LINK, robot.tool.T)
     ET.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def urdf_names(robot: Robot) -> list[str]:
-    """Return the names of the joints in a new URDF: their own if each has one, else joint1 ..."""
-    names = [joint.name for joint in robot.joints]
-    own = all(names) and len(set(names)) == robot.n and f"{MEASURED_LINK}_joint" not in names
-    return names if own else [f"joint{i}" for i in robot.numbers]
 
 
 def no_urdf_place(robot: Robot) -> list[str]:
