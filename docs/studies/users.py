@@ -4,7 +4,9 @@
 
 A user is drawn by its number: a robot (a third have a URDF), an instrument, a form of the table,
 and slips in it; in a third, one held-out row has a typing error: a coordinate or length with
-another digit of its decimetres. Kinematics, deflection and tables are plain numpy here; casadical
+another digit of its decimetres. Half have the table in a raw form: readings and measurements in two
+files, no headings, arrays of numpy or MATLAB, lists in cells, 3x4 or 4x4 matrices, or, in a
+workbook, behind another sheet. Kinematics, deflection and tables are plain numpy here; casadical
 is only run, by its commands: new, check, check --repair (where check finds faults), calibrate. The
 rules were committed before the first run that counts:
 
@@ -20,6 +22,7 @@ rules were committed before the first run that counts:
 import argparse
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -28,6 +31,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from scipy.io import savemat
 
 from casadical import Robot, read_campaign, read_problem, read_robot
 from casadical.identification import predicted
@@ -131,6 +135,7 @@ class User:
     anchors: np.ndarray
     urdf: bool
     typed: bool
+    raw: str
 
     @property
     def noise(self) -> float:
@@ -177,8 +182,12 @@ def drawn(number: int) -> User:
     anchors = rng.uniform(-2, 2, (3, 3)) + np.array([0, 0, 1.5])
     later = np.random.default_rng([2613, number])
     urdf, typed = form == "ROS" or later.random() < 1 / 9, later.random() < 1 / 3
-    name += ", URDF" * urdf
-    user = User(name, nominal, true, limits, q, seen, instrument, form, slips, anchors, urdf, typed)
+    raws = ["two files", "sheet"] if instrument == "workbook" else ["two files", "lists"]
+    raws += ["bare", "npy", "mat"] if instrument in ("camera", "tracker") else []
+    raws += ["3x4", "4x4", "bare 4x4"] if instrument == "camera" else []
+    raw = raws[later.integers(len(raws))] if later.random() < 1 / 2 else ""
+    name += ", URDF" * urdf + f", {raw}" * bool(raw)
+    user = User(name, nominal, true, limits, q, seen, instrument, form, slips, anchors, urdf, typed, raw)
     seen[:, :3, 3] += rng.normal(0, user.noise, (count, 3))
     if instrument == "camera":
         seen[:, :3, :3] = seen[:, :3, :3] @ np.array([_turn(v) for v in rng.normal(0, 5e-4, (count, 3))])
@@ -213,6 +222,12 @@ def table(user: User, q: np.ndarray, seen: np.ndarray, *, wrong: bool) -> pd.Dat
     if user.instrument == "workbook":
         nominal = 1e3 * replace(user.nominal, tool=user.true.tool).poses(np.deg2rad(q))[:, :3, 3]
         columns |= {f"{c} soll [mm]": nominal[:, k].round(3) for k, c in enumerate("XYZ")}
+    if user.raw.endswith("x4"):
+        T = np.tile(np.eye(4), (len(q), 1, 1))
+        T[:, :3, :3], T[:, :3, 3] = R, scale * p
+        entries = [(i, j) for i in range(int(user.raw[-3])) for j in range(4)]
+        columns |= {f"T{i}{j}" if user.form == "ROS" else f"M_{i + 1}_{j + 1}": T[:, i, j] for i, j in entries}
+        return pd.DataFrame(columns)
     columns |= dict(zip(lengths, scale * p.T, strict=True))
     if user.instrument == "camera":
         w = np.array([_quaternion(each) for each in R])
@@ -230,17 +245,40 @@ def _quaternion(R: np.ndarray) -> np.ndarray:
     return best / np.linalg.norm(best)
 
 
-def written(folder: Path, name: str, user: User, data: pd.DataFrame) -> Path:
-    """A table as the user's program writes it."""
-    if user.instrument == "workbook":
-        data.to_excel(folder / f"{name}.xlsx", index=False)
-        return folder / f"{name}.xlsx"
-    if user.form == "German":
-        text = "Protokoll\n" + data.round(5).to_csv(index=False, sep=";", decimal=",")
-        (folder / f"{name}.csv").write_bytes(text.replace("\n", "\r\n").encode("cp1252"))
+def written(folder: Path, user: User, data: pd.DataFrame) -> list[str]:
+    """The options of `new` that name a table as the user's program writes it, in the folder."""
+    n = user.q.shape[1]
+    if user.raw == "two files":
+        point = pd.Series([f"P{k:03d}" for k in range(1, len(data) + 1)], name="point")
+        parts = [data.iloc[:, :n].join(point), data.iloc[:, n:].join(point).sample(frac=1, random_state=len(data))]
+    elif user.raw == "lists":
+        readings = pd.Series([str(list(q)) for q in data.iloc[:, :n].to_numpy().round(6)], name="joint_states")
+        parts = [pd.concat([readings, data.iloc[:, n:]], axis=1)]
     else:
-        data.to_csv(folder / f"{name}.csv", index=False)
-    return folder / f"{name}.csv"
+        parts = [data]
+    names = []
+    for k, part in enumerate(parts):
+        place = folder / f"table{k}"
+        names += ["--data", place.name]
+        if user.instrument == "workbook":
+            with pd.ExcelWriter(f"{place}.xlsx") as book:
+                if user.raw == "sheet":
+                    cover = pd.DataFrame({"Auftrag": ["4711", "Halle 3"], "Datum": ["12.03.", "geprüft"]})
+                    cover.to_excel(book, sheet_name="Deckblatt", index=False)
+                part.to_excel(book, sheet_name="Messung", index=False)
+            names[-1] += ".xlsx"
+        elif user.raw in ("npy", "mat"):
+            held = {"joints": part.iloc[:, :n].to_numpy(), "measured": part.iloc[:, n:].to_numpy()}
+            np.save(f"{place}.npy", part.to_numpy()) if user.raw == "npy" else savemat(f"{place}.mat", held)
+            names[-1] += f".{user.raw}"
+        elif user.form == "German":
+            text = part.round(5).to_csv(index=False, sep=";", decimal=",", header="bare" not in user.raw)
+            Path(f"{place}.csv").write_bytes(f"Protokoll\n{text}".replace("\n", "\r\n").encode("cp1252"))
+            names[-1] += ".csv"
+        else:
+            part.to_csv(f"{place}.csv", index=False, header="bare" not in user.raw)
+            names[-1] += ".csv"
+    return names
 
 
 def robot_file(folder: Path, user: User) -> list[str]:
@@ -324,35 +362,35 @@ def tried(number: int) -> tuple[str, bool, list[str], float]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         poses = table(user, user.q, user.seen, wrong=True)
-        data = written(folder, "table", user, poses)
-        robot = robot_file(folder, user)
-        if user.typed and not _run(folder, ["new", "split", *robot, "--data", data.name, "--yes"])[0]:
-            held_out = [r for name, m in read_problem(folder / "split").parts() if "report" in name for r in m.row]
-            wrong_row = int(rng.choice(held_out))
+        options = [*robot_file(folder, user), *written(folder, user, poses), "--yes"]
+        refused, text = _run(folder, ["new", "arm", *options])
+        if refused:
+            return f"{number:3d} {user.name}: new refused: {_last(text)}", False, [], 0.0
+        sets = read_problem(folder / "arm").parts()
+        first = min(int(np.min(m.row)) for _, m in sets)
+        if user.typed:
+            wrong_row = int(rng.choice([r for name, m in sets if "report" in name for r in m.row]))
             user.slips["typed"] = wrong_row
-            column = next(c for c in poses if str(c).startswith(("distance", "tx", "x", "X gemessen")))
-            length = 1.0 if "mm" in column else 1e-3
-            poses.loc[wrong_row - _first_row(user), column] += 300 * length * rng.choice([-1, 1])
-            data = written(folder, "table", user, poses)
-        commands = [["new", "arm", *robot, "--data", data.name, "--yes"], ["check", "arm"]]
-        said, done = "", 0
-        for command in commands:
-            done, text = _run(folder, command)
-            said += text
-            if done and command[0] == "new":
-                return f"{number:3d} {user.name}: new refused: {_last(text)}", False, [], 0.0
+            column = next(c for c in poses if str(c).startswith(("distance", "tx", "x", "X gemessen", "T03", "M_1_4")))
+            length = 1.0 if float(poses[column].abs().max()) > 20 else 1e-3
+            poses.loc[wrong_row - first, column] += 300 * length * rng.choice([-1, 1])
+            shutil.rmtree(folder / "arm")
+            written(folder, user, poses)
+            text = _run(folder, ["new", "arm", *options])[1]
+        said = text
+        done, text = _run(folder, ["check", "arm"])
+        said += text
         if done:
             said += _run(folder, ["check", "arm", "--repair"])[1]
         ready = _run(folder, ["check", "arm"])[0] == 0
         failed, text = _run(folder, ["calibrate", "arm", "--out", "results"])
         said += text
-        false = _false(user, said)
+        false = _false(user, said, first)
         if failed:
             false += ["ready before a calibration that fails"] if ready else []
             return f"{number:3d} {user.name}, {user.slips}: calibrate refused: {_last(text)}", False, false, 0.0
-        written(folder, "later", user, table(user, later, truth, wrong=False))
         calibrated = read_robot(folder / "results" / f"{_method(folder)}.robot.toml")
-        error = _true_error(folder, user, calibrated, truth)
+        error = _true_error(folder, user, calibrated, later, truth)
     words = " ".join(said.split())
     promised = re.findall(r"(?:to|is) ([\d.]+) mm with", words)
     if promised and user.instrument != "wires":
@@ -379,12 +417,16 @@ def _forecast(words: str) -> float:
     return float(forecasts[found[2]]) / float(clean[-1] if clean else found[1])
 
 
-def _true_error(folder: Path, user: User, calibrated: Robot, truth: np.ndarray) -> float:
-    """Mean error [m] at poses whose true positions are known, with the readings as problem.toml makes them."""
-    (later,) = folder.glob("later.*")
-    m = read_campaign(folder / "arm", later, calibrated, later=True)
-    rows = np.asarray(m.row) - int(np.min(m.row))
-    return float(np.mean(_error(predicted(calibrated, m)[0], truth[rows, :3, 3], user)))
+def _true_error(folder: Path, user: User, calibrated: Robot, q: np.ndarray, truth: np.ndarray) -> float:
+    """Mean error [m] at the controller's readings of poses whose true positions are known."""
+    clean = replace(user, raw="", instrument="tracker", form="tidy")
+    slipped = table(clean, q, truth, wrong=False)
+    names = [*(f"q{k}_rad" for k in range(1, q.shape[1] + 1)), "x_m", "y_m", "z_m"]
+    slipped.set_axis(names, axis=1).to_csv(folder / "later.csv", index=False)
+    m = read_campaign(
+        folder / "results" / f"{_method(folder)}.robot.toml", folder / "later.csv", calibrated, later=True
+    )
+    return float(np.mean(_error(predicted(calibrated, m)[0], truth, user)))
 
 
 def _method(folder: Path) -> str:
@@ -403,8 +445,8 @@ def _last(text: str) -> str:
     return text.strip().splitlines()[-1][:160]
 
 
-def _false(user: User, said: str) -> list[str]:
-    """What the screen says that the truth contradicts."""
+def _false(user: User, said: str, first: int) -> list[str]:
+    """What the screen says that the truth contradicts; first : line of the first pose."""
     words, found = " ".join(said.split()), []
     kind = {"camera": "pose", "wires": "distance"}.get(user.instrument, "position")
     if f"; kind {kind} " not in words:
@@ -416,7 +458,6 @@ def _false(user: User, said: str) -> list[str]:
     # A joint that is turned round and shifted may be said in either order; a zero beyond is no slip of the table.
     if zeros - {user.slips.get("zero", 0)}:
         found.append(f"zeros of joints {sorted(zeros)} said to be off")
-    first = _first_row(user)
     planted = {first + k for k in (7, 21)} if "rows" in user.slips else set()
     planted |= {user.slips["typed"]} if "typed" in user.slips else set()
     out = re.search(r"Left out as outliers: rows? ([^.]*)\.?", words)
@@ -427,11 +468,6 @@ def _false(user: User, said: str) -> list[str]:
     if len(rows - planted) > FORTIETH * len(user.q):
         found.append(f"{len(rows - planted)} good rows left out")
     return found
-
-
-def _first_row(user: User) -> int:
-    """Line of the file with the first pose."""
-    return {"German": 3, "tidy": 2, "ROS": 2}[user.form] if user.instrument != "workbook" else 2
 
 
 def main() -> None:
