@@ -25,6 +25,7 @@ class Parameter:
     prior : prior standard deviation of the deviation from nominal [unit]
     fixed_reason : reason why it is fixed and never identified; empty if it can be identified
     guess : whether its nominal value is a guess: its prior then applies in every fit
+    as_declared : whether reports have it in `unit`, as the user's own effect declares it
     """
 
     name: str
@@ -37,15 +38,16 @@ class Parameter:
     prior: float
     fixed_reason: str = ""
     guess: bool = False
+    as_declared: bool = False
 
     @property
     def readable_unit(self) -> str:
         """Return the unit of reports: mm, deg, urad/(N m), or the SI unit."""
-        return _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[0]
+        return self.unit if self.as_declared else _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[0]
 
     def readable(self, value: float) -> float:
         """Return a value or difference of the parameter [SI] in `readable_unit`."""
-        return value * _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[1]
+        return value if self.as_declared else value * _REPORT_UNITS.get(self.unit, (self.unit, 1.0))[1]
 
 
 class Parameters(Sequence[Parameter]):

@@ -476,9 +476,18 @@ class Effect:
 
         Bounds are 1000 typical sizes to each side, prior standard deviations `prior_sigma` typical sizes.
         """
+        own = not type(self).__module__.startswith("casadical.")  # of a plug-in or an effect file
         return tuple(
             Parameter(
-                f"{self.label}.{name}", self.label, unit, 0.0, size, -1e3 * size, 1e3 * size, self.prior_sigma * size
+                f"{self.label}.{name}",
+                self.label,
+                unit,
+                0.0,
+                size,
+                -1e3 * size,
+                1e3 * size,
+                self.prior_sigma * size,
+                as_declared=own,
             )
             for name, (size, unit) in self.sizes().items()
         )

@@ -830,6 +830,11 @@ def layout(raw: RawTable, chain: Sequence[Joint]) -> Question | None:
         for k in range(len(columns) - width + 1 if not seen else 0):
             if numeric[k : k + width].all():
                 seen += [(k, k + width, form) for form in _matrices(columns[k : k + width])]
+    for fits, width in ((_is_rotation, 9), (_is_unit, 4)):  # no readings, and no positions
+        for k in range(len(columns) - width + 1 if not seen else 0):
+            window = slice(k, k + width)
+            if numeric[window].all() and len(_finite(columns[window])) and fits(columns[window]):
+                numeric[window] = False
     for k in range(len(columns) - 2 if not seen else 0):
         part = columns[k : k + 3]
         if numeric[k : k + 3].all() and all(np.nanstd(h.values) > 0 for h in part):

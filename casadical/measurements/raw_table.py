@@ -300,8 +300,11 @@ def _headings(
     rest : all records that are no comments; comments : the others
     """
     first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
-    if first is None:
-        return 1, rest[0], None
+    if first is None:  # rows of words, lists and single numbers
+        some = (k for k, (_, cells) in enumerate(rest) if any(re.match(r"[\[(]?\s*[-+]?\d", c.strip()) for c in cells))
+        first = next(some, 0)
+        if not first:
+            return 1, rest[0], None
     if first == 0:
         # SpatialAnalyzer and numpy write the headings into the last comment above the rows.
         width, line = len(rest[0][1]), rest[0][0]

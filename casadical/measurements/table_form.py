@@ -144,24 +144,24 @@ def separator_of(text: str) -> str:
     lines = sample.splitlines()[:SAMPLE_LINES]
     for pattern in (r"[\[(][^\[\]]*[\])]", r"array\([^()]*\)"):
         lines = [re.sub(pattern, "0", line) for line in lines]
-    best, most = ",", 0
     # Separators of cells that are tried, in this order.
     separators_tried = (",", ";", "\t", "|", " ")
+    best, most = ",", (0, 0)
     for separator in separators_tried:
         try:
             rows = [cells for _, cells in records_of("\n".join(lines), separator)]
         except csv.Error:
             continue
         numeric = [(len(cells), sum(all(map(is_number, c.split() or [""])) for c in cells)) for cells in rows]
-        widths = Counter(width for width, numbers in numeric if width > 1 and numbers > 1)
+        widths = Counter(width for width, numbers in numeric if width > 1 and numbers > (separator == " "))
         if not widths:
             continue
         width = widths.most_common(1)[0][0]
         count = sum(numbers for w, numbers in numeric if w == width)
-        # Blanks also separate words, so they must win clearly.
-        if count > most * (2 if separator == " " else 1):
-            best, most = separator, count
-    if not most and lines:
+        # Blanks also separate words, so they must win clearly; of equally many numbers more cells do.
+        if (count, width) > (most[0] * (2 if separator == " " else 1), most[1]):
+            best, most = separator, (count, width)
+    if not most[0] and lines:
         return max(separators_tried[:4], key=lines[0].count)
     return best
 

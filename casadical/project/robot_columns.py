@@ -34,6 +34,9 @@ MAX_ORIENTATION_ERROR_RAD = np.deg2rad(5.0)
 # Minimum ratio of the orientation error with every other angle convention to that with the best
 # one, with which the best one is accepted without a question.
 MIN_ERROR_RATIO_TO_OTHERS = 4.0
+# Maximum number of readings of a table that no choice explains for which slips are searched, which
+# takes a second each.
+MAX_CHOICES_WITH_SLIPS = 8
 
 
 def understood(raw: RawTable, robot: Robot, given: Mapping[str, Source], kind: str | None = None) -> Understanding:
@@ -251,6 +254,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
     if not questions or math.prod(len(q.choices) for q in questions) > 2000:
         return found
     errors: dict[tuple[str, ...], tuple[float, float]] = {}
+    readings: dict[tuple[str, ...], Measurements] = {}
     copied: set[tuple[str, ...]] = set()
     for choices in product(*(q.choices for q in questions)):
         tried = found
@@ -263,10 +267,13 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
             m = _measurements_of(raw, robot, sources)
             if m.position is not None and len(m) >= 6:  # 18 numbers for the 9 unknown ones of base and tool
                 turn = 0.0 if m.orientation is None else _orientation_error(robot, m)
-                errors[choices] = (placed_by(robot, m)[1], turn)
+                errors[choices], readings[choices] = (placed_by(robot, m)[1], turn), m
                 copied |= {choices} if computed(robot, m, rounded=True) else set()
     answers: dict[str, tuple[str, str]] = {}
     order = sorted(errors, key=lambda c: _total(robot, errors[c]))
+    if 1 < len(errors) <= MAX_CHOICES_WITH_SLIPS and _total(robot, errors[order[0]]) > MAX_ORIENTATION_ERROR_RAD:
+        errors |= {choices: error for choices, m in readings.items() if (error := _error_without_slips(robot, m))}
+        order = sorted(errors, key=lambda c: _total(robot, errors[c]))
     for k, question in enumerate(questions):
         lengths = [c for c in question.choices if len(question.choices[c]) == 1]
         if question.about == "observation" and lengths and copied:
@@ -304,6 +311,17 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
         some = [*ranked][: 5 if question.about == "layout" else None]
         asked.append(replace(question, choices={c: question.choices[c] for c in some}) if question.about else question)
     return replace(found, questions=tuple(asked))
+
+
+def _error_without_slips(robot: Robot, m: Measurements) -> tuple[float, float] | None:
+    """Return the median errors [m, rad] of a reading with the slips undone that explain it best.
+
+    None where no slips explain it.
+    """
+    from casadical.project.check.slips import search_slips
+
+    found = search_slips(robot, m)
+    return (found.best.error, found.best.turn) if found and found.explains else None
 
 
 def _total(robot: Robot, error: tuple[float, float]) -> float:

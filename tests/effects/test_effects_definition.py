@@ -236,3 +236,11 @@ def test_equal_definitions_make_one_class(tmp_path: Path) -> None:
     (tmp_path / "other").mkdir()
     assert defined(tmp_path) is defined(tmp_path / "other")
     assert replace(defined(tmp_path)(2), start=1.0) == defined(tmp_path / "other")(2, 1.0)
+
+
+def test_numbers_of_an_effect_of_ones_own_are_printed_in_the_unit_that_it_declares(tmp_path: Path) -> None:
+    for kind in (defined(tmp_path), SoftStop):
+        (give,) = kind(joint=2).parameters()
+        assert (give.readable_unit, give.readable(2e-4)) == ("rad", 2e-4)
+    (half,) = known_effects()["gear_eccentricity"](joint=2).parameters()[:1]
+    assert half.readable_unit == "deg"

@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from casadical.project.check.result import Precheck
 from casadical.project.check.slip_fit import Fit
 from casadical.project.check.slip_list import MIRROR_WARNING, error_in_mm, meant_length, other_lengths
 from casadical.project.problem import read_problem, read_problem_robot
-from casadical.project.problem_file import as_toml
+from casadical.project.problem_file import UrdfTable, as_toml, robot_of_file
 from casadical.project.robot_columns import understood
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import readings_table, robot_from
@@ -42,16 +43,8 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     raw = read_table(folder / str(table["file"]))
     known = _known_columns(folder, table, robot)
     columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
-    # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
-    others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
-    meaning = understood(raw, robot, others, table.get("kind"))
-    again = {ours: source for ours, source in meaning.sources.items() if re.fullmatch(ORIENTATION, ours)}
-    columns = columns if meaning.questions or not again else {**others, **again}
     texts: dict[Path, str] = {}
-    if columns != known:
-        table["columns"] = _columns_table(columns)
-        texts[path] = tomlkit.dumps(problem)
-    other, counted = other_lengths(fit, robot), _counted(fit, robot)
+    other, counted, repaired_robot = other_lengths(fit, robot), _counted(fit, robot), robot
     place = folder / str(problem.get("robot", "robot.toml"))
     if counted and place.suffix == ".urdf":
         urdf: Any = problem.setdefault("urdf", tomlkit.table())
@@ -60,8 +53,18 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
         for name, entry in (listed | {str(robot.joints[i].name): entry for i, entry in counted.items()}).items():
             urdf["joint"].append(tomlkit.item({"name": name, **entry}))
         texts[path] = tomlkit.dumps(problem)
+        repaired_robot = robot_of_file(place, UrdfTable.model_validate(urdf.unwrap()))
     if fit.hypothesis.rows or fit.hypothesis.lengths or other or (counted and place.suffix != ".urdf"):
         texts[place] = _repaired_robot(place, fit, other or 1.0, counted)
+        repaired_robot = robot_from(tomllib.loads(texts[place]), place.name, folder=place.parent)
+    # The order of a quaternion's numbers was inferred from readings with the slip: infer it again.
+    others = {ours: source for ours, source in columns.items() if not re.fullmatch(ORIENTATION, ours)}
+    meaning = understood(raw, repaired_robot, others, table.get("kind"))
+    again = {ours: source for ours, source in meaning.sources.items() if re.fullmatch(ORIENTATION, ours)}
+    columns = columns if meaning.questions or not again else {**others, **again}
+    if columns != known:
+        table["columns"] = _columns_table(columns)
+        texts[path] = tomlkit.dumps(problem)
     return texts
 
 

@@ -143,7 +143,7 @@ class SlipFit:
     # Number of hypotheses that are kept on each level of the search.
     beam: ClassVar[int] = 800
 
-    def _aligned(self, shift: int) -> tuple[Array, Array]:
+    def aligned(self, shift: int) -> tuple[Array, Array]:
         """Return readings (k, joints) and positions (k, 3) that belong together after a shift.
 
         shift : number of rows by which the readings precede their positions
@@ -244,7 +244,7 @@ class SlipFit:
         keys = [(h.shift, h.rows) for h in hypotheses]
         for shift, rows in dict.fromkeys(keys):
             index = [k for k, key in enumerate(keys) if key == (shift, rows)]
-            q, y = (part[: self.scored] for part in self._aligned(shift))
+            q, y = (part[: self.scored] for part in self.aligned(shift))
             for first in range(0, len(index), 128):
                 part = index[first : first + 128]
                 some = [hypotheses[k] for k in part]
@@ -268,7 +268,7 @@ class SlipFit:
         as_given : whether the positions are taken to be right in unit and handedness, which are
             fitted otherwise
         """
-        q, y = self._aligned(h.shift)
+        q, y = self.aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         inliers = np.ones(len(y), dtype=bool)
         scale, mirrored, error = (1.0, 1.0, 1.0), False, np.inf
@@ -336,7 +336,7 @@ class LengthFit(SlipFit):
 
         as_given : not used, as lengths show neither unit nor handedness
         """
-        q, y = self._aligned(h.shift)
+        q, y = self.aligned(h.shift)
         p, R, _, _ = self._flange(_readings([h], q), self.rows[h.rows], *self._lengths([h], h.rows))
         inliers, e = np.ones(len(y), dtype=bool), np.zeros(len(y))
         for _ in range(3):  # far rows bias the fit

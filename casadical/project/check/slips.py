@@ -55,7 +55,7 @@ def search_slips(robot: Robot, m: Measurements, others: Sequence[Robot] = (), sh
     if fit is None:
         return None
     # Shifts need rows that follow each other in the file.
-    shifts = (0, 1, -1) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
+    shifts = _likely_shifts(fit, robot) if np.all(np.diff(m.row[order]) >= 1) and m.position is not None else (0,)
     fits = _search(fit, robot, shifts, show)
     before = fit.placed(Hypothesis.none(robot.n), as_given=True)
     errors = np.log([max(f.error, NOMINAL_ERROR_OF_REACH * robot.reach) for f in fits])
@@ -106,19 +106,38 @@ def outside(h: Hypothesis, robot: Robot, q: Array) -> bool:
     return bool(((meant < lower - 0.01) | (meant > upper + 0.01)).any(axis=1).mean() > 0.05)
 
 
+def _likely_shifts(fit: SlipFit, robot: Robot) -> tuple[int, ...]:
+    """Return the shift of rows with which the readings predict the positions; all where it is unclear.
+
+    A position is a trigonometric polynomial of the angles, whatever their signs, zeros and order.
+    Kernel ridge regression on such polynomials shows the shift before other slips are known.
+    """
+    joints = zip(robot.joints, fit.q.T, strict=True)
+    period = np.array([2 * np.pi if joint.kind == "revolute" else 4 * np.ptp(q) + 1e-9 for joint, q in joints])
+    error = {}
+    for shift in (0, 1, -1):
+        q, y = fit.aligned(shift)
+        kernel = np.prod(1 + 0.5 * np.cos(2 * np.pi / period * (q[:, None] - q)), axis=2) / 1.5 ** len(period)
+        weights = np.linalg.inv(kernel + 0.1 * np.eye(len(q)))
+        # Errors of leave-one-out predictions, in closed form.
+        error[shift] = float(np.mean((weights @ (y - y.mean(axis=0)) / np.diag(weights)[:, None]) ** 2))
+    best, second, _ = sorted(error, key=lambda shift: error[shift])
+    return (best,) if error[best] < 0.8 * error[second] else tuple(error)
+
+
 def _search(fit: SlipFit, robot: Robot, shifts: Sequence[int], show: Show) -> list[Fit]:
     """Return the fits of the best hypotheses of each number of slips, base and tool fitted.
 
     shifts : shifts of rows that are tried
     """
-    none = Hypothesis.none(robot.n)
+    none = Hypothesis.none(robot.n)._replace(shift=shifts[0])
     turning = [j.kind == "revolute" for j in robot.joints]
     # A column whose range is this small compared with the others may be in radians.
     move = np.ptp(fit.q, axis=0)
     turn = np.deg2rad(2 * np.pi)
     little = (move > np.deg2rad(0.3)) & (move < turn) & (np.median(move) > turn) & turning
     level = [none, *(none.at("factor", int(i), 180 / np.pi) for i in np.flatnonzero(little))]
-    seen, fits = set(level), {none: fit.placed(none)}
+    seen, fits = set(level), {h: fit.placed(h) for h in (Hypothesis.none(robot.n), none)}
     share = fit.shares(level)
     # More slips of one table at once are not searched for.
     max_slips = 4

@@ -15,6 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from casadical import InputError
 from casadical.measurements.raw_table import read_table
+from casadical.project.check import precheck
+from casadical.project.check.repair import repaired
 from casadical.project.new import new_problem
 from casadical.project.new.dh_table import robot_text
 from casadical.project.problem import read_campaign, read_problem
@@ -426,3 +428,34 @@ def test_measured_coordinates_go_before_those_of_the_controller(
     (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "table.csv").whole
     assert m.position is not None
     np.testing.assert_allclose(1e3 * m.position, P, atol=1e-3)
+
+
+@pytest.mark.parametrize("headings", [True, False])
+def test_the_order_of_numbers_is_seen_though_a_joint_counts_the_other_way(headings: bool, tmp_path: Path) -> None:
+    turned = Q * [1, -1, 1, 1, 1, 1]
+    names = [*J, "x", "y", "z", *(f"quat{k}" for k in range(4))]
+    seen = Rotation.from_matrix(R).as_quat(scalar_first=True)
+    pd.DataFrame(np.hstack([turned, P, seen]), columns=names).to_csv(tmp_path / "t.csv", index=False, header=headings)
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tmp_path / "t.csv").whole
+    assert m.orientation is not None
+    np.testing.assert_allclose(m.orientation, R, atol=1e-5)
+    np.testing.assert_allclose(np.rad2deg(m.q), turned, atol=1e-4)
+    repaired(precheck(tmp_path / "arm"))
+    found = precheck(tmp_path / "arm")
+    assert found.ok, found.findings
+
+
+def test_a_table_of_one_number_in_each_row_is_read_below_its_title(tmp_path: Path) -> None:
+    length = np.linalg.norm(P - [3000, 200, 100], axis=1)
+    rows = [f"P{k};links;{str(value).replace('.', ',')}" for k, value in enumerate(length)]
+    (tmp_path / "wires.csv").write_text("\n".join(["Protokoll", "Punkt;Seil;Abstand [mm]", *rows]))
+    (tmp_path / "lists.csv").write_text(
+        "\n".join(["Protokoll", "Punkt;joint_states", *(f"P{k};{list(q)}" for k, q in enumerate(Q))])
+    )
+    (tmp_path / "dh.csv").write_text(first_hour.DH)
+    tables = [tmp_path / "lists.csv", tmp_path / "wires.csv"]
+    (m,) = new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=tables).whole
+    assert m.distance is not None
+    np.testing.assert_allclose(1e3 * m.distance, length, atol=1e-6)
+    np.testing.assert_allclose(np.rad2deg(m.q), Q, atol=1e-6)
