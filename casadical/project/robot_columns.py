@@ -271,7 +271,7 @@ def _by_model(raw: RawTable, robot: Robot, given: Mapping[str, Source], found: U
                 copied |= {choices} if computed(robot, m, rounded=True) else set()
     answers: dict[str, tuple[str, str]] = {}
     order = sorted(errors, key=lambda c: _total(robot, errors[c]))
-    if 1 < len(errors) <= MAX_CHOICES_WITH_SLIPS and _total(robot, errors[order[0]]) > MAX_ORIENTATION_ERROR_RAD:
+    if 0 < len(errors) <= MAX_CHOICES_WITH_SLIPS and _total(robot, errors[order[0]]) > MAX_ORIENTATION_ERROR_RAD:
         errors |= {choices: error for choices, m in readings.items() if (error := _error_without_slips(robot, m))}
         order = sorted(errors, key=lambda c: _total(robot, errors[c]))
     for k, question in enumerate(questions):

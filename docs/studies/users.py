@@ -366,7 +366,7 @@ def tried(number: int) -> tuple[str, bool, list[str], float]:
         refused, text = _run(folder, ["new", "arm", *options])
         if refused:
             return f"{number:3d} {user.name}: new refused: {_last(text)}", False, [], 0.0
-        sets = read_problem(folder / "arm").parts()
+        sets = list(read_problem(folder / "arm").parts())
         first = min(int(np.min(m.row)) for _, m in sets)
         if user.typed:
             wrong_row = int(rng.choice([r for name, m in sets if "report" in name for r in m.row]))
