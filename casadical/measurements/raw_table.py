@@ -301,7 +301,7 @@ def _headings(
     """
     first = next((k for k, (_, cells) in enumerate(rest) if table_form.is_data(cells)), None)
     if first is None:  # rows of words, lists and single numbers
-        some = (k for k, (_, cells) in enumerate(rest) if any(re.match(r"[\[(]?\s*[-+]?\d", c.strip()) for c in cells))
+        some = (k for k, (_, row) in enumerate(rest) if any(re.match(r"[-+]?\d|[\[(].*\d.*,", c.strip()) for c in row))
         first = next(some, 0)
         if not first:
             return 1, rest[0], None
