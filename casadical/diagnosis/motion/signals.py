@@ -263,13 +263,15 @@ def _run(
         signals["torque"] = smooth(torque)
     if run.temperature is not None and np.isfinite(run.temperature).any(axis=0).all():
         signals["heat"] = smooth(run.temperature)
-    signals |= {f"memory {w}": play_operator(q, w) for w in widths}
     stands = np.abs(v) < np.maximum(STANDSTILL_SPEED_SHARE * np.sqrt((v**2).mean(axis=0)), STANDSTILL_SPEED_RAD_S)
     at = np.arange(len(t))[:, None]
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
     # A joint has not moved yet while it is within 5e-3 rad of where the run began.
     signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < 5e-3, axis=0) * 1.0
-    return {"time": t[samples] - t[0], **{k: values[samples] for k, values in signals.items()}}
+    used = {"time": t[samples] - t[0], **{k: values[samples] for k, values in signals.items()}}
+    # The play's memory is that of the used samples alone, from the first of the run.
+    rows = slice(edge // every, edge // every + len(used["time"]))
+    return used | {f"memory {w}": play_operator(q[edge % every :: every], w)[rows] for w in widths}
 
 
 def resampled(values: Array, time: Array, t: Array) -> Array:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
+from pandas.api.types import is_numeric_dtype
 
 from casadical.core.basics import Array, InputError, shown
 from casadical.core.reading import json_of
@@ -116,6 +117,8 @@ def _lists(cells: pd.Series, raw: RawTable) -> Array | None:
 
     Raises InputError where the lists are not all of k numbers.
     """
+    if is_numeric_dtype(cells):
+        return None
     cells = cells.map(lambda cell: _as_json(cell) if isinstance(cell, str) else cell)
     first = cells.iloc[0]
     if isinstance(first, str) and first.lstrip().startswith("["):
