@@ -19,8 +19,10 @@ from casadical.core.transforms import frame
 from casadical.identification.accuracy import predicted
 from casadical.measurements.camera_noise import to_camera_axes, whitening
 from casadical.measurements.corners import INTRINSICS, CameraErrors
+from casadical.project.new import new_problem
 from casadical.project.robot_columns import as_poses
 from casadical.robot.robot_file import robot_files
+from casadical.robot.urdf.writing import new_urdf
 
 # Eight by six corners of squares of 30 mm, whose origin is the first.
 BOARD = np.array([[0.03 * i, 0.03 * j, 0.0] for i in range(8) for j in range(6)])
@@ -167,6 +169,22 @@ def test_a_wrong_focal_length_is_found_and_taken_off(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         again.sets["identify"][0].position, result.problem.sets["identify"][0].position, atol=1e-9
     )
+
+
+def test_new_keeps_the_intrinsics(tmp_path: Path) -> None:
+    robot, q, T, _ = stations(12)
+    (tmp_path / "arm.urdf").write_text(new_urdf(robot))
+    table(q, pixels(T), None).to_csv(tmp_path / "corners.csv", index=False)
+    given = {"urdf": tmp_path / "arm.urdf", "data": tmp_path / "corners.csv"}
+    made = new_problem(tmp_path / "arm", **given, intrinsics="900,905,640,360,-0.12,0.03,1e-3,-5e-4,0.01")
+    parts = [m for _, m in made.parts()]
+    assert sum(map(len, parts)) == 12
+    assert {(m.camera, m.inverted) for m in parts} == {("in hand", True)}
+    k = [int(np.abs(q - each).sum(axis=1).argmin()) for each in parts[0].q]
+    np.testing.assert_allclose(parts[0].view.T, T[k], atol=1e-7)
+    for wrong in ("900,905", "900,x,640,360", "-900,905,640,360", "900,905,640,nan"):
+        with pytest.raises(InputError, match="allowed: FX,FY,CX,CY in pixels"):
+            new_problem(tmp_path / "other", **given, intrinsics=wrong)
 
 
 def test_tables_of_corners_that_cannot_be_used_are_refused() -> None:
