@@ -120,7 +120,8 @@ plt.show()
 # In one table
 # ------------
 # The same replays with one effect taken out at a time, as ``found["effects"]`` has them: what each joint would be off
-# by, in mrad, without it. Dry friction and gravity of shoulder and elbow are worth modelling first, delay and inertia last.
+# by, in mrad, without it. Dry friction and gravity of shoulder and elbow are worth modelling first, delay and inertia
+# last.
 
 for effect, rms in {"position = command": before, **without, "nothing": after}.items():
     print(f"{effect:20}", *(f"{1e3 * v:6.1f}" for v in rms))
