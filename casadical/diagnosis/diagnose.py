@@ -15,11 +15,12 @@ from casadical.diagnosis.changes import changes
 from casadical.diagnosis.conclusion import conclude
 from casadical.diagnosis.cross_validation import errors_and_distances, likely_noise
 from casadical.diagnosis.evidence import WIDE_SIGMA_GRID_M
-from casadical.diagnosis.laws.contest import claimed_before_causes, replaces_causes
+from casadical.diagnosis.laws.search import laws_before_causes, log_mass_of_causes, replaces_causes
 from casadical.diagnosis.linear_problem import Case, make_case, updated_ratios
 from casadical.diagnosis.noise_account import Rule
 from casadical.diagnosis.noise_forms import likely_lag, noisy_joint
 from casadical.diagnosis.observations import Ratios
+from casadical.diagnosis.posterior import PRIOR_FIRST
 from casadical.diagnosis.result import Change, Diagnosis
 from casadical.diagnosis.search import State, next_cause, search, search_with_forms
 from casadical.diagnosis.settings import SETTINGS
@@ -320,11 +321,13 @@ def _held_against_laws(found: Diagnosis) -> Diagnosis:
     noise = done and found.account.rules in (Rule.FIT, Rule.SHEET) and e.count - e.absorbed >= 24
     if not (effects or noise) or not found.case.one_end or any(e.parts for e in effects):
         return found
-    law, case = claimed_before_causes(found) or (None, found.case)
+    # The log mass of "nothing" and of all causes is what a law has to exceed.
+    needed = max(float(np.log(PRIOR_FIRST["none"])), log_mass_of_causes(found))
+    law, case = laws_before_causes(found, needed) or (None, found.case)
     if law and replaces_causes(found, law):
         state = State(case, rankings=found.rankings[:1]) if case is found.case else State(case).ranked()
         found = conclude(found.identification, state, "unknown", found.seed, found.p_nothing)
-    return replace(found, law=law)
+    return replace(found, law=law if law and law.claimed else None)
 
 
 def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -> tuple[str, ...]:

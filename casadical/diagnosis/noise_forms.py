@@ -9,7 +9,6 @@ it is in the model, noise of its joints is no rival.
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from operator import itemgetter
 
 import numpy as np
 
@@ -66,15 +65,7 @@ def with_noise_forms(ranking: Ranking, case: Case, chosen: Array, joints: Collec
         best = best_of(own, own.__getitem__, logs=True)
         noise_form = best if own[best] > plain else ""
     rivals = [f for f in forms if f.label in mass]
-    ranking = replace(
-        ranking,
-        log_factor={**ranking.log_factor, **{f.label: f.log_factor for f in rivals}},
-        log_mass={**ranking.log_mass, **mass},
-        noise={**ranking.noise, **{f.label: f.noise for f in rivals}},
-        log_noise=none - plain,
-        noise_form=noise_form,
-    )
-    return ranking.normalised(none)
+    return replace(ranking, log_noise=none - plain, noise_form=noise_form).with_rivals(rivals, prior)
 
 
 def noisy_joint(case: Case, ranking: Ranking) -> int | None:
@@ -197,29 +188,6 @@ def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | Non
     return (form, noise, gain) if moved and gain >= SETTINGS.min_ar_log_gain else None
 
 
-def best_form_given_ar(case: Case, chosen: Array) -> tuple[str, float]:
-    """Return the label of the best alternative to the case's AR(1) noise, and its log evidence.
-
-    The evidence is relative to that of the case's form.
-
-    The alternatives are another coefficient, heavy tails in addition to the same coefficient, and
-    any form without autocorrelation.
-    """
-    e, problem = case.evidence, Problem(case.evidence, chosen, case.order)
-    # The form is made anew, because outliers may have been removed since it was found.
-    own = ar_form(case.form.ar_coefficient, len(e.r), e.count / len(e.r))
-    plain, log = (
-        float(np.logaddexp.reduce(e.log_base(chosen), axis=None)),
-        float(np.logaddexp.reduce(problem.log_likelihood(own), axis=None)),
-    )
-    rivals = [(AR_NOISE, best_ar_form(case, chosen)[2])]
-    rivals += [(f.label, f.log_factor) for f in noise_forms(case, chosen)]
-    if tails := heavy_tailed_form(problem, own):
-        rivals.append((HEAVY_TAILS, float(np.logaddexp.reduce(problem.log_likelihood(tails), axis=None)) - plain))
-    label, gain = best_of(rivals, itemgetter(1), logs=True)
-    return label, gain + plain - log
-
-
 def unequal_form(problem: Problem) -> Form | None:
     """Return a form of noise whose size along x, y and z is that of the residual.
 
@@ -237,18 +205,16 @@ def unequal_form(problem: Problem) -> Form | None:
     return form
 
 
-def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | None:
+def heavy_tailed_form(problem: Problem) -> Form | None:
     """Return a form of noise that is larger at poses with large residuals; None without such poses.
 
-    The noise there is larger by `Settings.tail_noise_factor`.
-    usual : form of the noise at the other poses; None: white
+    The noise there is larger by `Settings.tail_noise_factor`, and white elsewhere.
     """
-    usual = usual or Form()
     n, numbers = len(problem.e.r), problem.e.count / len(problem.e.r)
     share, factor = SETTINGS.tail_share, SETTINGS.tail_noise_factor
     log_odds = np.log(share / (1 - share)) - numbers * np.log(factor)
-    times, form = np.ones(n), usual
-    grid = problem.log_likelihood(usual) if usual.ar_coefficient else problem.e.log_base(problem.chosen)
+    times, form = np.ones(n), Form()
+    grid = problem.e.log_base(problem.chosen)
     for _ in range(3):
         noise = likely_noise(grid, problem.e.sigmas)
         rho = int(np.argmin(np.abs(RHO_GRID - noise.repeatability / noise.sigma)))
@@ -258,6 +224,6 @@ def heavy_tailed_form(problem: Problem, usual: Form | None = None) -> Form | Non
             break
         out = int((times > 1).sum())
         weight = out * np.log(share) + (n - out) * np.log(1 - share) - numbers * out * np.log(factor)
-        form = replace(usual, scale=times, log_weight=usual.log_weight + float(weight))
+        form = Form(scale=times, log_weight=float(weight))
         grid = problem.log_likelihood(form)
     return form if (times > 1).any() else None

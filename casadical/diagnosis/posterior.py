@@ -1,7 +1,7 @@
 """Posterior probabilities of the next cause: none, each candidate effect, or an unlisted one."""
 
 from collections import Counter
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -69,6 +69,19 @@ class Ranking:
         return replace(
             self, none=float(share[0]), probability=dict(zip(self.log_mass, share[1:].tolist(), strict=True))
         )
+
+    def with_rivals(self, rivals: "Sequence[Rival]", prior: Mapping[str, float]) -> "Ranking":
+        """Return the ranking with rivals, such as laws, among its candidates, renormalised.
+
+        prior : one of PRIOR_FIRST and PRIOR_FURTHER; the rivals share that of unlisted effects
+        """
+        more = replace(
+            self,
+            log_factor={**self.log_factor, **{r.label: r.log_factor for r in rivals}},
+            log_mass={**self.log_mass, **{r.label: float(np.log(prior["unknown"])) + r.log_factor for r in rivals}},
+            noise={**self.noise, **{r.label: r.noise for r in rivals}},
+        )
+        return more.normalised(float(np.log(prior["none"])) + self.log_noise)
 
     def restricted_to(self, labels: Collection[str]) -> "Ranking":
         """Return the ranking of these candidates only; they and `none` are renormalised."""

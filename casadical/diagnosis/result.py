@@ -30,7 +30,7 @@ from casadical.measurements.measurements import Noise
 from casadical.robot.robot import Robot
 
 if TYPE_CHECKING:
-    from casadical.diagnosis.laws.problem import Round
+    from casadical.diagnosis.laws.search import Round
 
 # Verdict: noise alone, explained by the causes, several causes fit equally, or an unlisted cause.
 Verdict = Literal["none", "explained", "ambiguous", "unknown"]

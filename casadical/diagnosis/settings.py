@@ -75,15 +75,10 @@ class Settings:
         `laws`) are searched: the time grows with it
     min_alias_correlation : a law is a listed effect under another name if their columns
         correlate by more than this
-    min_law_score : score [nats] (see `laws.search`) that a law needs to be claimed
-    min_law_margin : margin over the best rival's score [nats] that a law needs to be claimed
+    min_law_further : probability of "no additional cause" given a law that it needs to be claimed
+    min_law_margin : margin over several causes [nats] that a law needs to replace them
     indistinguishable_law_margin : laws with scores within this of the best one [nats] are reported
         as indistinguishable
-    max_exact_laws : number of laws, the best by screening, whose evidence is computed exactly
-    min_moved_laws : number of laws of an instrument's beam whose station is refined in any case
-    max_driver_value : a driver of laws with a larger absolute value is excluded: it is the rounding
-        error of a load divided by zero
-    max_slow_cycles : greatest frequency of slow waves over an angle [cycles per revolution]
     max_absorbed_share : fraction of an effect's energy absorbed by the base model above which the
         effect is invisible
     max_findable_multiple : multiple of its usual size, needed to find an effect, above which
@@ -139,13 +134,9 @@ class Settings:
     noisy_joint_factor: float = 8.0
     max_law_poses: int = 600
     min_alias_correlation: float = 0.95
-    min_law_score: float = 12.0
+    min_law_further: float = 0.5
     min_law_margin: float = 3.0
     indistinguishable_law_margin: float = 5.0
-    max_exact_laws: int = 24
-    min_moved_laws: int = 4
-    max_driver_value: float = 1e6
-    max_slow_cycles: float = 16.0
     max_absorbed_share: float = 0.98
     max_findable_multiple: float = 5.0
     min_size_mm: float = 1e-6

@@ -41,7 +41,7 @@ from casadical.blind_check.mujoco_physics import LISTED, perturb
 from casadical.blind_check.mujoco_physics.table import MEASURED_COLUMNS
 from casadical.core.basics import Array, InputError
 from casadical.diagnosis.diagnose import diagnose
-from casadical.diagnosis.laws.contest import laws_before_causes, replaces_causes
+from casadical.diagnosis.laws.search import laws_before_causes, replaces_causes
 from casadical.measurements.reading import from_table
 from casadical.robot.robot import Robot
 
@@ -170,7 +170,8 @@ def trial(part: str, number: int, seeds: str, options: dict[str, Any], *, laws: 
         return answer | {"verdict": "refused", "named": [], "why": str(error), "seconds": 0.0}
     first = found.rankings[0]
     if laws:
-        answer["law"] = bool(replaces_causes(found, laws_before_causes(found)))
+        alone = laws_before_causes(found)
+        answer["law"] = bool(alone and replaces_causes(found, alone[0]))
     return answer | {
         "verdict": found.verdict,
         "named": [c.label for c in found.causes],

@@ -27,8 +27,7 @@ from casadical.diagnosis.evidence import (
     NoisePrior,
     log_noise_prior,
 )
-from casadical.diagnosis.laws.forms import Driver
-from casadical.diagnosis.laws.problem import Problem, Screen
+from casadical.diagnosis.laws.candidates import LawProblem
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.localisation import thirds_of
 from casadical.diagnosis.next_poses import table_of
@@ -118,9 +117,9 @@ def test_a_second_cause_at_a_joint_has_a_twentieth_of_the_prior() -> None:
 
 def test_a_law_is_judged_against_none_by_the_same_densities(odds: list[float]) -> None:
     case = small_case()
-    problem = Problem.of_case(case, NONE)
     E = case.whole.take(np.arange(case.whole.width))
-    assert_allclose(problem.evidences([E[:, :, [0]], E[:, :, [2]]]), [odds[0], odds[2]], atol=1e-6)
+    found, _ = LawProblem(case.judged.with_causes_alone(NONE)).grids(E[:, :, [0, 2], None])
+    assert_allclose(found, [odds[0], odds[2]], atol=1e-6)
 
 
 def test_odds_of_a_draw_are_those_of_its_density() -> None:
@@ -166,13 +165,6 @@ def test_joints_repeat_as_data_sheets_say() -> None:
     plain, known = (log_noise_prior(replace(e, noise_prior=NoisePrior(lever=a)), e.Jq) for a in (0.0, 1.0))
     urad = 1e6 * RHO_GRID[:, None] * e.sigmas
     assert_allclose(known - plain, norm(scale=13.81).logpdf(urad) - norm(scale=13.81).logpdf(0.0), rtol=1e-3)
-
-
-def test_drivers_of_columns_alone() -> None:
-    assert Driver("t", "time", "time").columns_only
-    assert Driver("approach1*t", "linear", "approach").columns_only
-    assert not Driver("q1*t", "linear", "product").columns_only
-    assert not Driver("q1", "angle", "angle").columns_only
 
 
 def test_what_is_prepared_is_not_given_again() -> None:
@@ -242,13 +234,6 @@ def test_next_poses_have_the_unit_of_their_joint() -> None:
     drawn: Any = SimpleNamespace(m=m, warm=None, repeated=np.array([-1, -1]), q=q)
     table = table_of(case, (), drawn, [0], [0.5])
     assert table.loc[0, ["q1_deg", "q2_mm"]].tolist() == [30.0, 250.0]
-
-
-def test_a_law_that_explains_nothing_costs_its_width() -> None:
-    screen = Screen(np.zeros((4, 3, 3)), np.zeros((4, 3, 1)), np.zeros((4, 3)), 12 * 4e-10, 12)
-    size = 3e-9  # its column's square; the noise's variance is 4e-10
-    (found,) = screen.gains(np.array([[[size]]]), np.zeros((1, 1)))
-    assert found == pytest.approx(logsumexp(np.log(KAPPA_WEIGHTS) - 0.5 * np.log1p(KAPPA_GRID**2 * size / 4e-10)))
 
 
 def test_only_sigmas_near_the_best_are_judged() -> None:

@@ -16,16 +16,15 @@ from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.core.reporting.result import Result, plain_text
 from casadical.core.statistics import best_of
 from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.laws.problem import (
-    Round,
-    ScoredLaw,
-)
+from casadical.diagnosis.laws.candidates import ScoredLaw, typical_size
+from casadical.diagnosis.laws.forms import SMOOTH
+from casadical.diagnosis.laws.search import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
 from casadical.diagnosis.result import Diagnosis, Unlisted
 from casadical.diagnosis.settings import SETTINGS
 from casadical.effects import Effect
-from casadical.effects.formula_effect import DEFAULT_TARGET_DIRECTION, SEAMS, STATION_SEAMS, Law
+from casadical.effects.formula_effect import SEAMS, Law
 from casadical.identification.result import Identification
 from casadical.measurements.measurements import Noise
 from casadical.robot.effect_tables import effects_toml
@@ -33,18 +32,19 @@ from casadical.robot.robot import Robot
 from casadical.robot.robot_file import robot_files
 
 # Unit in reports, and factor from SI to it, by SI unit of a law's factor.
-REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2), "": ("of the peak torque", 1.0)}
+REPORT_UNITS = {"rad": ("urad", 1e6), "m": ("um", 1e6), "kg/kg": ("%", 1e2)}
 # Words for a model in reports, by its name in `Discovery.gap`.
 _MODEL_WORDS = {
     "base": "base model",
     "causes": "with listed causes",
     "law": "with the law",
+    "described": "with the description",
     "smooth": "with smooth forms",
 }
 
 
 # Names of the models that are compared on held-out poses (see `Discovery.gap`).
-KeptModel = Literal["law", "smooth", "causes", "base"]
+KeptModel = Literal["law", "described", "smooth", "causes", "base"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,13 +52,16 @@ class Discovery(Result):
     """Laws (symbolic expressions of unlisted effects) found in the residuals of a diagnosis.
 
     diagnosis : diagnosis of the same data
-    rounds : comparisons of laws with their rivals, each given the laws of the rounds before
+    rounds : rankings of laws with their rivals, each given the laws of the rounds before; () where no
+        state variable varies over the poses
     case : linear problem with the laws among its candidates, on the searched poses
     laws : the claimed laws; causes : listed effects in the model with the laws
+    description : where none is claimed, the law that best describes the error by a state variable
     noise : most probable noise given both
     values : factors of the laws: (value, standard error, unit) [SI] by name of the parameter
     gap : mean held-out error [m] by model: "base", "causes" (those of the diagnosis), "law" (laws
-        and `causes`), "smooth" (causes and smooth forms); only models that exist
+        and `causes`), "described" (causes and description), "smooth" (causes and smooth forms); only
+        models that exist
     shrink : fraction, up to 1, by which the gap falls with the laws, and its 95 % interval;
         settings are chosen again in each fold; None without laws
     smooth : description of an unlisted cause by smooth forms, None without one
@@ -78,6 +81,7 @@ class Discovery(Result):
     rounds: tuple[Round, ...]
     case: Case
     laws: tuple[ScoredLaw, ...]
+    description: ScoredLaw | None
     causes: tuple[Effect, ...]
     noise: Noise
     values: dict[str, tuple[float, float, str]]
@@ -96,6 +100,7 @@ class Discovery(Result):
         laws = tuple(s.law for s in self.laws)
         effects = {
             "law": (*self.causes, *laws),
+            "described": (*self.diagnosis.effects(), *([self.description.law] if self.description else [])),
             "smooth": self.diagnosis.effects(unlisted=self.smooth),
             "causes": self.diagnosis.effects(),
         }
@@ -106,7 +111,7 @@ class Discovery(Result):
 
         Raises ConvergenceError: Ipopt finds no optimum.
         """
-        noise = self.noise if self.best_model == "law" else self.diagnosis.noise
+        noise = self.noise if self.best_model in ("law", "described") else self.diagnosis.noise
         return refit(self.case.with_inliers(self.diagnosis.case.inliers), self.effects, noise)
 
     @property
@@ -125,13 +130,59 @@ class Discovery(Result):
         return [line_of(s.law, _factor_values(self, s)) for s in self.laws]
 
     @property
+    def size(self) -> tuple[float, str]:
+        """Return the rms of the description over the poses, less its mean, and its unit [SI]."""
+        assert self.description is not None
+        return float(np.sqrt((self._described**2).sum(axis=1).mean())), SEAMS[self.description.law.seam].unit
+
+    @property
+    def _described(self) -> Array:
+        """Return the description at the poses, less its mean, shape (n, components) [SI]."""
+        s = self.description
+        assert s is not None
+        amplitude = np.array([*_factor_values(self, s).values()]).reshape(len(s.candidate.function.form.parts), -1)
+        value = s.candidate.function.values(s.settings[None])[:, :, 0].T @ amplitude
+        return np.asarray(value - value.mean(axis=0))
+
+    @property
+    def described(self) -> str:
+        """Return the description as a sentence: where the error is, what it follows, its size."""
+        s = self.description
+        if s is None:
+            return ""
+        (rms, unit), value = self.size, self._described
+        along = value @ np.linalg.svd(value, full_matrices=False)[2][0]
+        order = np.corrcoef(np.argsort(np.argsort(along)), np.argsort(np.argsort(s.candidate.function.x)))[0, 1]
+        shown, factor = REPORT_UNITS[unit]
+        verb = "grows with" if abs(order) > 0.9 and len(s.variable.joints) < 2 else "depends on"
+        probability = next(iter(self.rounds[-1].drivers.values()))
+        return (
+            f"the error of {s.law.place} {verb} the {s.variable.words}, {factor * rms:.3g} {shown} rms "
+            f"(probability of this driver {probability:.2f})"
+        )
+
+    @property
     def in_words(self) -> str:
         """Return a sentence with the claimed laws and held-out errors, or why none is claimed."""
         if not self.laws:
-            why = _why_not(self.rounds[0])
-            return f"no law is claimed: {why[0].lower()}{why[1:]}"
+            why = f"{self.described}; " if self.description else ""
+            return f"{why}no form is claimed: {self.why_not}"
         errors = f"{mm(self.gap['base'])} -> {mm(self.gap['law'])} mm on held-out poses"
         return f"{'; '.join(self.lines)}; {errors} (casadical diagnose --laws --out DIR has it in a robot file)"
+
+    @property
+    def why_not(self) -> str:
+        """Return why no law is claimed, as a clause."""
+        if not self.rounds:
+            return "nothing that a law may follow varies over the poses"
+        r = self.rounds[-1]
+        if r.alias:
+            alike = f"correlation above {SETTINGS.min_alias_correlation}"
+            return f"the best one is {', '.join(r.alias)} by another name ({alike})"
+        if np.isfinite(r.further):
+            return f"given the best one something further is probable ({1 - r.further:.2f})"
+        rival, p = next(iter(r.rivals.items()), ("nothing", r.ranking.none))
+        return f"all forms of one driver together have probability {r.probability:.2g}, {rival} {p:.2g}"
 
     def blocks(self) -> list[Block]:
         """Return the report: laws with factors, rivals, held-out errors and the best model."""
@@ -144,7 +195,6 @@ class Discovery(Result):
             laws=list(zip(self.laws, self.lines, strict=True)),
             effects=self.causes if self.laws else self.diagnosis.effects(),
             factors=_factors,
-            why_not=_why_not,
             tables=each,
             shares=shares if len(set(shares)) > 1 else shares[:1],
             gaps=Table("Held-out error [mm]", ("model", "mean"), gaps, frozenset({1})),
@@ -186,10 +236,8 @@ class Discovery(Result):
         Keys are campaign, verdict, those of `laws_json`, causes, diagnosis and rounds.
         name : name of the campaign, by default that of its table
         """
-        first = self.rounds[0]
-        verdict = (
-            "law" if self.laws else "alias" if first.alias and first.best.score >= SETTINGS.min_law_score else "none"
-        )
+        alias = any(r.alias for r in self.rounds[:1])
+        verdict = "law" if self.laws else "alias" if alias else "described" if self.description else "none"
         return {
             "campaign": name or self.case.m.source,
             "verdict": verdict,
@@ -202,8 +250,8 @@ class Discovery(Result):
     def laws_json(self) -> dict[str, Any]:
         """Return the laws and held-out errors as plain data for JSON.
 
-        Keys are laws, gap_mm (by model), shrink, best_model and, where they apply, why
-        (no law is claimed) and poses.
+        Keys are laws, gap_mm (by model), shrink, best_model and, where they apply, described, why (no
+        law is claimed) and poses.
         """
         shrink = self.shrink and {"share": round(self.shrink[0], 4), "interval": [round(x, 4) for x in self.shrink[1]]}
         return {
@@ -211,8 +259,23 @@ class Discovery(Result):
             "gap_mm": {model: round(1e3 * value, 5) for model, value in self.gap.items()},
             "shrink": shrink,
             "best_model": self.best_model,
-            **({} if self.laws else {"why": _why_not(self.rounds[0])}),
+            **({"described": self._description_json()} if self.description else {}),
+            **({} if self.laws else {"why": self.why_not}),
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
+        }
+
+    def _description_json(self) -> dict[str, Any]:
+        """Return place, driver, probability of the driver and size (rms, SI) of the description."""
+        s, drivers = self.description, self.rounds[-1].drivers
+        assert s is not None
+        rms, unit = self.size
+        return {
+            "line": self.described,
+            "place": s.law.place,
+            "driver": s.variable.words,
+            "probability": round(drivers[s.variable], 4),
+            "rms": {"value": rms, "unit": unit},
+            "other_drivers": {v.words: round(p, 4) for v, p in [*drivers.items()][1:4]},
         }
 
     def files(self, folder: str | Path, name: str = "") -> dict[Path, str | bytes]:
@@ -242,9 +305,6 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
 
     def shown(name: str) -> str:
         """Return a factor as text: its value in the unit of reports, or its name."""
-        if values is not None and law.seam == "joints":
-            each = (factor * values[f"{name}{j}"] for j in range(1, law.count + 1))
-            return f"[{', '.join(f'{v:.3g}' for v in each)}]"
         return name if values is None or name not in values else f"{factor * values[name]:.3g}"
 
     def vector(found: re.Match[str]) -> str:
@@ -260,15 +320,7 @@ def line_of(law: Law, values: Mapping[str, float] | None = None) -> str:
     if SEAMS[law.seam][0] == 1:
         text = re.sub(r"(^| \+ )([a-z])\*", scalar, text)
     text = re.sub(r"abs\(([^()]*)\)", r"|\1|", text)
-    beam = f" (instrument at {_point(law.station)} m)" if law.seam in STATION_SEAMS else ""
-    if law.towards != DEFAULT_TARGET_DIRECTION:
-        beam = beam.replace(")", f"; the target looks along {_point(law.towards)} of the flange)")
-    return f"{law.place} += {text}{beam}".replace("+ -", "- ")
-
-
-def _point(of: tuple[float, float, float]) -> str:
-    """Return the components of a point or direction as text, separated by commas."""
-    return ", ".join(f"{v:g}" for v in of)
+    return f"{law.place} += {text}".replace("+ -", "- ")
 
 
 def _factor_values(d: Discovery, s: ScoredLaw) -> dict[str, float]:
@@ -285,28 +337,19 @@ def _factors(d: Discovery, s: ScoredLaw) -> str:
     )
 
 
-def _why_not(r: Round) -> str:
-    """Return a sentence on why the best law of a round is not claimed."""
-    enough = r.best.score >= SETTINGS.min_law_score
-    if r.alias and enough:
-        names = ", ".join(r.alias)
-        return f"The best one is {names} by another name (correlation above {SETTINGS.min_alias_correlation})."
-    best = f"The best one has {r.best.score:.1f} nats"
-    if enough:
-        name, score = r.rival
-        return f"{best}, {name} {score:.1f}; {SETTINGS.min_law_margin:g} more are needed."
-    return f"{best} after the price of the search; {SETTINGS.min_law_score:g} are needed."
-
-
 def _table(r: Round, title: str) -> Table:
-    """Return the table of the best laws of a round and their rivals, with scores [nats]."""
-    rows = [(f"{s.score:.1f}", line_of(s.law), s.tried.form.name) for s in (r.best, *r.alike)]
-    rivals = (("listed", r.listed), ("on no list", r.smooth), ("noise", r.noise))
-    rows += [(f"{score:.1f}", f"{kind}: {label}", "") for kind, (label, score) in rivals]
+    """Return the table of the best laws of a round and their rivals, with probabilities."""
+    best = ((s, f"{s.law.place} by the {s.variable.words}") for s in (r.best, *r.alike))
+    rows = [
+        (f"{r.ranking.probability[s.candidate.label]:.2g}", words if s.form == SMOOTH else line_of(s.law), s.form)
+        for s, words in best
+    ]
+    rivals = [("nothing", r.ranking.none), *[*r.rivals.items()][:3]]
+    rows += [(f"{p:.2g}", label, "") for label, p in rivals]
     count = 1 + len(r.alike)
     return Table(
         title,
-        ("nats", "law", "form"),
+        ("probability", "law", "form"),
         rows,
         frozenset({0}),
         frozenset({0}) if r.claimed else frozenset(),
@@ -319,29 +362,34 @@ def _law(d: Discovery, s: ScoredLaw, line: str) -> dict[str, Any]:
 
     line : its text, as of `line_of`
     """
-    names = zip(s.tried.form.settings, s.settings, s.errors, strict=True)
+    c = s.candidate
+    names = zip(c.function.form.settings, s.settings, s.errors, strict=True)
     own, keys = {n: d.values[f"{s.law.label}.{n}"] for n in s.law.sizes()}, ("value", "std_error", "unit")
     return {
         "line": line,
         **s.law.to_dict(),
         "factors": {n: dict(zip(keys, values, strict=True)) for n, values in own.items()},
-        "form": s.tried.form.name,
-        "driver": s.tried.driver.text,
-        "family": s.tried.driver.family,
+        "form": s.form,
+        "driver": c.function.driver,
+        "family": s.variable.family,
         "form_settings": {n: {"value": float(v), "std_error": float(e)} for n, v, e in names},
         "score": round(s.score, 2),
     }
 
 
 def _round(r: Round) -> dict[str, Any]:
-    """Return a round's laws and rivals with scores [nats] as plain data for JSON."""
-    rivals = {"listed": r.listed, "smooth": r.smooth, "noise": r.noise}
+    """Return a round's laws and rivals with probabilities as plain data for JSON."""
+    p = r.ranking.probability
     return {
         "claimed": r.claimed,
-        "best": {"line": line_of(r.best.law), "form": r.best.tried.form.name, "score": round(r.best.score, 2)},
+        "best": {"line": line_of(r.best.law), "form": r.best.form, "score": round(r.best.score, 2)},
+        "probability": round(r.probability, 4),
+        "further": None if np.isnan(r.further) else round(1 - r.further, 4),
         "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
         "within": SETTINGS.indistinguishable_law_margin,
-        **{kind: {"label": label, "score": round(score, 2)} for kind, (label, score) in rivals.items()},
+        "nothing": round(r.ranking.none, 4),
+        "rivals": {label: round(p[label], 4) for label in [*r.rivals][:5]},
+        "drivers": {v.words: round(q, 4) for v, q in [*r.drivers.items()][:5]},
         "alias_of": list(r.alias),
         **({"noise_ar_coefficient": round(r.form.ar_coefficient, 4)} if r.form.ar_coefficient else {}),
     }
@@ -354,15 +402,18 @@ def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) 
     name : name of the figure
     """
     unit, factor = REPORT_UNITS[SEAMS[s.law.seam][1]]
-    seam, x = s.tried.seams[s.seam], s.tried.x[s.seam]
-    amplitude = np.array([*_factor_values(d, s).values()]).reshape(len(s.tried.form.parts), -1)
+    f, x = s.candidate.function, s.candidate.function.x
+    amplitude = np.array([*_factor_values(d, s).values()]).reshape(len(f.form.parts), -1)
     _, _, direction = np.linalg.svd(amplitude)
     towards = direction[0]
     grid = np.linspace(x.min(), x.max(), 400)
+    # Other names of the form are at their means along the line.
+    means = {name: np.full(len(grid), value.mean()) for name, value in f.names.items()}
     at_poses, along = (
-        (amplitude @ towards) @ s.tried.form.values(places, s.settings[None])[:, :, 0] for places in (x, grid)
+        (amplitude @ towards) @ f.values(s.settings[None], at, names)[:, :, 0]
+        for at, names in ((x, f.names), (grid, means))
     )
-    column = seam.columns @ towards
+    column = s.candidate.unit @ towards / typical_size(s.candidate.place)
     seen = at_poses + (column * residuals).sum(axis=1) / (column**2).sum(axis=1)
     weight = np.linalg.norm(column, axis=1)
     size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
@@ -372,4 +423,4 @@ def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) 
         "in the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
     )
     law = Series("line", grid.round(5), (factor * along).round(2), name="law", tip=tip)
-    return Figure(name, line, [poses, law], Axis(s.tried.driver.text), Axis(unit), caption=caption)
+    return Figure(name, line, [poses, law], Axis(f.driver), Axis(unit), caption=caption)

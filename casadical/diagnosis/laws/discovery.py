@@ -11,19 +11,20 @@ from casadical.diagnosis.conclusion import parameter_values
 from casadical.diagnosis.cross_validation import shrink_interval
 from casadical.diagnosis.diagnose import diagnose
 from casadical.diagnosis.laws.answer import Discovery, KeptModel
-from casadical.diagnosis.laws.contest import (
+from casadical.diagnosis.laws.candidates import ScoredLaw
+from casadical.diagnosis.laws.search import (
+    Round,
     held_out,
     laws_before_causes,
+    ranked_laws,
+    ranking_of,
     replaces_causes,
-    round_of,
     thinned,
     with_best_noise,
     with_law,
 )
-from casadical.diagnosis.laws.problem import Round, ScoredLaw
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_forms import better_ar_form
-from casadical.diagnosis.posterior import rank
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
 from casadical.diagnosis.settings_search import refined
@@ -65,33 +66,25 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
     """
     show("laws alone")
     case = thinned(found.case, poses)
-    cached = found.law if found.law and len(found.law.best.columns) == case.inliers.sum() else None
-    first = cached or laws_before_causes(found, poses)
-    rounds, laws, causes = [first], [], found.effects()
-    columns = found.columns
+    searched = (found.law, found.case) if found.law else laws_before_causes(found, poses=poses)
+    if searched is None:
+        return _concluded(found, [], case, [], found.effects(), found.columns)
+    first, _ = searched
+    rounds, laws, causes, columns = [first], list[ScoredLaw](), found.effects(), found.columns
     if replaces_causes(found, first, poses):
         laws, causes = [first.best], ()
-        case = with_law(
-            case if first.form.ar_coefficient == case.form.ar_coefficient else case.with_form(first.form),
-            first.best.law,
-        )
+        case = with_law(case if first.form == case.form else case.with_form(first.form), first.best.law)
         columns = case.group((first.best.law,))
     elif not causes:
-        return _concluded(found, rounds, case, [], (), NO_COLUMNS)
+        return _concluded(found, rounds, case, laws, (), NO_COLUMNS)
     # Each of at most four rounds adds a law or a cause to the model.
     for _ in range(4):
         show("laws given what was found")
         other = better_ar_form(case, columns) if case.observations.plain else None
-        if other:
-            case = case.with_form(other[0])
-        labels = frozenset(
-            [
-                *(s.law.label for s in laws),
-                *(c.label for c in found.causes if c.effects in ({(e,) for e in causes} | {causes})),
-                *(e.label for e in causes),
-            ]
-        )
-        ranking = rank(case, columns, labels)
+        case = case.with_form(other[0]) if other else case
+        known = [c.label for c in found.causes if c.effects in ({(e,) for e in causes} | {causes})]
+        labels = frozenset((*(s.law.label for s in laws), *known, *(e.label for e in causes)))
+        ranking = ranking_of(case, columns, labels)
         listed = {c.label: c for c in case.candidates if c.listed}
         top = ranking.order[0]
         there = ranking.none <= SETTINGS.max_p_nothing_further
@@ -100,7 +93,7 @@ def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTIN
             case, added = refined(case, top, variant, columns, ranking.noise[top])
             causes, columns = (*causes, *added), np.unique(np.concatenate([columns, case.group(added)]))
             continue
-        judged = round_of(case, columns, ranking, labels)
+        judged = ranked_laws(case, columns, ranking, labels)
         if judged is None:
             break
         comparison, moved = with_best_noise(case, judged, poses, columns, labels)
@@ -119,26 +112,32 @@ def _concluded(
 ) -> Discovery:
     """Return the result of the search, with held-out errors of all models.
 
+    Where no form is claimed, the most probable law of the first round describes the error.
     columns : indices of the columns of all laws and causes in the model
     """
+    description = rounds[-1].description if rounds and not laws else None
+    if description:
+        case = with_law(case, description.law)
+        columns = np.union1d(found.columns, case.group((description.law,)))
     smooth = describe_unlisted(replace(found, verdict="unknown"))
     smooth = smooth if smooth and smooth.effects else None
-    noise = laws[-1].noise if laws else found.noise
-    found_values = parameter_values(case, columns, [s.law for s in laws], noise) if laws else {}
+    modelled = laws or ([description] if description else [])
+    noise = modelled[-1].noise if modelled else found.noise
+    found_values = parameter_values(case, columns, [s.law for s in modelled], noise) if modelled else {}
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
-    named = found.columns
     before = held_out(case, NO_COLUMNS, (), found.rankings[0].noise[""], found.seed)
     errors: dict[KeptModel, Array] = {"base": before}
     if found.effects():
-        errors["causes"] = held_out(case, named, (), found.noise, found.seed)
+        errors["causes"] = held_out(case, found.columns, (), found.noise, found.seed)
     if smooth:
-        forms = np.unique(np.concatenate([named, case.group(smooth.effects)]))
+        forms = np.unique(np.concatenate([found.columns, case.group(smooth.effects)]))
         errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
+    if description:
+        errors["described"] = held_out(case, found.columns, [description], noise, found.seed)
     shrink = None
     if laws:
-        given = np.unique(np.concatenate([NO_COLUMNS, *(case.columns[e] for e in causes)])).astype(np.int64)
-        errors["law"] = held_out(case, given, laws, noise, found.seed)
+        errors["law"] = held_out(case, case.group(causes), laws, noise, found.seed)
         interval = shrink_interval(before, errors["law"], found.seed, found.case.evidence.stop)
         shrink = float(1 - errors["law"].mean() / before.mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}
-    return Discovery(found, tuple(rounds), case, tuple(laws), causes, noise, values, gap, shrink, smooth)
+    return Discovery(found, tuple(rounds), case, tuple(laws), description, causes, noise, values, gap, shrink, smooth)

@@ -1,345 +1,320 @@
-"""Search for laws (expressions of errors) at all places, by all drivers, in all forms.
+"""Laws in the ranking of causes: which form is claimed, or which driver describes the error.
 
-Laws are ranked by their score: the log evidence over none, the mean over its settings, less the
-logarithms of the numbers of forms, and of places with drivers, that were tried. The evidence of all
-settings is screened (see `problem.Screen`); that of the best ones is exact. The settings of the
-best laws are refined by steps of shrinking size.
+Smooth functions of all state variables at all places are candidates beside the listed effects, the
+smooth effects, forms of noise and "nothing"; the grammar's forms are, where those have the most
+evidence. A form is claimed if the forms of one state variable at one place are certain, no listed
+effect is equivalent, and nothing further is probable given it: a form outside the grammar leaves a
+part of the error that its state variable or another one still describes.
 """
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from functools import cached_property
 
 import numpy as np
 
 from casadical.core.basics import Array
-from casadical.core.statistics import first_of_best, ranked
-from casadical.diagnosis.cross_validation import likely_noise
-from casadical.diagnosis.laws.beams import by_the_beam, stations
-from casadical.diagnosis.laws.forms import (
-    DEFAULT_WARMTH,
-    FORMS,
-    FORMS_BY_KIND,
-    Driver,
-    Form,
-    drivers_of,
-    own_drivers,
-    own_values,
-    rounded,
-    values_of,
-    variables,
-    wave_by,
-    wave_plus,
-    with_columns,
-)
-from casadical.diagnosis.laws.problem import (
-    NOT_JUDGED_LOG_EVIDENCE,
-    InsertionPoint,
-    Problem,
-    ScoredLaw,
-    ScreenedLaw,
-    TriedLaws,
-    scaled,
-    seams_at,
-)
-from casadical.diagnosis.laws.problem import with_columns as at_poses
+from casadical.core.linear_gaussian.columns import array_columns
+from casadical.core.linear_gaussian.marginals import NO_COLUMNS
+from casadical.core.statistics import best_of, first_of_best, ranked
+from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
+from casadical.diagnosis.evidence import RHO_GRID
+from casadical.diagnosis.laws.candidates import LawCandidate, LawProblem, ScoredLaw, descriptions
+from casadical.diagnosis.laws.forms import SMOOTH, StateVariable
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.linearisation import EffectColumns, Linearisation
+from casadical.diagnosis.noise_evidence import Form as NoiseForm
+from casadical.diagnosis.noise_forms import ar_form, better_ar_form, with_noise_forms
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, Rival, rank
+from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
-from casadical.effects.formula import parse
-from casadical.effects.formula_effect import Law, head_column
-from casadical.measurements.derived_columns import derive
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
+from casadical.effects.formula_effect import Law
+from casadical.measurements.measurements import Noise
 
 
 @dataclass(frozen=True, eq=False)
-class _Block:
-    """Values of the functions of drivers in forms with equal numbers of parts, concatenated.
+class Round:
+    """One ranking of laws beside all other candidates, given the causes in the model.
 
-    drivers : each driver with a form, the driver's values, shape (n,), and the form's settings,
-        shape (K, settings)
-    functions : values of `Form.values` divided by their scales, all K along the last axis
-    edges : index of the first function of each driver and form, and the number of functions
+    laws : the laws by score, the best first
+    ranking : posterior over the next cause, laws among the candidates by `label_of`
+    form : form of the noise under which all were evaluated
+    alias : labels of listed effects that are equivalent to the best law
+    further : probability of "no additional cause" given the best law; NaN where it is not probable
     """
 
-    drivers: tuple[tuple[Driver, Form, Array, Array], ...]
-    functions: Array
-    edges: Array
+    laws: tuple[ScoredLaw, ...]
+    ranking: Ranking
+    form: NoiseForm
+    alias: tuple[str, ...] = ()
+    further: float = np.nan
+
+    @property
+    def best(self) -> ScoredLaw:
+        """Return the law of the highest score."""
+        return self.laws[0]
+
+    @property
+    def alike(self) -> tuple[ScoredLaw, ...]:
+        """Return at most six laws that the data do not distinguish from the best one.
+
+        Their scores are within `Settings.indistinguishable_law_margin` of its score.
+        """
+        return tuple(s for s in self.laws[1:] if s.score > self.best.score - SETTINGS.indistinguishable_law_margin)[:6]
+
+    @property
+    def probability(self) -> float:
+        """Return the probability of the forms of the best law's state variable at its place."""
+        driven = self.best.candidate.driven
+        own = (s for s in self.laws if s.candidate.driven == driven and s.form != SMOOTH)
+        return sum(self.ranking.probability[s.candidate.label] for s in own)
+
+    @property
+    def claimed(self) -> bool:
+        """Return whether the best law is claimed (see the module)."""
+        certain = self.best.form != SMOOTH and self.probability >= SETTINGS.min_claim
+        return certain and not self.alias and self.further >= SETTINGS.min_law_further
+
+    @property
+    def rivals(self) -> dict[str, float]:
+        """Return the probability of each candidate that is no law, the most probable first."""
+        laws = {s.candidate.label for s in self.laws}
+        return {k: self.ranking.probability[k] for k in self.ranking.order if k not in laws}
+
+    @cached_property
+    def drivers(self) -> dict[StateVariable, float]:
+        """Return the probability of each state variable at any place, the most probable first.
+
+        They sum to one: it is given that the error follows one of them.
+        """
+        total: dict[StateVariable, float] = {}
+        for s in self.laws:
+            total[s.variable] = total.get(s.variable, 0.0) + float(np.exp(s.score - self.best.score))
+        every = sum(total.values())
+        return {v: total[v] / every for v in sorted(total, key=lambda v: -total[v])}
+
+    @property
+    def description(self) -> ScoredLaw | None:
+        """Return the best law of the state variable that describes the error.
+
+        None where no cause at all is detected or no state variable has half of the probability.
+        """
+        first, p = next(iter(self.drivers.items()))
+        there = self.ranking.none <= SETTINGS.max_p_nothing_further and p >= SETTINGS.min_doubtful
+        return next(s for s in self.laws if s.variable == first) if there else None
 
 
-def _blocks(drivers: Sequence[tuple[Driver, Array]], forms: dict[str, tuple[Form, ...]]) -> Iterator[_Block]:
-    """Yield the block of all forms with one part, then that with two.
+def ranking_of(case: Case, chosen: Array, skip: frozenset[str] = frozenset()) -> Ranking:
+    """Return the ranking of causes and forms of noise without laws.
 
-    drivers : each with its values, shape (n,); forms : by kind of driver
+    chosen : indices of the columns in the model; skip : labels of their effects
     """
-    for parts in (1, 2):
-        which = [(d, f, x, f.grid(x)) for d, x in drivers for f in forms[d.kind] if len(f.parts) == parts]
-        if not which:
-            continue
-        values = [f.values(x, settings) for _, f, x, settings in which]
-        functions = np.concatenate([scaled(v) for v in values], axis=-1)
-        yield _Block(tuple(which), functions, np.cumsum([0, *(v.shape[-1] for v in values)]))
+    return with_noise_forms(rank(case, chosen, skip), case, chosen)
 
 
-def _means(gains: Array, edges: Array) -> Array:
-    """Return the log of the mean evidence over the settings of each driver and form [nats].
+def ranked_laws(
+    case: Case, chosen: Array, ranking: Ranking, skip: frozenset[str] = frozenset(), needed: float = -np.inf
+) -> Round | None:
+    """Return the ranking with laws; None where none can reach the log mass `needed` [nats].
 
-    gains : log evidence of each function; edges : see `_Block`
+    chosen : indices of the columns in the model; skip : labels of their effects
+    ranking : that of the other candidates
     """
-    top = np.maximum.reduceat(gains, edges[:-1])
-    counts = np.diff(edges)
-    total = np.add.reduceat(np.exp(gains - np.repeat(top, counts)), edges[:-1])
-    return np.asarray(top + np.log(total / counts))
+    problem, every = LawProblem.of_case(case, chosen), descriptions(case)
+    smooth = _by_score(problem.judged(every))
+    # A form has a few nats more than the smooth function that follows it, 30 at most.
+    if not smooth or smooth[0].score + np.log(PRIOR_FIRST["unknown"]) < needed - 30.0:
+        return None
+    near = [s for s in smooth if s.score > smooth[0].score - 12.0][:12]
+    forms = _by_score(problem.judged(_forms(near)))
+    forms = [problem.refined(s) for s in forms[:6]] + forms[6:]
+    split = {f.candidate.driven for f in forms}
+    halved = [replace(s, score=s.score - float(np.log(2))) if s.candidate.driven in split else s for s in smooth]
+    laws = _by_score([*forms, *halved])
+    found = Round(tuple(laws), _with_laws(ranking, laws, chosen), case.form)
+    if found.best.form == SMOOTH or found.probability < SETTINGS.min_claim:
+        return found
+    best = problem.with_errors(found.best)
+    more = with_law(case, best.law)
+    columns = np.union1d(chosen, more.group((best.law,)))
+    given = ranking_of(more, columns, skip | {best.law.label})
+    given = _with_laws(given, LawProblem.of_case(more, columns).judged(every), columns)
+    alias = aliases(case, chosen, best, ranking.variant)
+    return replace(found, laws=(best, *laws[1:]), alias=alias, further=given.none)
 
 
-def _screened_in_block(seam: InsertionPoint, block: _Block, gains: Array, keep: int) -> list[ScreenedLaw]:
-    """Return the best laws of a block at a place by mean evidence over settings, at most `keep`.
-
-    gains : log evidence of each function of the block [nats]
-    """
-    means = _means(gains, block.edges)
-    rough = []
-    for k in ranked(means, logs=True)[:keep]:
-        driver, form, x, settings = block.drivers[k]
-        own = gains[block.edges[k] : block.edges[k + 1]]
-        best = first_of_best(own, logs=True)
-        tried = TriedLaws((seam,), driver, form, (x,))
-        rough.append(ScreenedLaw(tried, 0, settings[best], float(own[best]), float(means[k])))
-    return rough
-
-
-def _everywhere(
-    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
-) -> Iterator[ScreenedLaw]:
-    """Yield, for each place, the best laws of all drivers in all forms by screened evidence.
-
-    drivers : each with its values, shape (n,); seams : the places
-    """
-    for block in _blocks([d for d in drivers if d[0].kind != "weighted"], FORMS_BY_KIND):
-        for seam in seams:
-            some = block
-            if seam.law.seam == "payload":
-                allowed = [d for d in drivers if seam.takes(d[0])]
-                own = [b for b in _blocks(allowed, FORMS_BY_KIND) if len(b.functions) == len(block.functions)]
-                if not own:
-                    continue
-                some = own[0]
-            yield from _screened_in_block(seam, some, problem.gains(seam, some.functions), SETTINGS.max_exact_laws)
-
-
-def _fine(
-    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
-) -> Iterator[ScreenedLaw]:
-    """Yield the best fine wave of each joint over its own angle; none for less than 50 poses."""
-    if len(problem.evidence.r) < 50:  # fewer poses do not determine fine waves
-        return
-    own = {d.text: (d, x) for d, x in drivers if d.family == "angle"}
-    for seam in seams:
-        if seam.law.seam == "joint" and f"q{seam.law.joint}" in own:
-            (block,) = _blocks([own[f"q{seam.law.joint}"]], {"angle": (FORMS["fine wave"],)})
-            yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), 1)
-
-
-def _joined_waves(
-    problem: Problem, drivers: Sequence[tuple[Driver, Array]], seams: Sequence[InsertionPoint]
-) -> Iterator[ScreenedLaw]:
-    """Yield the best waves of each joint that depend on two drivers.
-
-    The amplitude is proportional to load, moment or warmth, or the phase is linear in the load; or
-    the wave is over a weighted sum of the joint's own angle and a neighbour's.
-    """
-    by_text = {d.text: (d, x) for d, x in drivers}
-    weighted = [d for d in drivers if d[0].kind == "weighted"]
-    for seam in seams:
-        j = seam.law.joint
-        if seam.law.seam == "joint":
-            for block in _blocks([d for d in weighted if f"q{j}" in parse(d[0].text).names], FORMS_BY_KIND):
-                yield from _screened_in_block(
-                    seam, block, problem.gains(seam, block.functions), SETTINGS.max_exact_laws
-                )
-        if seam.law.seam not in ("joint", "tilt") or f"q{j}" not in by_text:
-            continue
-        driver, x = by_text[f"q{j}"]
-        forms = [wave_by(n, by_text[n][1]) for n in (f"tau{j}", f"m{j}x", f"m{j}y", DEFAULT_WARMTH) if n in by_text]
-        forms += [wave_plus(n, by_text[n][1]) for n in (f"tau{j}",) if n in by_text]
-        for form in forms:
-            own = replace(driver, family="wave by load" if f"tau{j}" in form.name else form.name)
-            (block,) = _blocks([(own, x)], {"angle": (form,)})
-            yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), 1)
-
-
-def _every_joint(
-    problem: Problem, linear: Linearisation, known: Collection[str], seam: InsertionPoint
-) -> Iterator[ScreenedLaw]:
-    """Yield the best laws of all joints at once, each joint with its own driver and factor.
-
-    known : names in formulas whose columns are available; seam : the place "joints"
-    """
-    drivers = own_drivers()
-    of_joint = {n: [f"{n}{j}" for j in linear.robot.numbers] for n in ("q", "tau", "approach", "move")}
-    needed = {d: [m for n in parse(d.text).names for m in of_joint.get(n, [n])] for d in drivers}
-    drivers = [d for d in drivers if all(n.startswith(("q", "tau")) or n in known for n in needed[d])]
-    values = variables(linear, tuple(dict.fromkeys(n for d in drivers for n in needed[d])))
-    every = [(d, own_values(linear, values, d)) for d in drivers]
-    moving = [
-        (d, x) for d, x in every if x.any() and np.abs(x).max() < SETTINGS.max_driver_value
-    ]  # no load turns an upright axis
-    for block in _blocks(moving, FORMS_BY_KIND):
-        yield from _screened_in_block(seam, block, problem.gains(seam, block.functions), SETTINGS.max_exact_laws)
-
-
-def search_laws(
-    case: Case, chosen: Array, without: frozenset[str] = frozenset(), least: float = 0.0
-) -> list[ScoredLaw]:
-    """Return the laws of highest score, the best first; the best ones have refined settings.
-
-    chosen : indices of the columns in the model; without : labels of laws in it
-    least : score [nats] that a law needs to be of interest; others may be omitted, even all
-    """
-    # A score is refined evidence less its price. Refining a law's settings raises it by 10 nats at
-    # most, and refining its station, too, by 40 nats.
-    problem = Problem.of_case(case, chosen, least - 10.0)
-    assert isinstance(case.whole.E, EffectColumns)
-    m, available = with_columns(case.m, drivers_of(case.given), case.given.loads)
-    m, _ = derive(m, map(head_column, stations(case.given)))
-    linear = replace(case.whole.E.linear, conditions=dict(m.conditions)).at(np.flatnonzero(case.inliers))
-    varying, values = values_of(linear, available)
-    drivers = list(zip(varying, values.T, strict=True))
-    *seams, every = at_poses(linear, [*seams_at(case.given), Law(None, "joints", "a", count=case.given.n)])
-    of_instrument = all(m.position is not None for m in case.observations.sets)  # what touches a robot has no beam
-    rough = [*_everywhere(problem, drivers, seams), *_fine(problem, drivers, seams)]
-    joined = [*_joined_waves(problem, drivers, seams)]
-    rough += joined
-    rough += _every_joint(problem, linear, {n for d in varying for n in parse(d.text).names}, every)
-    if of_instrument:
-        rough += by_the_beam(Problem.of_case(case, chosen, least - 40.0), linear, case.given)
-    instances = len(seams) * len(drivers) + len(joined) + 1
-    rough = [r for r in rough if r.mean > NOT_JUDGED_LOG_EVIDENCE / 2]
-    # These forms of time can follow anything that varied during the measurement: they pay 5 nats, since
-    # the driver itself may be among the candidates.
-    last = ("bump", "on and off", "cycle")
-    last_resorts = [r.tried.driver.kind == "time" and r.tried.form.name in last for r in rough]
-    prices = [
-        np.log(instances) + np.log(1 + len(FORMS_BY_KIND[r.tried.driver.kind])) + 5.0 * last_resort
-        for r, last_resort in zip(rough, last_resorts, strict=True)
-    ]
-    order = ranked([r.mean - price for r, price in zip(rough, prices, strict=True)], logs=True)
-    order, rest = order[: SETTINGS.max_exact_laws], order[SETTINGS.max_exact_laws :]
-    order += [k for k in rest if rough[k].tried.nearby][: SETTINGS.min_moved_laws]
-    some = [rough[k] for k in order]
-    if not some:
-        return []
-    made = [r.tried.column(r.seam, r.settings) for r in some]
-    grids = problem.grids([columns for _, columns in made])
-    exact = problem.over_none(grids)
-    scored = [float(e - r.best + r.mean - prices[k]) for e, r, k in zip(exact, some, order, strict=True)]
-    best = ranked(scored, logs=True)
-    # The settings of the six best laws by exact evidence are refined.
-    closely = {*best[:6], *[k for k in best if some[k].tried.nearby][: SETTINGS.min_moved_laws]}
-    laws = []
-    for k in best:
-        if made[k][0].label not in without:
-            r, (law, columns) = some[k], made[k]
-            errors, noise = np.full(len(r.settings), np.nan), likely_noise(grids[k])
-            s = ScoredLaw(law, r.tried, r.seam, r.settings, scored[k], float(exact[k]), columns, noise, errors)
-            laws.append(refined(problem, s) if k in closely else s)
+def _by_score(laws: Sequence[ScoredLaw]) -> list[ScoredLaw]:
+    """Return laws by score, the best first."""
     return [laws[k] for k in ranked([s.score for s in laws], logs=True)]
 
 
-def refined(problem: Problem, found: ScoredLaw) -> ScoredLaw:
-    """Return the law with settings and place of more evidence; its score rises by the same.
+def _forms(descriptions: Sequence[ScoredLaw]) -> list[LawCandidate]:
+    """Return the forms of the state variables of descriptions; they share half of their prior."""
+    every = [s.candidate for s in descriptions]
+    functions = {function: function.others() for function in {c.function: None for c in every}}
+    forms = []
+    for c in every:
+        own = functions[c.function]
+        forms += [replace(c, function=f, log_prior=c.log_prior - float(np.log(2 * len(own)))) for f in own]
+    return forms
 
-    For a moved place the increase is 4 nats less, but not negative.
+
+def _with_laws(ranking: Ranking, laws: Sequence[ScoredLaw], chosen: Array) -> Ranking:
+    """Return the ranking with laws among its candidates; chosen : columns in the model."""
+    prior = PRIOR_FURTHER if len(chosen) else PRIOR_FIRST
+    return ranking.with_rivals([Rival(s.candidate.label, s.score, s.noise) for s in laws], prior)
+
+
+def with_law(case: Case, law: Law) -> Case:
+    """Return the case with a law as an additional unlisted candidate."""
+    named = Candidate(law.label, law.name, law.joint, (), listed=False)
+    return replace(case, candidates=(*case.candidates, named)).with_variants(law.label, [(law,)])
+
+
+def aliases(case: Case, chosen: Array, s: ScoredLaw, variant: Mapping[str, int]) -> tuple[str, ...]:
+    """Return labels of the listed effects that are equivalent to a law: they can reproduce its fit.
+
+    chosen : indices of the columns in the model
+    variant : index of the settings of each candidate, by label
     """
-    if not len(found.settings) and not found.tried.nearby:
-        return found
-    (tried, seam, settings), better = refined_settings(problem, found.tried, found.seam, found.settings)
-    law, columns = tried.column(seam, settings)
-    more = better - found.evidence
-    # A moved place pays 4 nats, the gain of its coordinates and direction in noise alone.
-    return replace(
-        found,
-        law=law,
-        tried=tried,
-        seam=seam,
-        settings=settings,
-        score=found.score + (more if seam == found.seam else max(more - 4.0, 0.0)),
-        evidence=better,
-        columns=columns,
-        noise=likely_noise(problem.grids([columns])[0], problem.evidence.sigmas),
-        errors=_sigmas(problem, tried, seam, settings, better),
-    )
+    problem = LawProblem.of_case(case, chosen)
+    rho = float(RHO_GRID[int(np.argmin(np.abs(RHO_GRID - s.noise.repeatability / s.noise.sigma)))])
+    listed = [c for c in case.candidates if c.listed and c.label in variant and not c.variants[0][0].parts]
+    projection = problem.evidence.projected(rho)
+    own = projection.columns(problem.white(s.candidate.columns(s.settings[None])[:, :, 0]))
+    fit = own @ np.linalg.lstsq(own, projection.y, rcond=None)[0]
+    found = []
+    for candidate in listed:
+        other = projection.columns(case.judged.take(case.group(candidate.variants[variant[candidate.label]])))
+        same = other @ np.linalg.lstsq(other, fit, rcond=None)[0]
+        if np.linalg.norm(same) > SETTINGS.min_alias_correlation * np.linalg.norm(fit):
+            found.append(candidate.label)
+    return tuple(found)
 
 
-def _moved(tried: TriedLaws, seam: int, settings: Array, k: int, step: float) -> Array:
-    """Return a law's settings with the one of index k changed by a step, rounded.
+def laws_before_causes(
+    found: Diagnosis, needed: float = -np.inf, poses: int = SETTINGS.max_law_poses
+) -> tuple[Round, Case] | None:
+    """Return the ranking of laws without a cause in the model, and the case with all poses.
 
-    A width w is multiplied by exp(10 step); a frequency f changes by 10 step divided by the range
-    of the driver, a phase rate p by 20 step, others by step times the range.
-    seam : index of the law's place
+    needed : log mass that a law needs to be of interest [nats], see `ranked_laws`
+    poses : largest number of poses on which laws are searched
     """
-    moved, span = settings.copy(), float(np.ptp(tried.x[seam]))
-    name = tried.form.settings[k]
-    if name == "w" and tried.form.name not in ("on and off", "levels"):
-        moved[k] *= np.exp(10 * step)
-    elif name == "p":
-        moved[k] += 20 * step
-    elif name == "f":
-        moved[k] += 10 * step / span
-    else:
-        moved[k] += step * span
-    return rounded(moved)
+    case = thinned(found.case, poses)
+    ranking = found.rankings[0] if case is found.case else ranking_of(case, NO_COLUMNS)
+    first = ranked_laws(case, NO_COLUMNS, ranking, needed=needed)
+    return with_best_noise(found.case, first, poses, sure=bool(found.effects())) if first else None
 
 
-# One law: the laws that were tried, the index of its place in these, and its settings.
-Chosen: TypeAlias = tuple[TriedLaws, int, Array]
+def with_best_noise(
+    case: Case,
+    first: Round,
+    poses: int,
+    chosen: Array = NO_COLUMNS,
+    causes: frozenset[str] = frozenset(),
+    *,
+    sure: bool = True,
+) -> tuple[Round, Case]:
+    """Return a ranking, and its case with all poses, under the best noise given its best law.
 
-
-def refined_settings(
-    problem: Problem, tried: TriedLaws, seam: int, settings: Array, poses: Array | slice = slice(None)
-) -> tuple[Chosen, float]:
-    """Return the best settings and place near given ones, and their log evidence over none [nats].
-
-    seam : index of the place; settings : given settings
-    poses : indices of the problem's poses among those of `tried`
+    While the noise given the law has another AR coefficient, all are compared again under it: a law
+    may be what is autocorrelated, and AR(1) noise may hide a law.
+    case : case with all poses; first : ranking of its laws
+    poses : largest number of poses on which laws are searched
+    chosen, causes : indices of the columns and labels of the effects in the model
+    sure : whether only a claimed law counts
     """
-
-    def evidences(trial: Sequence[Chosen]) -> Array:
-        """Return the exact log evidence over none of each law, shape (len(trial),) [nats]."""
-        return problem.evidences([of.column(place, s)[1][poses] for of, place, s in trial])
-
-    best: Chosen = (tried, seam, settings)
-    evidence = float(evidences([best])[0])
-    # The first step is a fraction of the driver's range (see `_moved` for other settings).
-    step, halved = 0.03, 0
-    # 30 rounds where a station with three coordinates is moved, too.
-    for _ in range(30 if tried.nearby else 10 if len(settings) else 0):
-        of, place, s = best
-        near: list[Chosen] = [(of, place, _moved(of, place, s, k, d)) for k in range(len(s)) for d in (-step, step)]
-        near += [(other, len(other.seams) - 1, s) for other in of.with_moved_place(place, step)]
-        logs = evidences(near)
-        first = first_of_best(logs, logs=True)
-        if logs[first] > evidence + 0.1:
-            best, evidence = near[first], float(logs[first])
-            continue
-        step, halved = step / 2, halved + 1
-        if halved > 3:
+    for _ in range(SETTINGS.max_form_searches if case.observations.plain else 0):
+        own = with_law(case, first.best.law) if first.claimed or not sure else None
+        other = own and better_ar_form(own, np.union1d(chosen, own.group((first.best.law,))))
+        if not other:
             break
-    return best, evidence
+        case = case.with_form(other[0])
+        fewer = thinned(case, poses)
+        first = ranked_laws(fewer, chosen, ranking_of(fewer, chosen, causes), causes) or first
+    return first, case
 
 
-def _sigmas(problem: Problem, tried: TriedLaws, seam: int, settings: Array, evidence: float) -> Array:
-    """Return the standard error of each setting, from the decrease of the log evidence about it.
+def thinned(case: Case, poses: int) -> Case:
+    """Return the case with at most `poses` inliers, evenly taken from the campaign in time.
 
-    A setting that differs by it has 0.5 nats less, for a parabola through the steps evaluated.
-    evidence : log evidence at the settings [nats]; seam : index of the place
+    The AR(1) coefficient of its noise is adapted to the larger steps between them.
     """
-    sigmas = np.empty(len(settings))
-    for k in range(len(settings)):
-        steps = np.array([0.003, 0.006, 0.012, 0.025, 0.05, 0.1])
-        moved = [_moved(tried, seam, settings, k, s) for s in (*steps, *-steps)]
-        logs = problem.evidences([tried.column(seam, n)[1] for n in moved])
-        fallen = evidence - np.maximum(logs[: len(steps)], logs[len(steps) :])
-        beyond = np.flatnonzero(fallen > 0.5)
-        at = int(beyond[0]) if len(beyond) else len(steps) - 1
-        sigmas[k] = abs(moved[at][k] - settings[k]) / np.sqrt(max(2 * float(fallen[at]), 1.0))
-    return sigmas
+    at = np.flatnonzero(case.inliers)[case.order]
+    mask = np.zeros_like(case.inliers)
+    mask[at[np.linspace(0, len(at) - 1, min(len(at), poses)).round().astype(int)]] = True
+    fewer = case.with_inliers(mask)
+    if fewer is case or not case.form.ar_coefficient:
+        return fewer
+    e, coefficient = fewer.evidence, case.form.ar_coefficient ** (len(at) / poses)
+    return fewer.with_form(ar_form(coefficient, len(e.r), e.count / len(e.r)))
+
+
+def log_mass_of_causes(found: Diagnosis) -> float:
+    """Return log evidence plus log prior of all causes together [nats]; -inf for none."""
+    labels = {c.label for c in found.causes}
+    total, count = 0.0, 0
+    for ranking in found.rankings:
+        common = labels & ranking.log_mass.keys()
+        if common:
+            best = best_of(sorted(common), ranking.log_mass.__getitem__, logs=True)
+            total, count = total + ranking.log_mass[best], count + 1
+            labels.remove(best)
+    return total if count else -np.inf
+
+
+def replaces_causes(found: Diagnosis, first: Round, poses: int = SETTINGS.max_law_poses) -> bool:
+    """Return whether the best law replaces all causes of a diagnosis together.
+
+    It does if it is claimed, is more probable than several causes by `Settings.min_law_margin`, and
+    predicts held-out poses better.
+    first : ranking of laws without a cause in the model
+    poses : largest number of poses on which the two are compared
+    """
+    if not first.claimed:
+        return False
+    case = thinned(found.case, poses)
+    if len(found.causes) > 1:
+        # Both are relative to no cause, each under its own form of noise.
+        over = _log_none(case.with_form(first.form)) - _log_none(case) if first.form != case.form else 0.0
+        mass = first.best.score + over + float(np.log(PRIOR_FIRST["unknown"]))
+        if mass < log_mass_of_causes(found) + SETTINGS.min_law_margin:
+            return False
+    if not found.columns.size:
+        return True
+    by_law = held_out(case, NO_COLUMNS, [first.best], first.best.noise, found.seed)
+    by_causes = held_out(case, found.columns, (), found.noise, found.seed)
+    return bool(by_law.mean() < by_causes.mean())
+
+
+def _log_none(case: Case) -> float:
+    """Return the log likelihood without a cause, under the case's form of noise [nats]."""
+    return float(np.logaddexp.reduce(case.judged.log_base(NO_COLUMNS), axis=None)) + case.form.log_weight
+
+
+def held_out(case: Case, columns: Array, laws: Sequence[ScoredLaw], noise: Noise, seed: int) -> Array:
+    """Return the reported error of each inlier by a fit to the other folds, (n_inliers,) [m].
+
+    columns : indices of the columns of effects in the model, whose settings are fixed
+    laws : laws in the model, whose settings are chosen again in each fold
+    noise : noise of the fits; seed : seed of the folds
+    """
+    base = case.evidence.with_base(columns)
+    folds = random_folds(len(base.r), seed, alike=base.alike, stop=base.stop)
+    errors = np.empty(len(base.r))
+    for fold in np.unique(folds):
+        test = folds == fold
+        train, made = np.flatnonzero(~test), np.zeros((*base.r.shape, 0))
+        for s in laws:
+            e = base.with_base_columns(made, np.full(made.shape[2], CAUSE_PRIOR_SIGMA))
+            e = replace(e, E=array_columns(np.zeros((*base.r.shape, 1))), cause_prior=None)
+            problem, settings = LawProblem(e.at(train)), s.candidate.function.settings
+            logs, _ = problem.grids(s.candidate.columns()[train])
+            best = first_of_best(logs, logs=True)
+            own = problem.refined(replace(s, settings=settings[best], evidence=float(logs[best])), train)
+            made = np.concatenate([made, s.candidate.columns(own.settings[None])[:, :, 0]], axis=2)
+        model = replace(base, E=array_columns(made), cause_prior=None)
+        fit = new_fit(model, np.arange(model.width), noise)
+        errors[test] = lengths(base, fit.residual_without(np.flatnonzero(test)), test)
+    return errors

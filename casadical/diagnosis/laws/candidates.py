@@ -1,0 +1,278 @@
+"""Laws as candidates of the ranking of causes: columns of a place times functions of a driver.
+
+A candidate is a place of the model and a function with all its settings: a form of the grammar, or
+the smooth function of a state variable, which describes an error without a form. Its evidence is
+that of the linear model that judges all causes, averaged over the settings, the size and the noise.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.linear_gaussian.columns import array_columns
+from casadical.core.linear_gaussian.noise import SerialNoise
+from casadical.core.statistics import first_of_best
+from casadical.diagnosis.cross_validation import likely_noise
+from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
+from casadical.diagnosis.laws.forms import SMOOTH, Function, StateVariable, rounded, state_variables, varying
+from casadical.diagnosis.linear_problem import Case
+from casadical.diagnosis.linearisation import EffectColumns
+from casadical.diagnosis.noise_evidence import WHITE_FORM
+from casadical.effects.base import CAUSE_PRIOR_SIGMA
+from casadical.effects.formula_effect import COLUMN_NAME, SEAMS, Law, columns_of
+from casadical.measurements.derived_columns import derive
+from casadical.measurements.measurements import Noise
+from casadical.robot.robot import Robot
+
+
+def places_of(robot: Robot) -> list[Law]:
+    """Return a law with a constant formula for every place: joints, links, base, tool and payload."""
+    vector = (("a", 1e-5), ("b", 1e-5), ("c", 1e-5))
+    laws = [Law(j, "joint", "a") for j in robot.numbers]
+    laws += [Law(j, seam, "[a, b, c]", vector) for seam in ("tilt", "shift") for j in robot.numbers]
+    # The last link's shift is that of the tool.
+    laws = [law for law in laws if (law.seam, law.joint) != ("shift", robot.n)]
+    laws += [Law(None, seam, "[a, b, c]", vector) for seam in ("base tilt", "base shift", "tool shift")]
+    return [*laws, *([Law(None, "payload", "a", (("a", 0.01),))] if robot.payload else [])]
+
+
+def prior_weight(place: Law, variable: StateVariable) -> float:
+    """Return the prior weight of a state variable at a place; zero where it cannot act.
+
+    A part errs by what happens at itself or its neighbours; angles and loads of other joints act a
+    tenth as often. Functions of two joints act in one of the two.
+    """
+    if place.seam == "payload" and not all(COLUMN_NAME.fullmatch(name) for name in variable.names):
+        return 0.0
+    if len(variable.joints) == 2:
+        return float(place.seam == "joint" and place.joint in variable.joints)
+    own = place.joint or (0 if place.seam.startswith("base") else None)
+    if not variable.joints or (own is not None and abs(variable.joints[0] - own) <= 1):
+        return 1.0
+    return 0.1 if variable.family in ("angle", "load") else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class LawCandidate:
+    """The laws of one function at one place, with all its settings.
+
+    place : law with a constant formula there
+    unit : columns of its factors in their typical sizes, where the function varies by one, shape
+        (n, 3, d) [m]
+    log_prior : log of its share of the prior of all laws
+    """
+
+    place: Law
+    unit: Array
+    function: Function
+    log_prior: float
+
+    @property
+    def driven(self) -> tuple[str, StateVariable]:
+        """Return the place in words and the state variable."""
+        return self.place.place, self.function.variable
+
+    @property
+    def label(self) -> str:
+        """Return the label in rankings: place, state variable, driver and form."""
+        f = self.function
+        return f"law: {self.place.place} by {f.variable.words}, {f.driver}, {f.form.name}"
+
+    def columns(self, settings: Array | None = None) -> Array:
+        """Return the columns in typical sizes, shape (n, 3, K, w) [m]; settings : None for the grid."""
+        f = self.function.on_grid if settings is None else self.function.scaled(settings)[0]
+        each = self.unit[:, :, None, None, :] * f.transpose(1, 2, 0)[:, None, :, :, None]
+        return np.asarray(each.reshape(*each.shape[:3], -1))
+
+    def law(self, settings: Array) -> Law:
+        """Return the law of given settings, shape (settings,), as an effect."""
+        _, units = self.function.scaled(settings[None])
+        d = SEAMS[self.place.seam].components
+        terms, factors = [], []
+        for k, part in enumerate(self.function.form.texts(self.function.driver, settings.tolist())):
+            # The letters r and t are names of drivers.
+            names = "abcdefghijklmnopqsuvwxyz"[k * d : (k + 1) * d]
+            terms.append((names if d == 1 else f"[{', '.join(names)}]") + f"*{part}")
+            factors += [(name, float(f"{typical_size(self.place) / units[k, 0]:.3g}")) for name in names]
+        return replace(self.place, formula=" + ".join(terms), factors=tuple(factors))
+
+    def near(self, settings: Array, step: float) -> Array:
+        """Return settings that differ from given ones in one each, shape (2 settings, settings).
+
+        A width w is multiplied by exp(10 step); a frequency f changes by 10 step divided by the range
+        of the driver, others by step times the range.
+        """
+        form, span, moved = self.function.form, float(np.ptp(self.function.x)), []
+        for (k, name), sign in itertools.product(enumerate(form.settings), (-1, 1)):
+            other = settings.copy()
+            if name == "w" and form.name != "on and off":
+                other[k] *= np.exp(10 * sign * step)
+            else:
+                other[k] += sign * step * (10 / span if name == "f" else span)
+            moved.append(other)
+        return rounded(np.array(moved).reshape(-1, len(settings)))
+
+
+def typical_size(place: Law) -> float:
+    """Return the prior sigma of a factor whose function varies by one [rad, m or kg/kg]."""
+    return 0.03 if place.seam == "payload" else 30e-6
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredLaw:
+    """A candidate with its most probable settings.
+
+    score : log mean evidence over the settings, plus the log of its prior share [nats]
+    evidence : log evidence of these settings over none [nats]
+    noise : most probable noise given the law
+    errors : standard error of each setting, shape (settings,); NaN before they are computed
+    """
+
+    candidate: LawCandidate
+    settings: Array
+    score: float
+    evidence: float
+    noise: Noise
+    errors: Array
+
+    @property
+    def law(self) -> Law:
+        """Return the law as an effect."""
+        return self.candidate.law(self.settings)
+
+    @property
+    def variable(self) -> StateVariable:
+        """Return the state variable on which the error depends."""
+        return self.candidate.function.variable
+
+    @property
+    def form(self) -> str:
+        """Return the name of its form, SMOOTH for a description."""
+        return self.candidate.function.form.name
+
+
+@dataclass(frozen=True, eq=False)
+class LawProblem:
+    """The linear model of the inlier poses, in which laws are judged as all candidates are.
+
+    evidence : linear model without candidates; the causes in the model are part of its base
+    order, noise : under autocorrelated noise, indices of the poses in time order, and the noise by
+        which the evidence is prewhitened; None for white noise
+    """
+
+    evidence: Evidence
+    order: Array | None = None
+    noise: SerialNoise | None = None
+
+    @classmethod
+    def of_case(cls, case: Case, chosen: Array) -> LawProblem:
+        """Return the problem of a case; chosen : indices of the columns in the model."""
+        alone = case.judged.with_causes_alone(chosen)
+        # Three noise ratios, 0, 0.2 and 0.8, halve the time of thousands of laws.
+        alone = replace(alone, near=tuple(k for k in alone.near if k in (0, 2, 4)) or alone.near)
+        if case.form is WHITE_FORM:
+            return cls(alone)
+        return cls(alone, case.order, case.form.serial(len(case.order)))
+
+    def white(self, columns: Array) -> Array:
+        """Return columns of laws (n, 3, ...) prewhitened for autocorrelation as the evidence is."""
+        return columns if self.noise is None else self.noise.whiten(columns[self.order])
+
+    def grids(self, columns: Array) -> tuple[Array, Array]:
+        """Return the log evidence over none of K laws, (K,) [nats], and their log likelihoods.
+
+        The likelihoods, weighed by size, have the axes laws, rhos, sigmas and kappas.
+        columns : those of each law, shape (n, 3, K, w)
+        """
+        every = self.white(columns.reshape(*columns.shape[:2], -1))
+        judged = self.evidence.marginals.with_other_columns(array_columns(every), CAUSE_PRIOR_SIGMA)
+        groups = list(np.arange(every.shape[2]).reshape(columns.shape[2:]))
+        grids = np.asarray(judged.log_grids(groups) + np.log(KAPPA_WEIGHTS))
+        none = float(np.logaddexp.reduce(self.evidence.log_base(), axis=None))
+        return np.logaddexp.reduce(grids.reshape(len(grids), -1), axis=1) - none, grids
+
+    def judged(self, candidates: Sequence[LawCandidate]) -> list[ScoredLaw]:
+        """Return each candidate with the best settings of its grid."""
+        laws: list[ScoredLaw] = []
+        for some in _batches(candidates):
+            logs, grids = self.grids(np.concatenate([c.columns() for c in some], axis=2))
+            edges = np.cumsum([0, *(len(c.function.settings) for c in some)])
+            for c, first, end in zip(some, edges[:-1], edges[1:], strict=True):
+                own, settings = logs[first:end], c.function.settings
+                best = first_of_best(own, logs=True)
+                score = float(np.logaddexp.reduce(own) - np.log(len(own))) + c.log_prior
+                noise, errors = (
+                    likely_noise(grids[first + best], self.evidence.sigmas),
+                    np.full(settings.shape[1], np.nan),
+                )
+                laws.append(ScoredLaw(c, settings[best], score, float(own[best]), noise, errors))
+        return laws
+
+    def refined(self, found: ScoredLaw, poses: Array | slice = slice(None)) -> ScoredLaw:
+        """Return the law with settings of more evidence; its score rises by the same.
+
+        poses : indices of the problem's poses among those of the law
+        """
+        settings, evidence, noise = found.settings, found.evidence, found.noise
+        # The first step is a fraction of the driver's range (see `LawCandidate.near`).
+        step, halved = 0.03, 0
+        while halved < 4 and len(settings) and found.form != SMOOTH:
+            near = found.candidate.near(settings, step)
+            logs, grids = self.grids(found.candidate.columns(near)[poses])
+            best = first_of_best(logs, logs=True)
+            if logs[best] > evidence + 0.1:
+                settings, evidence = near[best], float(logs[best])
+                noise = likely_noise(grids[best], self.evidence.sigmas)
+            else:
+                step, halved = step / 2, halved + 1
+        score = found.score + evidence - found.evidence
+        return replace(found, settings=settings, score=score, evidence=evidence, noise=noise)
+
+    def with_errors(self, found: ScoredLaw) -> ScoredLaw:
+        """Return the law with standard errors of its settings: the evidence falls by half a nat."""
+        sigmas = np.full(len(found.settings), np.nan)
+        for step in (0.1, 0.05, 0.025, 0.012, 0.006, 0.003) if len(sigmas) else ():
+            near = found.candidate.near(found.settings, step)
+            fallen = found.evidence - self.grids(found.candidate.columns(near))[0].reshape(-1, 2).max(axis=1)
+            moved = np.abs(near - found.settings).max(axis=1).reshape(-1, 2).max(axis=1)
+            own = moved / np.sqrt(np.maximum(2 * fallen, 1.0))
+            sigmas = np.where(np.isnan(sigmas) | (fallen > 0.5), own, sigmas)
+        return replace(found, errors=sigmas)
+
+
+def _batches(candidates: Sequence[LawCandidate]) -> Iterator[list[LawCandidate]]:
+    """Yield candidates with equal numbers of columns, whose columns take 60 MB at a time."""
+    by_width: dict[int, list[LawCandidate]] = {}
+    for c in candidates:
+        by_width.setdefault(len(c.function.form.parts) * c.unit.shape[2], []).append(c)
+    for width, every in by_width.items():
+        ends = np.cumsum([8 * width * c.unit[..., 0].size * len(c.function.settings) for c in every])
+        for part in np.unique(ends // 60_000_000):
+            yield [c for c, end in zip(every, ends, strict=True) if end // 60_000_000 == part]
+
+
+def descriptions(case: Case) -> list[LawCandidate]:
+    """Return the smooth functions of every state variable at every place, with prior shares.
+
+    Their columns are at the inlier poses.
+    """
+    assert isinstance(case.whole.E, EffectColumns)
+    variables = state_variables(case.given)
+    m, _ = derive(case.m, columns_of({name for v in variables for name in v.names}), case.given.loads)
+    linear = replace(case.whole.E.linear, conditions=dict(m.conditions)).at(np.flatnonzero(case.inliers))
+    variables, values = varying(linear, variables)
+    places = places_of(case.given)
+    columns, edges = linear.columns(places), np.cumsum([len(place.sizes()) for place in places])[:-1]
+    units = [typical_size(p) * u for p, u in zip(places, np.split(columns, edges, axis=2), strict=True)]
+    found = []
+    for v in variables:
+        function = Function.smooth(v, values)
+        each = ((p, unit, prior_weight(p, v)) for p, unit in zip(places, units, strict=True))
+        found += [LawCandidate(p, unit, function, float(np.log(w))) for p, unit, w in each if w]
+    total = float(np.logaddexp.reduce([c.log_prior for c in found])) if found else 0.0
+    return [replace(c, log_prior=c.log_prior - total) for c in found]
