@@ -25,7 +25,15 @@ from casadical.diagnosis.laws import discovery
 from casadical.diagnosis.laws.answer import line_of
 from casadical.diagnosis.laws.candidates import descriptions, prior_weight
 from casadical.diagnosis.laws.discovery import laws_of_diagnosis
-from casadical.diagnosis.laws.forms import FORMS, SMOOTH, Function, StateVariable, state_variables, value_of, varying
+from casadical.diagnosis.laws.forms import (
+    FORMS,
+    SMOOTH_FORM,
+    Function,
+    StateVariable,
+    state_variables,
+    value_of,
+    varying,
+)
 from casadical.diagnosis.laws.search import (
     Round,
     aliases,
@@ -119,7 +127,7 @@ def test_a_smooth_function_is_a_random_walk_of_its_driver() -> None:
     x = np.linspace(-2.0, 1.0, 400)
     f = Function.smooth(StateVariable("angle", (1,), (), (("q1", "angle"),)), {"q1": x})
     _, units = f.scaled(f.settings)
-    assert (f.form.name, len(f.settings)) == (SMOOTH, 1)
+    assert (f.form.name, len(f.settings)) == (SMOOTH_FORM, 1)
     np.testing.assert_allclose(units[:, 0], np.arange(1, 7) * np.sqrt(0.5), rtol=0.01)
     np.testing.assert_allclose(f.values(f.settings)[1, :, 0], np.cos(2 * np.pi * (x + 2) / 3), atol=2e-3)
 
@@ -170,7 +178,7 @@ def test_laws_are_judged_as_the_effects_that_they_are(stays: float) -> None:
     c, laws = where_noise_follows("kr210-P02", stays), laws_alone("kr210-P02", stays).laws
     c = replace(c, whole=replace(c.whole, near=(0, 2, 4)))._with_evidence(replace(c.evidence, near=(0, 2, 4)))
     base = float(np.logaddexp.reduce(c.judged.log_base(NONE), axis=None))
-    for s in [next(s for s in laws if (s.form == SMOOTH) == smooth) for smooth in (True, False)]:
+    for s in [next(s for s in laws if (s.form == SMOOTH_FORM) == smooth) for smooth in (True, False)]:
         more = with_law(c, s.law)
         columns = s.candidate.columns(s.settings[None])[:, :, 0]
         found = more.whole.take(more.group((s.law,)))[c.inliers]
@@ -300,7 +308,7 @@ def test_a_form_is_claimed_only_if_nothing_further_and_no_listed_effect_is_proba
     assert first.probability >= 0.97
     assert not replace(first, further=0.4).claimed
     assert not replace(first, alias=("joint_coupling@3",)).claimed
-    smooth = next(s for s in first.laws if s.form == SMOOTH)
+    smooth = next(s for s in first.laws if s.form == SMOOTH_FORM)
     assert not replace(first, laws=(smooth, *first.laws)).claimed
     noise = max(first.rivals, key=lambda k: ("noise" in k, first.rivals[k]))
     doubted = replace(first.ranking, log_mass={**first.ranking.log_mass, noise: 1e3}).normalised(0.0)
@@ -355,7 +363,7 @@ def test_a_diagnosis_that_is_unknown_says_the_law() -> None:
     )
     assert diagnosis_json(found.diagnosis, "stop", more)["laws"]["laws"][0]["driver"] == "q4"
     nothing = Details(laws=replace(found, laws=()))
-    assert "no law is claimed: " in diagnosis_page(found.diagnosis, nothing)
+    assert "no form is claimed: " in diagnosis_page(found.diagnosis, nothing)
 
 
 @pytest.mark.slow
@@ -402,7 +410,7 @@ def test_a_law_takes_the_place_of_causes_only_where_it_predicts_better() -> None
     """A right flexure was replaced by a law of more evidence that was worse on poses held out."""
     right = discovered(7, "eccentric").diagnosis
     law, _ = laws_before_causes(right)
-    sure = next(s for s in law.laws if s.form != SMOOTH)
+    sure = next(s for s in law.laws if s.form != SMOOTH_FORM)
     sure = replace(sure, score=1e6)
     ranking = law.ranking.with_rivals([Rival(sure.candidate.label, 1e6, sure.noise)], PRIOR_FIRST)
     claimed = replace(law, laws=(sure,), ranking=ranking, alias=(), further=1.0)

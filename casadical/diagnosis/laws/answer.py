@@ -17,7 +17,7 @@ from casadical.core.reporting.result import Result, plain_text
 from casadical.core.statistics import best_of
 from casadical.diagnosis.cross_validation import new_fit
 from casadical.diagnosis.laws.candidates import ScoredLaw, typical_size
-from casadical.diagnosis.laws.forms import SMOOTH
+from casadical.diagnosis.laws.forms import SMOOTH_FORM
 from casadical.diagnosis.laws.search import Round
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.refit import refit
@@ -130,10 +130,21 @@ class Discovery(Result):
         return [line_of(s.law, _factor_values(self, s)) for s in self.laws]
 
     @property
-    def size(self) -> tuple[float, str]:
-        """Return the rms of the description over the poses, less its mean, and its unit [SI]."""
-        assert self.description is not None
-        return float(np.sqrt((self._described**2).sum(axis=1).mean())), SEAMS[self.description.law.seam].unit
+    def described(self) -> str:
+        """Return the description as a sentence: where the error is, what it follows, its size."""
+        about = self.description_json()
+        if self.description is None or about is None:
+            return ""
+        s, f, value = self.description, self.description.candidate.function, self._described
+        along = value @ np.linalg.svd(value, full_matrices=False)[2][0]
+        order = np.corrcoef(*(np.argsort(np.argsort(a)) for a in (along, f.x)))[0, 1]
+        of_one = f.form.name != SMOOTH_FORM or bool(f.form.settings)
+        unit, factor = REPORT_UNITS[about["rms"]["unit"]]
+        return (
+            f"the error of {s.law.place} {'grows with' if of_one and abs(order) > 0.9 else 'depends on'} the "
+            f"{s.variable.words}, {factor * about['rms']['value']:.3g} {unit} rms (probability of this driver "
+            f"{about['probability']:.2f})"
+        )
 
     @property
     def _described(self) -> Array:
@@ -144,22 +155,22 @@ class Discovery(Result):
         value = s.candidate.function.values(s.settings[None])[:, :, 0].T @ amplitude
         return np.asarray(value - value.mean(axis=0))
 
-    @property
-    def described(self) -> str:
-        """Return the description as a sentence: where the error is, what it follows, its size."""
+    def description_json(self) -> dict[str, Any] | None:
+        """Return place, driver, probability of the driver and size (rms, SI) of the description."""
         s = self.description
         if s is None:
-            return ""
-        (rms, unit), value = self.size, self._described
-        along = value @ np.linalg.svd(value, full_matrices=False)[2][0]
-        order = np.corrcoef(np.argsort(np.argsort(along)), np.argsort(np.argsort(s.candidate.function.x)))[0, 1]
-        shown, factor = REPORT_UNITS[unit]
-        verb = "grows with" if abs(order) > 0.9 and len(s.variable.joints) < 2 else "depends on"
-        probability = next(iter(self.rounds[-1].drivers.values()))
-        return (
-            f"the error of {s.law.place} {verb} the {s.variable.words}, {factor * rms:.3g} {shown} rms "
-            f"(probability of this driver {probability:.2f})"
-        )
+            return None
+        drivers = {v.words: round(p, 4) for v, p in self.rounds[-1].drivers.items()}
+        return {
+            "place": s.law.place,
+            "driver": s.variable.words,
+            "probability": drivers.pop(s.variable.words),
+            "rms": {
+                "value": float(np.sqrt((self._described**2).sum(axis=1).mean())),
+                "unit": SEAMS[s.law.seam].unit,
+            },
+            "other_drivers": dict([*drivers.items()][:3]),
+        }
 
     @property
     def in_words(self) -> str:
@@ -259,23 +270,9 @@ class Discovery(Result):
             "gap_mm": {model: round(1e3 * value, 5) for model, value in self.gap.items()},
             "shrink": shrink,
             "best_model": self.best_model,
-            **({"described": self._description_json()} if self.description else {}),
+            **({"described": {"line": self.described, **about}} if (about := self.description_json()) else {}),
             **({} if self.laws else {"why": self.why_not}),
             **({"poses": {"searched": self.thinned[0], "all": self.thinned[1]}} if self.thinned else {}),
-        }
-
-    def _description_json(self) -> dict[str, Any]:
-        """Return place, driver, probability of the driver and size (rms, SI) of the description."""
-        s, drivers = self.description, self.rounds[-1].drivers
-        assert s is not None
-        rms, unit = self.size
-        return {
-            "line": self.described,
-            "place": s.law.place,
-            "driver": s.variable.words,
-            "probability": round(drivers[s.variable], 4),
-            "rms": {"value": rms, "unit": unit},
-            "other_drivers": {v.words: round(p, 4) for v, p in [*drivers.items()][1:4]},
         }
 
     def files(self, folder: str | Path, name: str = "") -> dict[Path, str | bytes]:
@@ -341,7 +338,7 @@ def _table(r: Round, title: str) -> Table:
     """Return the table of the best laws of a round and their rivals, with probabilities."""
     best = ((s, f"{s.law.place} by the {s.variable.words}") for s in (r.best, *r.alike))
     rows = [
-        (f"{r.ranking.probability[s.candidate.label]:.2g}", words if s.form == SMOOTH else line_of(s.law), s.form)
+        (f"{r.ranking.probability[s.candidate.label]:.2g}", words if s.form == SMOOTH_FORM else line_of(s.law), s.form)
         for s, words in best
     ]
     rivals = [("nothing", r.ranking.none), *[*r.rivals.items()][:3]]

@@ -19,7 +19,7 @@ from casadical.core.linear_gaussian.noise import SerialNoise
 from casadical.core.statistics import first_of_best
 from casadical.diagnosis.cross_validation import likely_noise
 from casadical.diagnosis.evidence import KAPPA_WEIGHTS, Evidence
-from casadical.diagnosis.laws.forms import SMOOTH, Function, StateVariable, rounded, state_variables, varying
+from casadical.diagnosis.laws.forms import SMOOTH_FORM, Function, StateVariable, rounded, state_variables, varying
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM
@@ -152,7 +152,7 @@ class ScoredLaw:
 
     @property
     def form(self) -> str:
-        """Return the name of its form, SMOOTH for a description."""
+        """Return the name of its form, SMOOTH_FORM for a description."""
         return self.candidate.function.form.name
 
 
@@ -221,7 +221,7 @@ class LawProblem:
         settings, evidence, noise = found.settings, found.evidence, found.noise
         # The first step is a fraction of the driver's range (see `LawCandidate.near`).
         step, halved = 0.03, 0
-        while halved < 4 and len(settings) and found.form != SMOOTH:
+        while halved < 4 and len(settings) and found.form != SMOOTH_FORM:
             near = found.candidate.near(settings, step)
             logs, grids = self.grids(found.candidate.columns(near)[poses])
             best = first_of_best(logs, logs=True)

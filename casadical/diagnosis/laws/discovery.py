@@ -24,14 +24,12 @@ from casadical.diagnosis.laws.search import (
     with_law,
 )
 from casadical.diagnosis.linear_problem import Case
-from casadical.diagnosis.noise_forms import better_ar_form
 from casadical.diagnosis.result import Diagnosis
 from casadical.diagnosis.settings import SETTINGS
-from casadical.diagnosis.settings_search import refined
 from casadical.diagnosis.smooth_description import describe_unlisted
 from casadical.effects import Effect
 from casadical.identification.result import Identification
-from casadical.measurements.measurements import Measurements
+from casadical.measurements.measurements import Measurements, Noise
 from casadical.robot.robot import Robot
 
 
@@ -58,53 +56,36 @@ def discover(
 
 
 def laws_of_diagnosis(found: Diagnosis, show: Show = silent, poses: int = SETTINGS.max_law_poses) -> Discovery:
-    """Return the laws of a diagnosed campaign.
+    """Return the law of a diagnosed campaign, or the description of its error by a driver.
 
-    The best law is first compared with all causes together and replaces them or not; then further
-    laws are searched given the causes or the law.
+    The best law is first compared with all causes together and replaces them or not; then a law is
+    searched given the causes. Given a claimed law nothing further is probable, so that none follows.
     poses : largest number of poses on which laws are searched, evenly taken from the campaign
     """
     show("laws alone")
-    case = thinned(found.case, poses)
+    case, causes, columns = thinned(found.case, poses), found.effects(), found.columns
     searched = (found.law, found.case) if found.law else laws_before_causes(found, poses=poses)
     if searched is None:
-        return _concluded(found, [], case, [], found.effects(), found.columns)
-    first, _ = searched
-    rounds, laws, causes, columns = [first], list[ScoredLaw](), found.effects(), found.columns
+        return _concluded(found, [], case, [], causes, columns)
+    first, moved = searched
+    rounds = [first]
     if replaces_causes(found, first, poses):
-        laws, causes = [first.best], ()
-        case = with_law(case if first.form == case.form else case.with_form(first.form), first.best.law)
-        columns = case.group((first.best.law,))
-    elif not causes:
-        return _concluded(found, rounds, case, laws, (), NO_COLUMNS)
-    # Each of at most four rounds adds a law or a cause to the model.
-    for _ in range(4):
-        show("laws given what was found")
-        other = better_ar_form(case, columns) if case.observations.plain else None
-        case = case.with_form(other[0]) if other else case
-        known = [c.label for c in found.causes if c.effects in ({(e,) for e in causes} | {causes})]
-        labels = frozenset((*(s.law.label for s in laws), *known, *(e.label for e in causes)))
-        ranking = ranking_of(case, columns, labels)
-        listed = {c.label: c for c in case.candidates if c.listed}
-        top = ranking.order[0]
-        there = ranking.none <= SETTINGS.max_p_nothing_further
-        if laws and top in listed and there and ranking.probability[top] >= SETTINGS.min_claim:
-            variant = listed[top].variants[ranking.variant[top]]
-            case, added = refined(case, top, variant, columns, ranking.noise[top])
-            causes, columns = (*causes, *added), np.unique(np.concatenate([columns, case.group(added)]))
-            continue
-        judged = ranked_laws(case, columns, ranking, labels)
-        if judged is None:
-            break
-        comparison, moved = with_best_noise(case, judged, poses, columns, labels)
-        rounds.append(comparison)
-        # At most two laws are claimed.
-        if not comparison.claimed or len(laws) == 2:
-            break
-        laws.append(comparison.best)
-        case = with_law(moved, comparison.best.law)
-        columns = np.unique(np.concatenate([columns, case.group((comparison.best.law,))]))
-    return _concluded(found, rounds, case, laws, causes, columns)
+        case = with_law(thinned(moved, poses), first.best.law)
+        return _concluded(found, rounds, case, [first.best], (), case.group((first.best.law,)))
+    if not causes:
+        return _concluded(found, rounds, thinned(moved, poses), [], (), NO_COLUMNS)
+    show("laws given what was found")
+    named = [c.label for c in found.causes if c.effects in ({(e,) for e in causes} | {causes})]
+    labels = frozenset((*named, *(e.label for e in causes)))
+    judged = ranked_laws(case, columns, ranking_of(case, columns, labels), labels)
+    if judged is None:
+        return _concluded(found, rounds, case, [], causes, columns)
+    last, moved = with_best_noise(case, judged, poses, columns, labels)
+    if not last.claimed:
+        return _concluded(found, [*rounds, last], case, [], causes, columns)
+    case = with_law(moved, last.best.law)
+    columns = np.union1d(columns, case.group((last.best.law,)))
+    return _concluded(found, [*rounds, last], case, [last.best], causes, columns)
 
 
 def _concluded(
@@ -112,7 +93,6 @@ def _concluded(
 ) -> Discovery:
     """Return the result of the search, with held-out errors of all models.
 
-    Where no form is claimed, the most probable law of the first round describes the error.
     columns : indices of the columns of all laws and causes in the model
     """
     description = rounds[-1].description if rounds and not laws else None
@@ -122,22 +102,25 @@ def _concluded(
     smooth = describe_unlisted(replace(found, verdict="unknown"))
     smooth = smooth if smooth and smooth.effects else None
     modelled = laws or ([description] if description else [])
-    noise = modelled[-1].noise if modelled else found.noise
+    noise = modelled[0].noise if modelled else found.noise
     found_values = parameter_values(case, columns, [s.law for s in modelled], noise) if modelled else {}
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
-    before = held_out(case, NO_COLUMNS, (), found.rankings[0].noise[""], found.seed)
-    errors: dict[KeptModel, Array] = {"base": before}
+
+    def left(effects: Sequence[Effect], noise: Noise, laws: Sequence[ScoredLaw] = ()) -> Array:
+        """Return the held-out errors of a model, (n_inliers,) [m]."""
+        return held_out(case, np.unique(case.group(effects)), laws, noise, found.seed)
+
+    errors: dict[KeptModel, Array] = {"base": left((), found.rankings[0].noise[""])}
     if found.effects():
-        errors["causes"] = held_out(case, found.columns, (), found.noise, found.seed)
+        errors["causes"] = left(found.effects(), found.noise)
     if smooth:
-        forms = np.unique(np.concatenate([found.columns, case.group(smooth.effects)]))
-        errors["smooth"] = held_out(case, forms, (), found.noise, found.seed)
+        errors["smooth"] = left((*found.effects(), *smooth.effects), found.noise)
     if description:
-        errors["described"] = held_out(case, found.columns, [description], noise, found.seed)
+        errors["described"] = left(found.effects(), noise, [description])
     shrink = None
     if laws:
-        errors["law"] = held_out(case, case.group(causes), laws, noise, found.seed)
-        interval = shrink_interval(before, errors["law"], found.seed, found.case.evidence.stop)
-        shrink = float(1 - errors["law"].mean() / before.mean()), interval
+        errors["law"] = left(causes, noise, laws)
+        interval = shrink_interval(errors["base"], errors["law"], found.seed, found.case.evidence.stop)
+        shrink = float(1 - errors["law"].mean() / errors["base"].mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}
     return Discovery(found, tuple(rounds), case, tuple(laws), description, causes, noise, values, gap, shrink, smooth)

@@ -140,7 +140,7 @@ def value_of(text: str, values: Mapping[str, Array]) -> Array:
 class Form:
     """A function of a driver, linear in factors and nonlinear in settings.
 
-    name : name of the form, SMOOTH for the description of a state variable
+    name : name of the form, SMOOTH_FORM for the description of a state variable
     parts : formulas in x and the settings, each with its own factor; settings : their names
     grid : function of the driver's values, shape (n,), that returns K settings, shape (K, settings)
     """
@@ -165,7 +165,7 @@ class Form:
 
 
 # Name of the form of a description: a smooth function of a state variable.
-SMOOTH = "smooth"
+SMOOTH_FORM = "smooth"
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +193,11 @@ class Function:
         driver = variable.drivers[0][0] if variable.drivers else variable.parts[0]
         x, names = value_of(driver, values), {name: values[name] for name in variable.names}
         if variable.parts:
-            form = Form(SMOOTH if len(variable.parts) > 1 else "linear", variable.parts)
+            form = Form(SMOOTH_FORM if len(variable.parts) > 1 else "linear", variable.parts)
             return cls(variable, driver, form, x, names)
         settings = rounded(np.array([[x.min(), np.pi / np.ptp(x)]]))
         parts = tuple(f"cos({h}*f*(x - k))" for h in range(1, 9 if variable.family == "time" else 7))
-        return cls(variable, driver, Form(SMOOTH, parts, ("k", "f"), lambda _x: settings), x, names)
+        return cls(variable, driver, Form(SMOOTH_FORM, parts, ("k", "f"), lambda _x: settings), x, names)
 
     def others(self) -> list[Self]:
         """Return the functions of the grammar over the drivers of a smooth function's variable."""
@@ -230,7 +230,7 @@ class Function:
         """
         f = self.values(settings)
         units = np.maximum(np.maximum(f.std(axis=1), 0.1 * np.ptp(f, axis=1)), 1e-3)
-        if self.form.name == SMOOTH and self.form.settings:
+        if self.form.name == SMOOTH_FORM and self.form.settings:
             units = units * np.arange(1, len(f) + 1)[:, None]
         return f / units[:, None], units
 
@@ -265,12 +265,6 @@ def _with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array
     return lambda x: rounded(np.array([(a, b) for a in np.quantile(x, at) for b in np.array(shares) * np.ptp(x)]))
 
 
-def _between(x: Array) -> Array:
-    """Return the grid of pairs k < w, shape (K, 2), of driver quantiles that are no neighbours."""
-    edges = np.quantile(x, np.linspace(0.05, 0.95, 12))
-    return rounded(np.array([(a, b) for i, a in enumerate(edges) for b in edges[i + 2 :]]))
-
-
 def _turns(_x: Array) -> Array:
     """Return the grid of the frequency f of waves, shape (K, 1) [cycles per revolution]."""
     return rounded(np.arange(0.5, 16.01, 0.25)[:, None])
@@ -297,7 +291,12 @@ FORMS = {
         # A Gaussian bump at k of width w.
         Form("bump", ("exp(-((x - k)/w)**2)",), ("k", "w"), _with_widths(9, (0.05, 0.1, 0.2, 0.35))),
         # One between k and w, else zero.
-        Form("on and off", ("step(x - k)*step(w - x)",), ("k", "w"), _between),
+        Form(
+            "on and off",
+            ("step(x - k)*step(w - x)",),
+            ("k", "w"),
+            lambda x: rounded(np.array([*combinations(np.quantile(x, np.linspace(0.05, 0.95, 12)), 2)])),
+        ),
         # Exponential decay with the constant w, a fraction of the driver's range.
         Form("fading", ("exp(-x/w)",), ("w",), lambda x: rounded((np.ptp(x) * np.geomspace(0.03, 0.6, 6))[:, None])),
         Form("wave", ("sin(f*x)", "cos(f*x)"), ("f",), _turns),

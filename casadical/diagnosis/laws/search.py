@@ -21,7 +21,7 @@ from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.cross_validation import lengths, new_fit, random_folds
 from casadical.diagnosis.evidence import RHO_GRID
 from casadical.diagnosis.laws.candidates import LawCandidate, LawProblem, ScoredLaw, descriptions
-from casadical.diagnosis.laws.forms import SMOOTH, StateVariable
+from casadical.diagnosis.laws.forms import SMOOTH_FORM, StateVariable
 from casadical.diagnosis.linear_problem import Case
 from casadical.diagnosis.noise_evidence import Form as NoiseForm
 from casadical.diagnosis.noise_forms import ar_form, better_ar_form, with_noise_forms
@@ -67,13 +67,13 @@ class Round:
     def probability(self) -> float:
         """Return the probability of the forms of the best law's state variable at its place."""
         driven = self.best.candidate.driven
-        own = (s for s in self.laws if s.candidate.driven == driven and s.form != SMOOTH)
+        own = (s for s in self.laws if s.candidate.driven == driven and s.form != SMOOTH_FORM)
         return sum(self.ranking.probability[s.candidate.label] for s in own)
 
     @property
     def claimed(self) -> bool:
         """Return whether the best law is claimed (see the module)."""
-        certain = self.best.form != SMOOTH and self.probability >= SETTINGS.min_claim
+        certain = self.best.form != SMOOTH_FORM and self.probability >= SETTINGS.min_claim
         return certain and not self.alias and self.further >= SETTINGS.min_law_further
 
     @property
@@ -133,7 +133,7 @@ def ranked_laws(
     halved = [replace(s, score=s.score - float(np.log(2))) if s.candidate.driven in split else s for s in smooth]
     laws = _by_score([*forms, *halved])
     found = Round(tuple(laws), _with_laws(ranking, laws, chosen), case.form)
-    if found.best.form == SMOOTH or found.probability < SETTINGS.min_claim:
+    if found.best.form == SMOOTH_FORM or found.probability < SETTINGS.min_claim:
         return found
     best = problem.with_errors(found.best)
     more = with_law(case, best.law)
