@@ -38,8 +38,6 @@ EQUIVALENT: dict[str, str] = {
     "measurements/columns.py NumberReplacer 69: rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, 0)) => rows = slice(max(0, -min(shifts, default=0)), len(self.table) - max(0, *shifts, -1))": "zero is in the maximum already",
     'measurements/headings.py NumberReplacer 131: return "joint", str(int(numbers[0])), rest | joint => return "joint", str(int(numbers[ -1])), rest | joint': "there is one number: the last is the first",
     "identification/placement.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
-    "diagnosis/laws/contest.py ReplaceTrueWithFalse 2: for candidate, group in zip(listed, groups, strict=True): => for candidate, group in zip(listed, groups, strict=False):": "groups are made of the same list",
-    "diagnosis/laws/problem.py ReplaceFalseWithTrue 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=True, eq=True)": "nothing compares two of them",
     "project/networks.py ReplaceTrueWithFalse 0: @dataclass(frozen=True, eq=False) => @dataclass(frozen=False, eq=False)": "frozen keeps from assigning; nothing assigns",
     "core/linear_gaussian/sums.py ReplaceAndWithOr 0: new = {g.tobytes(): g for g in groups if len(g) <= WIDE and g.tobytes() not in self._own} => new = {g.tobytes(): g for g in groups if len(g) <= WIDE or g.tobytes() not in self._own}": "products are computed again, and are the same: time alone",
     "measurements/reading.py ReplaceBinaryOperator_FloorDiv_Div 0: pieces = np.array_split(kept, 1 + len(kept) // ROWS) => pieces = np.array_split(kept, 1 + len(kept) / ROWS)": "numpy takes the whole part of a number of pieces",
