@@ -137,7 +137,7 @@ class Discovery(Result):
             return ""
         s, f, value = self.description, self.description.candidate.function, self._described
         along = value @ np.linalg.svd(value, full_matrices=False)[2][0]
-        order = np.corrcoef(*(np.argsort(np.argsort(a)) for a in (along, f.x)))[0, 1]
+        order = np.corrcoef(np.argsort(np.argsort(along)), np.argsort(np.argsort(f.x)))[0, 1]
         of_one = f.form.name != SMOOTH_FORM or bool(f.form.settings)
         unit, factor = REPORT_UNITS[about["rms"]["unit"]]
         return (
