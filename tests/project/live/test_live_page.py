@@ -64,6 +64,8 @@ def test_commands_are_answered_in_sentences(arm: Path) -> None:
         assert page.post("/do", content="[" * 200_000).status_code == 413
         values = dict.fromkeys(session.fields, 0.0) | {"x_mm": 900.0}
         assert do(do="type", values=values)[1].startswith("9: DOUBTFUL")
+        # The stretched arm reaches 700 mm.
+        assert session.state()["readings"][8]["off_mm"] == pytest.approx(200, abs=1)
         code, said = do(do="finish")
         assert (code, "wrote" in said) == (200, True), said
         assert (arm / "results/KM.robot.toml").exists()
