@@ -426,7 +426,7 @@ def _true_error(folder: Path, user: User, calibrated: Robot, q: np.ndarray, trut
     m = read_campaign(
         folder / "results" / f"{_method(folder)}.robot.toml", folder / "later.csv", calibrated, later=True
     )
-    return float(np.mean(_error(predicted(calibrated, m)[0], truth, user)))
+    return float(np.mean(_error(predicted(calibrated, m)[0], truth[:, :3, 3], user)))
 
 
 def _method(folder: Path) -> str:
