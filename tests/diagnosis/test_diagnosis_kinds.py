@@ -18,7 +18,7 @@ from casadical.diagnosis.json_answer import as_json
 from casadical.diagnosis.linear_problem import make_case, unsure_tables
 from casadical.diagnosis.localisation import localise
 from casadical.diagnosis.next_poses import next_poses
-from casadical.diagnosis.observations import stops_in
+from casadical.diagnosis.observations import Stops, _by_stop, stops_in
 from casadical.diagnosis.statements import assumptions, statements
 from casadical.diagnosis.text import page_of
 from casadical.effects import Backlash, ThermalGrowth, WireDrift
@@ -398,3 +398,8 @@ def test_a_moved_foot_is_a_cause_where_the_base_is_said_to_be_shared() -> None:
     shared = replace(robot("ur10e"), sessions=Sessions("shared", "shared", "shared"))
     d = diagnose(shared, in_two_sessions(simulated("ur10e", 21, n=70), near))
     assert (d.verdict, [c.label for c in d.causes]) == ("explained", ["frame_step"])
+
+
+def test_a_stop_of_fewer_rows_is_no_other_one_with_more() -> None:
+    stops = Stops(np.array([0, 1, 1]), np.array([0, 0, 1]), np.array([0, 1]))
+    assert _by_stop(stops, np.array([0, 0, 1])).tolist() == [[0, -1], [0, 1]]
