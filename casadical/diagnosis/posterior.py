@@ -16,10 +16,10 @@ from casadical.measurements.measurements import Noise
 
 if TYPE_CHECKING:
     from casadical.diagnosis.linear_problem import Case
-    from casadical.diagnosis.motion.problem import MotionCase
+    from casadical.diagnosis.motion.engine import LogProblem
 
-    # The kinds of case that can be ranked.
-    Judged: TypeAlias = Case | MotionCase
+    # The kinds of problem whose candidates have prior probabilities.
+    Judged: TypeAlias = Case | LogProblem
 
 # Prior probabilities of the first cause: no cause, one of the listed effects, an unlisted effect.
 PRIOR_FIRST = {"none": 0.25, "listed": 0.55, "unknown": 0.20}
@@ -106,7 +106,7 @@ class Rival:
 
 
 def rank(
-    case: "Judged", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
+    case: "Case", chosen: Array, skip: frozenset[str] = frozenset(), covered: frozenset[str] = frozenset()
 ) -> Ranking:
     """Return the posterior over the next cause, each averaged over its settings and the noise.
 

@@ -12,23 +12,24 @@ those of the clock and of lost samples on the log. `make` prints the sha256 of t
 import copy
 import hashlib
 import json
-import os
+import resource
 import subprocess
 import sys
 import time
 import tomllib
 import xml.etree.ElementTree as ET
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pandas as pd
 
+from casadical.project.diagnosis import read_logs
+
 ROOT = Path(__file__).parents[2]
-SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261128
-LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 300
+SEED = int(sys.argv[3]) if len(sys.argv) > 3 else 20261201
+LOGS = int(sys.argv[4]) if len(sys.argv) > 4 else 240
 STEP, ROW = 0.001, 8
 LISTED = [
     "payload",
@@ -689,7 +690,14 @@ def baseline(folder: Path) -> None:
         other = observed(folder / f"{entry['id']}.reference.csv.gz", entry) if entry["reference"] else None
         best = max((claim for j in range(6) for claim in by_bic(log, other, j)), key=lambda x: x[0])
         claims = [{"effect": best[1], "joint": best[2]}] if best[0] > 5 else []
-        one = {"verdict": "", "claims": claims, "right": [right(c, entry) for c in claims], "cpu": 0, "MB": 0}
+        one = {
+            "verdict": "",
+            "claims": claims,
+            "right": [right(c, entry) for c in claims],
+            "cpu": 0,
+            "MB": 0,
+            "rank": 99,
+        }
         table.append(entry | one)
     print(
         "\nbaseline: joint by joint one of six frictions of BAM (Coulomb, Stribeck, load, its direction), at most one"
@@ -769,25 +777,17 @@ def by_bic(log: dict, other: dict | None, j: int) -> list[tuple[float, str, int]
 
 
 def diagnosed(folder: Path, entry: dict) -> None:
-    """The command's answer of one log, its CPU seconds and memory."""
+    """The answer of one log with its CPU seconds."""
     name, arm = entry["id"], entry["arm"]
-    command = [
-        "nice",
-        sys.executable,
-        "-c",
-        "from casadical.cli import main; main()",
-        "diagnose",
-        f"{arm}.urdf",
-        f"{name}.csv.gz",
-    ]
-    command += ["--drive", f"{arm}.drive.toml", "--json", f"{name}.json", "--quiet"]
-    if entry["reference"]:
-        command += ["--reference", f"{name}.reference.csv.gz"]
-    child = subprocess.Popen(command, cwd=folder, stdout=subprocess.DEVNULL, stderr=(folder / f"{name}.err").open("w"))
-    _, status, usage = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    cost = {"cpu": usage.ru_utime + usage.ru_stime, "MB": usage.ru_maxrss / 1024, "exit": child.returncode}
-    (folder / f"{name}.cost.json").write_text(json.dumps(cost))
+    reference = folder / f"{name}.reference.csv.gz" if entry["reference"] else None
+    began = time.process_time()
+    campaign = read_logs(folder / f"{arm}.urdf", [folder / f"{name}.csv.gz"], reference, folder / f"{arm}.drive.toml")
+    assert campaign is not None
+    answer = campaign.diagnosed()
+    fits = [{"effect": f.label.partition("@")[0], "joint": int(f.label.partition("@")[2] or 0)} for f in answer.fitting]
+    kept = {"verdict": answer.verdict, "causes": [*answer.causes, *fits], "ranking": answer.ranking}
+    kept |= {"cpu": time.process_time() - began, "MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024}
+    (folder / f"{name}.answer.json").write_text(json.dumps(kept))
 
 
 def hidden_of(entry: dict) -> list[dict]:
@@ -814,13 +814,15 @@ def score(folder: Path) -> None:
     key, table = key_of(folder), []
     print(ABOUT)
     for entry in key:
-        cost = json.loads((folder / f"{entry['id']}.cost.json").read_text())
-        path = folder / f"{entry['id']}.json"
-        answer = json.loads(path.read_text()) if path.exists() else {"verdict": f"exit {cost['exit']}", "causes": []}
-        claims = [c for c in [*answer["causes"], *answer.get("fits", [])] if c["probability"] >= 0.5]
-        table.append(
-            entry | cost | {"verdict": answer["verdict"], "claims": claims, "right": [right(c, entry) for c in claims]}
-        )
+        path = folder / f"{entry['id']}.answer.json"
+        if not path.exists():
+            continue
+        answer = json.loads(path.read_text())
+        claims = answer["causes"]
+        listed = [c for c in answer["ranking"] if c["effect"] in (*LISTED, "link_mass", "play", "reflected_inertia")]
+        ranks = [k for k, c in enumerate(listed) if right(c, entry)]
+        answer |= {"claims": claims, "right": [right(c, entry) for c in claims], "rank": min(ranks, default=99)}
+        table.append(entry | answer)
         said = ", ".join(f"{c['effect']}@{c['joint']}" if c["joint"] else c["effect"] for c in claims)
         hidden, *also = (
             f"{c['kind']}@{c['joint'] + 1}" if c["kind"] not in ("", *GLOBAL) else c["kind"] or "-"
@@ -906,6 +908,8 @@ def summary(table: list[dict], one: bool = False) -> None:
         f"{sum(x['verdict'] in ('unknown', 'ambiguous') for x in strange)} of {len(strange)}",
     ]
     lines += [of_pairs(table)]
+    first, third = (sum(x["rank"] < k for x in seen) for k in (1, 3))
+    lines += [f"truth on top {first}, in the top three {third}, of {len(seen)} visible"]
     if max(cpu):
         lines += [f"CPU a log {np.median(cpu):.1f} s median, {max(cpu):.1f} s greatest"]
         lines += [f"memory a log {np.median(memory):.0f} MB median, {max(memory):.0f} MB greatest"]
@@ -923,9 +927,8 @@ Visible: from two simulations that differ in the cause alone, see visible() of j
 
 def key_of(folder: Path) -> list[dict]:
     """The key of both arms, ordered."""
-    return sorted(
-        (x for arm in ARMS for x in json.loads((folder / f"key-{arm}.json").read_text())), key=lambda x: x["id"]
-    )
+    keys = (folder / f"key-{arm}.json" for arm in ARMS)
+    return sorted((x for key in keys if key.exists() for x in json.loads(key.read_text())), key=lambda x: x["id"])
 
 
 def main() -> None:
@@ -939,11 +942,9 @@ def main() -> None:
     elif task.startswith("make-"):
         make(folder, task[5:])
     elif task == "run":
-        began = time.perf_counter()
-        todo = [x for x in key_of(folder) if not (folder / f"{x['id']}.cost.json").exists()]
-        with ThreadPoolExecutor(2) as pool:
-            list(pool.map(lambda x: diagnosed(folder, x), todo))
-        print(f"{time.perf_counter() - began:.0f} s", file=sys.stderr)
+        for entry in key_of(folder):
+            if not (folder / f"{entry['id']}.answer.json").exists():
+                diagnosed(folder, entry)
     if task in ("make", "score"):
         digest = hashlib.sha256(json.dumps(key_of(folder), sort_keys=True).encode()).hexdigest()
         print(f"{LOGS} logs (synthetic), seed {SEED}; sha256 of the key {digest}")

@@ -12,6 +12,7 @@ from typer.testing import CliRunner
 
 from casadical import Body, InputError, Joint, Robot, read_robot, write_robot
 from casadical.cli.root import app
+from casadical.core.drive import Drive
 from casadical.core.reporting.drawing import draw
 from casadical.core.reporting.figure import Figure
 from casadical.core.reporting.result import plain_text
@@ -20,7 +21,7 @@ from casadical.diagnosis.motion.replay import replayed
 from casadical.diagnosis.motion.response import fitted
 from casadical.diagnosis.motion.result import diagnose_log
 from casadical.effects import Backlash
-from casadical.measurements.logs.log import JointLog
+from casadical.measurements.logs.log import JointLog, joined
 from casadical.measurements.logs.reading import read_log
 from casadical.robot.dynamics import Dynamics
 
@@ -98,6 +99,41 @@ def with_current(log, stop):
     current = np.full_like(log.position, 0.05)
     current[log.command[:, 1] < stop, 1] = 2.0
     return replace(log, current=current, current_unsigned=True)
+
+
+def pendulum(seed, dry=0.12, late=LATE):
+    """A robot of one servo under gravity, and two runs: small explicit steps, dry friction by a smoothed sign."""
+    body = Body(0.5, np.array([0.15, 0.0, 0.0]), np.diag([1e-3, 1e-3, 1e-3]))
+    drive = Drive(kp_Nm_per_rad=12.0, kd_Nms_per_rad=0.6, delay_s=LATE, rotor_inertia_at_joint_kgm2=0.02)
+    robot = Robot(name="pendulum", joints=(Joint(alpha=np.pi / 2, body=body),), drive=drive)
+    rng, n, runs = np.random.default_rng(seed), round(24 / FINE), []
+    t, inertia, none = FINE * np.arange(n), 0.02 + 0.5 * 0.15**2 + 1e-3, np.zeros((1, 1))
+    for number in (1, 2):
+        w, phase = rng.uniform(0.4, 2.5, (3, 1)), rng.uniform(0, 6, (3, 1))
+        command = 0.25 * np.sin(w * t + phase).sum(axis=0)
+        pull = Dynamics(robot).torque(none, none, none)[0, 0]
+        q, v, out = command[0], 0.0, np.empty(n)
+        for k in range(n):
+            force = 12.0 * (command[max(0, k - round(late / FINE))] - q) - 0.9 * v - pull * np.cos(q)
+            v += FINE * (force - dry * np.tanh(v / 3e-4)) / (inertia + FINE * dry / 3e-4)
+            q += FINE * v
+            out[k] = q
+        every = slice(None, None, round(STEP / FINE))
+        noisy = (out[every] + rng.normal(0, 5e-4, out[every].shape))[:, None]
+        runs.append(JointLog(t[every], ("a",), noisy, command[every, None], source=f"run {seed}, {number}"))
+    return robot, joined(runs)
+
+
+@pytest.mark.slow
+def test_a_later_servo_is_told_and_friction_is_not_without_a_reference():
+    robot, healthy = pendulum(1)
+    assert not diagnose_log(robot, pendulum(3, 0.13)[1], healthy).outcome.found
+    found = diagnose_log(robot, pendulum(2, late=LATE + 0.08)[1], healthy)
+    assert found.outcome.found[0].label.partition("@")[0] in ("transport_delay", "lag")
+    assert found.gap()[2][0] < 0.1 * found.gap()[0][0]
+    alone = diagnose_log(robot, pendulum(2, 0.4)[1])
+    assert not any("friction" in label for label in alone.outcome.rankings[0].order)
+    assert "Friction cannot be told without a log of the healthy arm" in plain_text(alone.blocks(), 400)
 
 
 @pytest.mark.parametrize("unsigned", [True, False])

@@ -279,6 +279,8 @@ def simulated(
     floor: Floor | None = None,
     gain: Array | None = None,
     limits: tuple[Array, Array] | None = None,
+    commands: Iterable[Array] | None = None,
+    capacity: Array | None = None,
 ) -> Array:
     """Return simulated joint angles, shape (1 + steps, ...) [rad]; the first ones are `start`.
 
@@ -286,23 +288,27 @@ def simulated(
         the step; arrays (...) that are overwritten
     step : time between samples [s]
     friction, lag, inertia : dry friction [rad], damping [s] and inertia [s^2], divided by the
-        servo's gain
+        servo's gain; friction may be of each sample, shape (1 + steps, ...)
     floor : surface above which the tool stays, for arrays of shape (joints,) only; then `gain` is
         needed [N m/rad]
     limits : smallest and largest angle of each joint, by its stops [rad]
+    commands : command for each step, in its middle [rad], for `capacity`, the largest position
+        error that the servo acts on [rad]
     """
     keeps, gives = 2 * inertia / step, 1 / (2 * inertia / step + lag + step / 2)
     shape = np.broadcast_shapes(start.shape, gives.shape)
     out, q, v = np.empty((1 + steps, *shape)), np.broadcast_to(start, shape).astype(float), np.zeros(shape)
-    pushed, resisted, lower = 0.0, np.empty(shape), -friction
+    pushed, resisted, wanted = 0.0, np.empty(shape), iter(commands if commands is not None else ())
+    levels = friction if friction.ndim > len(shape) else np.broadcast_to(friction, (1 + steps, *friction.shape))
+    band = [levels[0]]
 
     def slid(push: Array) -> Array:
         """Return the mean joint velocities in a step, computed in place of `push` [rad/s].
 
         push : torques divided by the gain [rad]; dry friction reduces them by up to its limit
         """
-        np.minimum(push, friction, out=resisted)
-        np.maximum(resisted, lower, out=resisted)
+        np.minimum(push, band[0], out=resisted)
+        np.maximum(resisted, -band[0], out=resisted)
         push -= resisted
         push *= gives
         return push
@@ -313,7 +319,11 @@ def simulated(
     out[0] = q
     for k, push in enumerate(balance, 1):
         push -= q
+        if capacity is not None:
+            error = next(wanted) - q
+            push -= error - np.clip(error, -capacity, capacity)
         push += keeps * v
+        band[0] = levels[k]
         if floor is not None and gain is not None:
             torque, pushed = floor.torque(partial(ends, q, push), step * gives / gain, pushed)
             push += torque / gain

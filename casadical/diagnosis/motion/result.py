@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import takewhile
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,32 +13,28 @@ from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
 from casadical.core.statistics import first_of_best, known_digits
-from casadical.diagnosis.cross_validation import new_fit
-from casadical.diagnosis.motion.base import (
-    COMMANDED_PLAY_WIDTHS_RAD,
-    MEASURED_PLAY_WIDTHS_RAD,
-    UNDECLARED_PAYLOAD_SHARE,
-    LogView,
-    log_view,
-)
+from casadical.diagnosis.motion.engine import Found, LogProblem, Outcome, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
-from casadical.diagnosis.motion.problem import NO_COLUMNS, UNIT_NOISE, MotionCase, coefficients, motion_case
-from casadical.diagnosis.motion.search import Found, Outcome, cause_columns, held_out_residual, search
+from casadical.diagnosis.motion.hypotheses import problem_of
 from casadical.diagnosis.motion.signals import Arm, Fault, arm_of, faults_of, motion_of
+from casadical.diagnosis.motion.view import UNDECLARED_PAYLOAD_SHARE, LogView, log_view
 from casadical.effects.motion import Cause, motion_effects
 from casadical.identification.inertial import contradictions, determined
 from casadical.measurements.logs.log import JointLog
 from casadical.robot.robot import Robot
 
-# Names of the variables of `MotionCase.region_values`, over which the region of a joint's largest
-# residual is reported.
+# Names of the variables over which the region of a joint's largest residual is reported.
 REGION_VARIABLES = ("angle", "speed", "load", "time")
 REGION_PARTS = 4  # number of quantile ranges of each variable in which a residual is compared
 # A range of angle, speed, load or time is reported if its rms residual exceeds the overall one by
 # this factor.
 MIN_REGION_RATIO = 1.5
 MAX_SHOWN_CAUSES = 3  # largest number of causes in the table of probable causes
+WIDE_SCALE = 5.6  # prior standard deviation of a payload whose mass is reported, in typical ones
+# Smallest probability of a cause and its twins that is not called ambiguous.
+MIN_CLEAR_PROBABILITY = 0.9
+MAX_SAMPLES = 12000  # of longer logs every k-th sample is used, so that this many are judged
 MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 
 
@@ -45,7 +42,7 @@ MIN_SHOWN_PROBABILITY = 0.01  # smallest probability of a cause in that table
 class LogDiagnosis(Result):
     """Diagnosis of a joint log: verdict, causes, residuals.
 
-    log : the diagnosed log; arm : bodies and drives of the arm; outcome : result of the search
+    log : the diagnosed log; view : its residuals and signals; outcome : result of the search
     stops : angles at which joints stop while commands go on
     faults : faults of the log itself; reference : source of the healthy log, empty without one
     contradictions : sentences on contradictions between the log and the robot file
@@ -62,7 +59,7 @@ class LogDiagnosis(Result):
         Key("verdict"),
         Key("causes"),
         Key("fits", lambda d: [_plain(f.label, f.probability) for f in d.fitting]),
-        Key("alike", lambda d: [_plain(label, p) for label, p in d.outcome.alike]),
+        Key("alike", lambda d: [_plain(k, d.probability_of(k)) for f in d.outcome.found[:1] for k in f.twins]),
         Key("gap", lambda d: d.figures["gap"]),
         Key("joints", lambda d: d.figures["joints"]),
         Key("torque_by_model", lambda d: d.torques.plain["models"] if d.torques else {}),
@@ -75,7 +72,7 @@ class LogDiagnosis(Result):
     )
 
     log: JointLog
-    arm: Arm
+    view: LogView
     outcome: Outcome
     faults: tuple[Fault, ...]
     stops: tuple[Stop, ...] = ()
@@ -84,9 +81,17 @@ class LogDiagnosis(Result):
     determined: tuple[str, ...] = field(default=(), metadata=WRITTEN)
 
     @property
+    def arm(self) -> Arm:
+        """Return bodies and drives of the arm."""
+        return self.view.arm
+
+    @property
     def fitting(self) -> tuple[Found, ...]:
-        """Return the causes that pass the tests of `Found.named`; () if the log is faulty."""
-        return () if self.faults else tuple(f for f in self.outcome.found if f.named)
+        """Return the causes that fit (see `Found.fits`), up to the first that does not.
+
+        They are hints, as no cause is named; () if the log is faulty.
+        """
+        return () if self.faults else tuple(takewhile(lambda f: f.fits, self.outcome.found))
 
     @property
     def verdict(self) -> str:
@@ -96,30 +101,52 @@ class LogDiagnosis(Result):
         """
         if self.faults or self.stops:
             return "explained"
-        verdict = self.outcome.verdict
-        return verdict if verdict in ("none", "ambiguous") and not self.fitting else "unknown"
+        if not self.outcome.found:
+            return "none"
+        first = self.outcome.found[0]
+        return "ambiguous" if first.listed and first.probability < MIN_CLEAR_PROBABILITY else "unknown"
+
+    @cached_property
+    def unit(self) -> tuple[str | None, Array]:
+        """Return the unit of the residuals, and the factor to it of each joint, shape (joints,).
+
+        The unit is "A" or "N m", that of the log's torques; without torques it is None: rad.
+        """
+        if self.view.motion.torque is None:
+            return None, np.ones(self.arm.joints)
+        if self.arm.per_ampere is None:
+            return "N m", self.view.peak_torque
+        return "A", self.view.peak_torque / self.arm.per_ampere
+
+    def _rms(self, residuals: Sequence[Array]) -> Array:
+        """Return the rms of each joint's torques, or positions if none were logged, in `unit`.
+
+        residuals : of each group of the problem's rows
+        """
+        rms = [float(np.sqrt((r**2).mean())) if len(r) else 0.0 for r in residuals[: self.arm.joints]]
+        return np.asarray(np.array(rms) * self.unit[1])
 
     def gap(self) -> tuple[Array, Array, Array]:
         """Return the rms residuals of each joint, of three models, shape (joints,) each.
 
         The models are the nominal one, the fitted base, and base with causes. Residuals are those
-        of torques [A or N m] where they were logged, otherwise of the position error [rad].
+        of torques [A or N m] in sliding where they were logged, otherwise of positions [rad].
         """
-        case, columns = self.outcome.case, cause_columns(self.outcome.case, self.outcome.found)
-        residual = (case.residual(own, *case.fitted(own)) for own in (NO_COLUMNS, columns))
-        nominal, before, after = map(case.rms, (case.r, *residual))
-        return nominal, before, after
+        problem, complete, m = self.outcome.problem, self.outcome.with_causes, self.view.motion
+        nominal = [r.r for r in problem.rows]
+        if m.torque is None and m.command is not None:
+            nominal = [(m.position - m.command)[r.used, r.joint] for r in problem.rows]
+        fitted = (p.residuals(p.fit.x) for p in (problem, complete))
+        first, before, after = map(self._rms, (nominal, *fitted))
+        return first, before, after
 
     def gap_unfitted(self) -> tuple[Array, Array]:
         """Return the rms residuals of each joint in held-out runs, of two models, (joints,) each.
 
         The models are the fitted base, and base with causes; units are those of `gap`. Each run is
-        predicted by a fit to the others (or to other parts of one run).
+        predicted by a fit to the others (or each third of one run).
         """
-        case = self.outcome.case
-        before, after = (
-            case.rms(held_out_residual(case, own)) for own in (NO_COLUMNS, cause_columns(case, self.outcome.found))
-        )
+        before, after = (self._rms(p.held_out()) for p in (self.outcome.problem, self.outcome.with_causes))
         return before, after
 
     def payload(self) -> tuple[float, float] | None:
@@ -127,26 +154,27 @@ class LogDiagnosis(Result):
 
         None where payload is no candidate.
         """
-        case = self.outcome.case
-        if "payload" not in case.by_label:
+        problem = self.outcome.problem
+        if "payload" not in problem.by_label:
             return None
-        own, others = case.group("payload", 0), tuple(f for f in self.outcome.found if f.label != "payload")
-        columns = np.union1d(cause_columns(case, others), own)
-        values, errors = new_fit(case.white, columns, UNIT_NOISE, combined=False).causes
-        k, unit = int(np.searchsorted(columns, own[0])), UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
-        mass, error = float(values[k]) * unit, float(errors[k]) * unit
-        return known_digits(mass, error, 4), known_digits(error, error, 4)
+        others = [problem.group(f.label, f.variant) for f in self.outcome.found if f.label != "payload"]
+        own = problem.group("payload", 0)
+        complete = problem.with_causes(np.sort(np.concatenate([own, *others])), WIDE_SCALE)
+        k = len(problem.mean) + int(np.searchsorted(np.sort(np.concatenate([own, *others])), own[0]))
+        unit = UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
+        mass, error = complete.fit.x[k] * unit, float(np.sqrt(np.linalg.inv(complete.fit.precision)[k, k])) * unit
+        return known_digits(float(mass), error, 4), known_digits(error, error, 4)
 
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""
-        case, found = self.outcome.case, self.outcome.found
         said = [*(f.sentence for f in self.faults), *(_stop_in_words(s, self.log) for s in self.stops)]
-        best = self.fitting[0].label if self.fitting else self.outcome.rankings[0].order[0]
+        problem, found = self.outcome.problem, self.outcome.found
         # A smooth function stands for what is on no list, and no user is helped by its name.
-        if self.outcome.verdict != "none" and case.by_label[best].listed and not self.stops:
-            said.append(f"more is there than in a usual arm; what fits best: {in_words(case, best)}")
-        elif self.outcome.verdict != "none" and not self.stops:
-            at = case.by_label[best].label.split(" of joint ")[-1].split(" ")[0]
+        if found and found[0].listed and not self.stops:
+            hint = in_words(problem, found[0].label)
+            said.append(f"more is there than in a usual arm; no cause is named, and what fits best is a hint: {hint}")
+        elif found and not self.stops:
+            at = found[0].label.split(" of joint ")[-1].split(" ")[0]
             said.append(f"more is there than in a usual arm, most of all in joint {at}; no listed cause fits it")
         still = "never moved" if self.log.findings else "?"  # a finding of the log says it, with what would help
         return self._report_blocks(
@@ -154,15 +182,14 @@ class LogDiagnosis(Result):
             friction=self.torques,
             residuals=self._gap_table(),
             fits=self._fits(),
-            small=[f for f in found if f.share < 1 and not f.named],
             missing=[t for t in cannot_tell(self.log, self.arm, bool(self.reference)) if still not in t],
         )
 
     def _gap_table(self) -> Table:
         """Return the table of each joint's rms residuals, and of the region of the largest ones."""
         nominal, before, after = self.gap()
-        (_, held_out), unit = self.gap_unfitted(), self.outcome.case.unit or "mrad"
-        factor = 1.0 if self.outcome.case.unit else 1e3
+        (_, held_out), unit = self.gap_unfitted(), self.unit[0] or "mrad"
+        factor = 1.0 if self.unit[0] else 1e3
         rows = [
             (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, held_out)), self._where(j))
             for j, name in enumerate(self.log.joints[: self.arm.joints])
@@ -182,12 +209,16 @@ class LogDiagnosis(Result):
 
         It is a text, "" if the base's residual is about equal everywhere. j : 0-based
         """
-        case = self.outcome.case
-        residual = case.residual(NO_COLUMNS, *case.fitted(NO_COLUMNS))[case.of_log, j] ** 2
-        parts = []
-        for name, values in zip(REGION_VARIABLES, case.region_values, strict=True):
-            edges = np.quantile(values[:, j], np.linspace(0, 1, REGION_PARTS + 1))
-            part = np.clip(np.searchsorted(edges, values[:, j], side="right") - 1, 0, REGION_PARTS - 1)
+        problem, m = self.outcome.problem, self.view.motion
+        rows = problem.rows[j]
+        residual = rows.r - rows.J @ problem.fit.x[rows.own]
+        if not len(residual):
+            return ""
+        residual, parts = residual**2, []
+        signals = (m.q[:, j], m.v[:, j], self.view.variables["load"][:, j], m.time)
+        for name, values in zip(REGION_VARIABLES, (v[rows.used] for v in signals), strict=True):
+            edges = np.quantile(values, np.linspace(0, 1, REGION_PARTS + 1))
+            part = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, REGION_PARTS - 1)
             mean = np.array([residual[part == k].mean() if (part == k).any() else 0.0 for k in range(REGION_PARTS)])
             k = first_of_best(mean)
             parts.append((float(np.sqrt(mean[k] / residual.mean())), f"{name} {edges[k]:.3g} to {edges[k + 1]:.3g}"))
@@ -196,9 +227,9 @@ class LogDiagnosis(Result):
 
     def _fits(self) -> Table:
         """Return the table of the most probable causes, and of none, each with its probability."""
-        ranking, case = self.outcome.rankings[0], self.outcome.case
+        ranking, problem = self.outcome.rankings[0], self.outcome.problem
         rows = [
-            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(case, label))
+            (label, f"{ranking.probability[label]:.2f}", f"{ranking.log_factor[label]:.0f}", in_words(problem, label))
             for label in ranking.order[:MAX_SHOWN_CAUSES]
             if ranking.probability[label] > MIN_SHOWN_PROBABILITY
         ]
@@ -217,19 +248,20 @@ class LogDiagnosis(Result):
         names = ("joint", "model", "usual", "after", "usual_left_out", "after_left_out")
         each = zip(self.log.joints, nominal, before, after, *held_out, strict=False)
         return {
-            "gap": {**total, "unit": self.outcome.case.unit or "rad"},
+            "gap": {**total, "unit": self.unit[0] or "rad"},
             "joints": [dict(zip(names, row, strict=True)) for row in each],
         }
 
     @property
     def causes(self) -> list[dict[str, Any]]:
-        """Return the faults of the log and stops, with their angles, as plain data.
-
-        No other causes are named.
-        """
+        """Return faults of the log, and stops with their angles, as plain data."""
         faults: list[dict[str, Any]] = [{"effect": f.name, "joint": None, "probability": 1.0} for f in self.faults]
         stops = ({**_plain(f"contact@{s.joint + 1}", 1.0), "angle_rad": s.angle} for s in self.stops)
         return [*faults, *stops]
+
+    def probability_of(self, label: str) -> float:
+        """Return the probability of a first cause, by its label."""
+        return float(self.outcome.rankings[0].probability[label])
 
     @property
     def ranking(self) -> list[dict[str, Any]]:
@@ -258,9 +290,9 @@ def _stop_in_words(stop: Stop, log: JointLog) -> str:
     )
 
 
-def in_words(case: MotionCase, label: str) -> str:
+def in_words(problem: LogProblem, label: str) -> str:
     """Return a text on how the cause of a label appears in data, with its joint."""
-    candidate = case.by_label[label]
+    candidate = problem.by_label[label]
     if not candidate.listed:
         return f"on no list: {label}"
     signature = candidate.variants[0][0].signature
@@ -274,9 +306,8 @@ def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
     """
     if not compared:
         yield (
-            "Friction of this arm alone has no usual value: that it has grown is recognised "
-            "with a healthy log of the same "
-            "arm (--reference LOG)."
+            "Friction cannot be told without a log of the healthy arm, as no arm's friction has a usual value "
+            "(--reference LOG)."
         )
     if log.torque is None and (log.current is None or log.current_unsigned):
         yield "Torque scale and servo stiffness look alike without a signed current (current1_A ...) or torque."
@@ -314,15 +345,15 @@ def diagnose_log(
     Raises InputError: a log that is too short, or has other joints than the robot.
     """
     show("signals and rigid bodies")
-    log_views = log_views_of(robot, log, reference, healthy)
-    reference_coefficients = coefficients(motion_case(log_views[1:])) if len(log_views) > 1 else None
-    outcome = search(motion_case(log_views, reference_coefficients, [*motion_effects().values(), *own]))
+    views = log_views_of(robot, log, reference, healthy)
+    show("hypotheses")
+    outcome = search(problem_of(views, [*motion_effects().values(), *own]))
     bodies = determined(robot, log)
     numbers = tuple(k for k in bodies.independent if not k.startswith("Ia")) if bodies else ()
-    compared, arm = reference.source if reference else "", log_views[0].arm
+    compared, arm = reference.source if reference else "", views[0].arm
     faults = tuple(faults_of(log, arm, reference))
     stops = tuple(stops_of(arm.dynamics, [*log.runs()]))
-    return LogDiagnosis(log, arm, outcome, faults, stops, compared, contradictions(robot, log), numbers)
+    return LogDiagnosis(log, views[0], outcome, faults, stops, compared, contradictions(robot, log), numbers)
 
 
 def log_views_of(
@@ -356,9 +387,7 @@ def log_views_of(
         used = replace(one, torque=None, current=None) if of_command else one
         of = of if one.torque is None else replace(of, per_ampere=None)
         return log_view(
-            motion_of(
-                used, of, COMMANDED_PLAY_WIDTHS_RAD if of_command else MEASURED_PLAY_WIDTHS_RAD, of_command=of_command
-            ),
+            motion_of(used, of, max_samples=MAX_SAMPLES),
             of,
             peak_torque,
         )

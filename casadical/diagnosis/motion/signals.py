@@ -21,10 +21,8 @@ from casadical.robot.dynamics import Dynamics
 from casadical.robot.robot import Robot
 
 SMOOTHING_WIDTH_S = 0.08  # full width of the smoothing kernel (Hann window) [s]
-MIN_WINDOW_S = 0.1  # shortest window over which signals are averaged [s]
 EXCLUDED_EDGE_S = 0.15  # time at both ends of each run that is excluded [s]
 MAX_RATE_HZ = 62.5  # target sample rate: every k-th sample of a faster log is used [Hz]
-MAX_WINDOWS = 1500  # averaging windows of long logs are lengthened to be about this many
 PAUSE_BETWEEN_RUNS_S = 10.0  # assumed time between the end of a run and the next one [s]
 STANDSTILL_SPEED_SHARE = 0.02  # speed below which a joint is at rest, divided by its rms speed
 STANDSTILL_SPEED_RAD_S = 2e-3  # speed [rad/s] below which every joint is at rest
@@ -118,11 +116,8 @@ class Motion:
     torque : torque at the joints [N m], current [A] without a declared torque constant, or None
     heat : temperature above its minimum in the log [K], or None
     memory : play operators of the angle, -1 to 1, by half-width [rad] (see `play_operator`)
-    rest : time since the joint stopped, 0 in motion [s]; unmoved : 1 until the joint first moved in
-        its run, then 0
+    rest : time since the joint stopped, 0 in motion [s]
     quantum : resolution of each joint's readings, shape (joints,) [rad]
-    windows : indices of the samples of each window, shape (windows, k)
-    first : whether a window is the first of its run, shape (windows,)
     """
 
     time: Array
@@ -133,22 +128,12 @@ class Motion:
     a: Array
     memory: Mapping[float, Array]
     rest: Array
-    unmoved: Array
     quantum: Array
-    windows: Array
-    first: Array
     command: Array | None = None
     command_v: Array | None = None
     command_a: Array | None = None
     torque: Array | None = None
     heat: Array | None = None
-
-    def averaged(self, values: Array) -> Array:
-        """Return the mean of a signal over each window, shape (windows, ...).
-
-        values : values at each sample, shape (n, ...)
-        """
-        return np.asarray(values[self.windows].mean(axis=1))
 
     @property
     def step(self) -> float:
@@ -164,18 +149,19 @@ class Motion:
         return np.concatenate([change(values[a:b]) for a, b in pairwise(ends)])
 
 
-def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command: bool = False) -> Motion:
+def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...] = (), max_samples: int | None = None) -> Motion:
     """Return the smoothed signals of a log; runs of less than two seconds are excluded.
 
     widths : half-widths of the play operators [rad]
-    of_command : whether q, v, a are those of the command, for a log without torque
+    max_samples : number of samples to which long logs are thinned; None: they are not
     Raises InputError for a log without a run of two seconds.
     """
     parts: list[dict[str, Array]] = []
     start, torque = 0.0, torque_of(log, arm)
+    rows = max(1.0, 1 / (max(log.step, 1e-9) * MAX_RATE_HZ), len(log) / (max_samples or len(log)))
     for number, run in enumerate(log.runs(), 1):
         own = None if torque is None else torque[log.run == run.run[0]]
-        part = _run(_with_delayed_commands(run, arm), log.step, own, widths, of_command)
+        part = _run(_with_delayed_commands(run, arm), log.step, own, widths, round(rows))
         if part is not None:
             part["time"] = part["time"] + start
             part["run"] = np.full(len(part["time"]), float(number))
@@ -183,15 +169,6 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         start += float(run.time[-1] - run.time[0]) + PAUSE_BETWEEN_RUNS_S
     if not parts:
         raise InputError(f"{log.source}: no run of two seconds or more; log 20 s or more of motion")
-    steps = [float(np.median(np.diff(p["time"]))) for p in parts]
-    seconds = sum(len(p["time"]) * s for p, s in zip(parts, steps, strict=True))
-    size = max(1, round(max(MIN_WINDOW_S, seconds / MAX_WINDOWS) / steps[0]))
-    windows, first, at = [], [], 0
-    for part in parts:
-        count = len(part["time"]) // size
-        windows.append(at + size * np.arange(count)[:, None] + np.arange(size))
-        first.append(np.arange(count) == 0)
-        at += len(part["time"])
     signals = {k: np.concatenate([p[k] for p in parts]) for k in parts[0]}
     memory = {w: signals.pop(f"memory {w}") for w in widths}
     if "heat" in signals:
@@ -202,8 +179,6 @@ def motion_of(log: JointLog, arm: Arm, widths: tuple[float, ...], *, of_command:
         **signals,
         memory=memory,
         quantum=np.where(np.isfinite(smallest), smallest, MIN_QUANTUM_RAD),
-        windows=np.concatenate(windows),
-        first=np.concatenate(first),
     )
 
 
@@ -233,16 +208,17 @@ def torque_of(log: JointLog, arm: Arm) -> Array | None:
 
 
 def _run(
-    run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], of_command: bool
+    run: JointLog, step: float, torque: Array | None, widths: tuple[float, ...], every: int
 ) -> dict[str, Array] | None:
     """Return the signals of a run by name of the field of `Motion`; None if under two seconds.
 
-    step : time between samples [s]; torque : shape (rows, joints) or None; see `motion_of`
+    step : time between samples [s]; torque : shape (rows, joints) or None; widths : see `motion_of`
+    every : number of samples of which one is taken
     """
     t = np.arange(run.time[0], run.time[-1], step) if step else np.zeros(0)
     if len(t) < 2.0 / max(step, 1e-9):
         return None
-    edge, every = int(EXCLUDED_EDGE_S / step), max(1, round(1 / (step * MAX_RATE_HZ)))
+    edge = int(EXCLUDED_EDGE_S / step)
     samples = slice(edge, len(t) - edge, every)
 
     def smooth(values: Array) -> Array:
@@ -256,8 +232,7 @@ def _run(
     if run.command is not None:
         c = smooth(run.command)
         signals |= {"command": c, "command_v": rate(c), "command_a": rate(rate(c))}
-    q = signals["command"] if of_command else position
-    v = rate(q)
+    q, v = position, rate(position)
     signals |= {"position": position, "q": q, "v": v, "a": rate(v)}
     if torque is not None:
         signals["torque"] = smooth(torque)
@@ -266,8 +241,6 @@ def _run(
     stands = np.abs(v) < np.maximum(STANDSTILL_SPEED_SHARE * np.sqrt((v**2).mean(axis=0)), STANDSTILL_SPEED_RAD_S)
     at = np.arange(len(t))[:, None]
     signals["rest"] = step * (at - np.maximum.accumulate(np.where(stands, -1, at), axis=0))
-    # A joint has not moved yet while it is within 5e-3 rad of where the run began.
-    signals["unmoved"] = np.minimum.accumulate(np.abs(q - q[0]) < 5e-3, axis=0) * 1.0
     used = {"time": t[samples] - t[0], **{k: values[samples] for k, values in signals.items()}}
     # The play's memory is that of the used samples alone, from the first of the run.
     rows = slice(edge // every, edge // every + len(used["time"]))

@@ -1,0 +1,407 @@
+"""The engine that judges causes of a joint log: linear Gaussian rows, whose noise each joint has.
+
+Rows are residuals of torques, and of positions in a simulated replay or by the servo's equation.
+They are linear in the parameters of a base, which every arm has, and in those of the causes. The
+base has a Gaussian prior: wide without a reference; else the reference's posterior, widened by the
+changes from day to day. The noise variance of each joint is unknown, with an inverse-gamma prior;
+evidences are computed from Gram matrices with it at its maximum (Student's t), separately for each
+hypothesis, so that a cause is not taken for noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.statistics import first_of_best, ranked
+from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.evidence import KAPPA_GRID, KAPPA_WEIGHTS
+from casadical.diagnosis.motion.view import LogView, Signals
+from casadical.diagnosis.posterior import PRIOR_FIRST, PRIOR_FURTHER, Ranking, prior_weights
+
+# Samples of torques and positions that count as independent in a second, as noise is correlated.
+INDEPENDENT_SAMPLES_PER_S = {"torque": 8.0, "position": 3.0}
+NOISE_FREEDOM = 20.0  # degrees of freedom of the prior of a joint's noise variance
+NOISE_ROUNDS = 5  # number of alternating estimates of parameters and noise
+EXACT_CANDIDATES = 12  # number of the best candidates whose noise is estimated again
+NO_COLUMNS = np.zeros(0, dtype=np.int64)  # indices of an empty set of columns
+MIN_SPAN_RAD = 0.2  # a joint that moves less carries no information on its response [rad]
+MAX_CAUSES = 3  # largest number of causes that are searched for
+MAX_NOTHING_PROBABILITY = 0.02  # a cause is detected if the posterior of no cause is at most this
+MIN_EVIDENCE = 30.0  # smallest log evidence [nats] with which a cause enters the model
+# Causes that may fit (see `Found.fits`). Others are hints: play, warming, a link's mass and a torque
+# constant stand for errors of the base on the logs on which the rule was developed.
+FITTING_CAUSES = frozenset(
+    [
+        "payload",
+        "coulomb_friction",
+        "viscous_friction",
+        "load_friction",
+        "transport_delay",
+        "lag",
+        "ripple",
+        "saturation",
+        "spring",
+        "contact",
+        "zero_offset_step",
+        "servo_stiffness",
+        "reflected_inertia",
+    ]
+)
+MIN_FIT_EVIDENCE = 60.0  # smallest log evidence [nats] of a cause that fits
+MIN_FIT_PROBABILITY = 0.95  # smallest probability of a cause that fits, and its twins
+# Smallest log evidence of a cause that fits, divided by that of the best smooth function.
+MIN_RIVAL_RATIO = 1 / 1.2
+# Gaussian bumps of a smooth function, by its variable, that stands for a cause on no list.
+BUMPS_OF = {"angle": 28, "angle and direction": 20, "angle, one way": 20, "angle, other way": 20}
+BUMPS_OF |= {"speed": 14, "load": 10, "time": 28}
+UNLISTED_SIGMAS = 2.0  # typical size of a bump in units of the row's noise
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Residuals of one joint, torques or positions, with their derivatives by the base.
+
+    kind : "torque" or "position"; joint : 0-based; used : mask of the samples, shape (samples,)
+    r : residual with all parameters zero, shape (rows,), divided by the peak torque, or [rad]
+    J : derivatives, shape (rows, k); own : indices of the base's parameters that they belong to
+    sigma : typical standard deviation of the noise; fold : number of each row's run, shape (rows,)
+    rate : rows per second
+    H : columns of causes, shape (rows, m); columns : their indices, rising
+    """
+
+    kind: str
+    joint: int
+    used: Array
+    r: Array
+    J: Array
+    own: Array
+    sigma: float
+    fold: Array
+    rate: float
+    H: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    columns: Array = field(default_factory=lambda: NO_COLUMNS)
+
+    @property
+    def share(self) -> float:
+        """Return the fraction of the rows that count as independent."""
+        return min(1.0, INDEPENDENT_SAMPLES_PER_S[self.kind] / self.rate)
+
+    @cached_property
+    def grams(self) -> tuple[Array, Array, float]:
+        """Return J^T J, J^T r and r^T r, each times `share`."""
+        return self.share * self.J.T @ self.J, self.share * self.J.T @ self.r, self.share * float(self.r @ self.r)
+
+    @cached_property
+    def cause_grams(self) -> tuple[Array, Array]:
+        """Return J^T H and H^T r, each times `share`."""
+        return self.share * self.J.T @ self.H, self.share * self.H.T @ self.r
+
+    def among(self, rows: Array) -> Rows:
+        """Return the rows of a mask, shape (rows,), without columns of causes."""
+        return replace(
+            self, r=self.r[rows], J=self.J[rows], fold=self.fold[rows], H=np.zeros((0, 0)), columns=NO_COLUMNS
+        )
+
+    def with_causes(self, columns: Array, first: int) -> Rows:
+        """Return the rows with columns of causes in the base, whose parameters begin at `first`."""
+        here = np.flatnonzero(np.isin(self.columns, columns))
+        if not len(here):
+            return self
+        own = np.concatenate([self.own, first + np.searchsorted(columns, self.columns[here])])
+        return replace(self, J=np.hstack([self.J, self.H[:, here]]), own=own)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Parameters of highest posterior density, and the evidence.
+
+    x : parameters; precision : inverse of their covariance; variance : noise variance of each of
+        the rows' groups; log_evidence : log marginal likelihood, up to a constant
+    """
+
+    x: Array
+    precision: Array
+    variance: Array
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class LogProblem:
+    """Base and candidate causes of a joint log.
+
+    rows : groups of rows; mean, covariance : prior of the base's parameters, shapes (P,), (P, P)
+    candidates : possible causes; variants : (candidate, variant) indices of each group of columns;
+        groups : indices of the columns of each
+    names : kind and joint of each parameter of the base
+    """
+
+    rows: tuple[Rows, ...]
+    mean: Array
+    covariance: Array
+    names: tuple[tuple[str, ...], ...] = ()
+    candidates: tuple[Candidate, ...] = ()
+    variants: tuple[tuple[int, int], ...] = ()
+    groups: tuple[Array, ...] = ()
+
+    @cached_property
+    def by_label(self) -> dict[str, Candidate]:
+        """Return the candidates by label."""
+        return {c.label: c for c in self.candidates}
+
+    def group(self, label: str, variant: int) -> Array:
+        """Return the indices of the columns of one variant of the candidate with this label."""
+        at = next(k for k, c in enumerate(self.candidates) if c.label == label)
+        return self.groups[self.variants.index((at, variant))]
+
+    def with_causes(self, columns: Array, scale: float = 1.0) -> LogProblem:
+        """Return the problem with columns of causes in the base.
+
+        columns : their indices, rising; scale : prior standard deviation of their parameters
+        """
+        P, q = len(self.mean), len(columns)
+        covariance = np.zeros((P + q, P + q))
+        covariance[:P, :P], covariance[P:, P:] = self.covariance, scale**2 * np.eye(q)
+        rows = tuple(r.with_causes(columns, P) for r in self.rows)
+        return replace(self, rows=rows, mean=np.append(self.mean, np.zeros(q)), covariance=covariance)
+
+    @cached_property
+    def prior_precision(self) -> Array:
+        """Return the inverse of the prior covariance, shape (P, P)."""
+        return np.asarray(np.linalg.inv(self.covariance))
+
+    @cached_property
+    def fit(self) -> Fit:
+        """Return the fit of the base."""
+        prior, variance = self.prior_precision, np.array([r.sigma**2 for r in self.rows])
+        count = np.array([NOISE_FREEDOM + r.share * len(r.r) for r in self.rows])
+        for _ in range(NOISE_ROUNDS):
+            A, b = prior.copy(), prior @ self.mean
+            for r, s2 in zip(self.rows, variance, strict=True):
+                A[np.ix_(r.own, r.own)] += r.grams[0] / s2
+                b[r.own] += r.grams[1] / s2
+            x = np.linalg.solve(A, b)
+            left = [q - 2 * x[r.own] @ g + x[r.own] @ G @ x[r.own] for r in self.rows for G, g, q in [r.grams]]
+            known = np.array([NOISE_FREEDOM * r.sigma**2 for r in self.rows])
+            variance = (known + np.maximum(left, 0.0)) / count
+        aside = x - self.mean
+        log_evidence = -0.5 * (
+            count @ np.log(variance) + aside @ prior @ aside + np.linalg.slogdet(A)[1] - np.linalg.slogdet(prior)[1]
+        )
+        return Fit(x, A, variance, float(log_evidence))
+
+    def residuals(self, x: Array) -> list[Array]:
+        """Return the residuals of each group of rows for given parameters of the base."""
+        return [r.r - r.J @ x[r.own] for r in self.rows]
+
+    def held_out(self) -> list[Array]:
+        """Return the residuals of each group of rows, of each run by a fit to the others.
+
+        Thirds take the place of runs if there is one run.
+        """
+        out = [np.array(r.r) for r in self.rows]
+        for k in np.unique(np.concatenate([r.fold for r in self.rows])):
+            x = replace(self, rows=tuple(r.among(r.fold != k) for r in self.rows)).fit.x
+            for r, left in zip(self.rows, out, strict=True):
+                left[r.fold == k] = (r.r - r.J @ x[r.own])[r.fold == k]
+        return out
+
+    def _screened(self) -> Array:
+        """Return the log evidence of each group of columns with the base's noise, by kappa.
+
+        Its shape is (groups, kappas).
+        """
+        fit, total = self.fit, sum(map(len, self.groups))
+        both, right = np.zeros((len(self.mean), total)), np.zeros(total)
+        for r, s2 in zip(self.rows, fit.variance, strict=True):
+            if len(r.columns):
+                cross, own = r.cause_grams
+                both[np.ix_(r.own, r.columns)] += cross / s2
+                right[r.columns] += (own - cross.T @ fit.x[r.own]) / s2
+        absorbed = np.linalg.solve(np.linalg.cholesky(fit.precision), both)
+        out = np.empty((len(self.groups), len(KAPPA_GRID)))
+        for k, group in enumerate(self.groups):
+            S = -absorbed[:, group].T @ absorbed[:, group]
+            for r, s2 in zip(self.rows, fit.variance, strict=True):
+                low, high = np.searchsorted(r.columns, [group[0], group[-1] + 1])
+                if high > low:
+                    at, H = r.columns[low:high] - group[0], r.H[:, low:high]
+                    S[np.ix_(at, at)] += r.share * H.T @ H / s2
+            values, vectors = np.linalg.eigh(S)
+            values, b = np.maximum(values, 0.0), vectors.T @ right[group]
+            for c, kappa in enumerate(KAPPA_GRID):
+                out[k, c] = 0.5 * (b**2 / (values + kappa**-2)).sum() - 0.5 * np.log1p(kappa**2 * values).sum()
+        return out
+
+    def rank(self, skip: frozenset[str] = frozenset()) -> Ranking:
+        """Return the posterior over the next cause.
+
+        skip : labels of the causes that are in the base already
+        """
+        weights = prior_weights(self, PRIOR_FURTHER if skip else PRIOR_FIRST, skip)
+        by_kappa = self._screened()
+        by_group = np.logaddexp.reduce(by_kappa + np.log(KAPPA_WEIGHTS), axis=1)
+        owner, factor, variant, best = np.array([k for k, _ in self.variants]), {}, {}, {}
+        for k, candidate in enumerate(self.candidates):
+            if candidate.label in weights:
+                own = np.flatnonzero(owner == k)
+                best[candidate.label] = int(own[first_of_best(by_group[own], logs=True)])
+                factor[candidate.label] = float(np.logaddexp.reduce(by_group[own]) - np.log(len(own)))
+                variant[candidate.label] = self.variants[best[candidate.label]][1]
+        ordered = [list(factor)[k] for k in ranked(list(factor.values()))]
+        listed = [label for label in ordered if self.by_label[label].listed][:EXACT_CANDIDATES]
+        for label in (*listed, *[k for k in ordered if not self.by_label[k].listed][:3]):
+            k = best[label]
+            scale = KAPPA_GRID[first_of_best(by_kappa[k] + np.log(KAPPA_WEIGHTS), logs=True)]
+            exact = self.with_causes(self.groups[k], scale).fit.log_evidence - self.fit.log_evidence
+            factor[label] += exact - float(by_kappa[k].max())
+        mass = {label: float(np.log(weights[label])) + f for label, f in factor.items()}
+        none = float(np.log((PRIOR_FURTHER if skip else PRIOR_FIRST)["none"]))
+        return Ranking(1.0, {}, factor, mass, variant, {}).normalised(none)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A cause in the model.
+
+    label, variant : label of the candidate, index of its variant; listed : whether it is listed
+    probability : posterior probability of it and its twins among the listed causes
+    twins : labels of causes that these data do not distinguish from it, itself first
+    gain : log evidence [nats]; rival : that of the best smooth function [nats]
+    """
+
+    label: str
+    variant: int
+    listed: bool
+    probability: float
+    twins: tuple[str, ...]
+    gain: float
+    rival: float
+
+    @property
+    def fits(self) -> bool:
+        """Return whether the cause fits: a listed one, with clear evidence and no twin but known ones."""
+        name = self.label.partition("@")[0]
+        return (
+            self.listed
+            and name in FITTING_CAUSES
+            and self.gain >= max(MIN_FIT_EVIDENCE, MIN_RIVAL_RATIO * self.rival)
+            and self.probability >= MIN_FIT_PROBABILITY
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """Result of a search.
+
+    problem : base and candidates; found : causes in the model
+    rankings : posterior over the next cause in each step
+    """
+
+    problem: LogProblem
+    found: tuple[Found, ...]
+    rankings: tuple[Ranking, ...]
+
+    @property
+    def with_causes(self) -> LogProblem:
+        """Return the problem with all causes that were found in its base."""
+        groups = [self.problem.group(f.label, f.variant) for f in self.found]
+        return self.problem.with_causes(np.sort(np.concatenate(groups))) if groups else self.problem
+
+
+# Effects that one log may not distinguish.
+TWIN_EFFECTS = ({"transport_delay", "lag"}, {"payload", "link_mass"}, {"servo_stiffness", "torque_constant"})
+
+
+def twins_of(label: str, ranking: Ranking) -> tuple[str, ...]:
+    """Return the labels of a cause and of its twins, those within 5 nats of its evidence."""
+    name, _, joint = label.partition("@")
+    near = [k for k in ranking.order if ranking.log_factor[k] > ranking.log_factor[label] - 5.0 and k != label]
+    alike = [k for k in near if any({name, k.partition("@")[0]} <= pair for pair in TWIN_EFFECTS)]
+    return label, *(k for k in alike if name in ("payload", "link_mass") or k.partition("@")[2] in ("", joint))
+
+
+def search(problem: LogProblem) -> Outcome:
+    """Return the causes of a log, added one by one until there is probably no additional one."""
+    found: tuple[Found, ...] = ()
+    rankings: tuple[Ranking, ...] = ()
+    while True:
+        skip = frozenset(f.label for f in found)
+        current = Outcome(problem, found, rankings).with_causes
+        ranking = current.rank(skip)
+        rankings = (*rankings, ranking)
+        best = next_cause(problem, ranking)
+        if ranking.none > MAX_NOTHING_PROBABILITY or best.gain < MIN_EVIDENCE or len(found) == MAX_CAUSES:
+            return Outcome(problem, found, rankings)
+        found = (*found, best)
+        if not best.listed:
+            return Outcome(problem, found, rankings)
+
+
+def next_cause(problem: LogProblem, ranking: Ranking) -> Found:
+    """Return the most probable listed cause, or the best smooth function if that explains more."""
+    listed = [k for k in ranking.order if problem.by_label[k].listed]
+    smooth = [k for k in ranking.log_factor if not problem.by_label[k].listed]
+    rival = smooth[first_of_best([ranking.log_factor[k] for k in smooth])] if smooth else listed[0]
+    top, most = listed[0], ranking.log_factor[rival]
+    if ranking.log_factor[top] < MIN_RIVAL_RATIO * most:
+        return Found(rival, ranking.variant[rival], False, ranking.probability[rival], (rival,), most, most)
+    twins = twins_of(top, ranking)
+    p = sum(ranking.probability[k] for k in twins) / (sum(ranking.probability[k] for k in listed) + 1e-300)
+    return Found(top, ranking.variant[top], True, min(1.0, p), twins, ranking.log_factor[top], most if smooth else 0.0)
+
+
+def smooth_functions(view: LogView, rows: Iterable[Rows], variance: Array) -> list[tuple[Candidate, list[Signals]]]:
+    """Return candidates for causes on no list: smooth functions of one variable for some rows.
+
+    variance : noise variance of each of the groups of rows
+    """
+    m, out = view.motion, []
+    for r, s2 in zip(rows, variance, strict=True):
+        j, v = r.joint, m.v[:, r.joint]
+        drivers = {name: m.q[:, j] for name in BUMPS_OF if name.startswith("angle")}
+        drivers |= {"speed": v, "load": view.variables["load"][:, j], "time": m.time}
+        for name, values in drivers.items():
+            ends = np.quantile(values[r.used], [0.005, 0.995]) if r.used.any() else np.zeros(2)
+            if ends[1] - ends[0] < 1e-6 or np.ptp(m.q[:, j]) < MIN_SPAN_RAD:
+                continue
+            centres = np.linspace(ends[0], ends[1], BUMPS_OF[name])
+            ways = {"angle and direction": np.sign(v), "angle, one way": v > 0, "angle, other way": v < 0}
+            size = UNLISTED_SIGMAS * np.sqrt(s2) * ways.get(name, 1.0)
+            width = centres[1] - centres[0]
+            label = f"smooth {r.kind} of joint {j + 1} by {name}"
+            bumps: list[Signals] = [{(r.kind, j): size * np.exp(-0.5 * ((values - c) / width) ** 2)} for c in centres]
+            out.append((Candidate(label, "unknown", None, ((),), listed=False), bumps))
+    return out
+
+
+def with_candidates(problem: LogProblem, made: Sequence[tuple[Candidate, list[Signals]]]) -> LogProblem:
+    """Return the problem with candidates.
+
+    made : each variant of each candidate, with the columns of its parameters at all samples
+    """
+    candidates: dict[str, Candidate] = {}
+    variants, groups, width = [], [], 0
+    columns: dict[tuple[str, int], list[tuple[int, Array]]] = {(r.kind, r.joint): [] for r in problem.rows}
+    for candidate, signals in made:
+        known = candidates.setdefault(candidate.label, replace(candidate, variants=()))
+        variants.append((list(candidates).index(candidate.label), len(known.variants)))
+        candidates[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
+        groups.append(width + np.arange(len(signals)))
+        for signal in signals:
+            for key, values in signal.items():
+                if key in columns:
+                    columns[key].append((width, values))
+            width += 1
+    rows = []
+    for r in problem.rows:
+        own = columns[r.kind, r.joint]
+        H = np.stack([v[r.used] for _, v in own], axis=1) if own else np.zeros((len(r.r), 0))
+        rows.append(replace(r, H=H, columns=np.array([k for k, _ in own], dtype=np.int64)))
+    return replace(
+        problem, rows=tuple(rows), candidates=tuple(candidates.values()), variants=tuple(variants), groups=tuple(groups)
+    )

@@ -1,0 +1,95 @@
+"""Hypotheses on a joint log: the listed causes, a user's own, and smooth functions as their rivals."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.diagnosis.candidates import Candidate
+from casadical.diagnosis.motion.engine import LogProblem, smooth_functions, with_candidates
+from casadical.diagnosis.motion.servo_rows import Replay, saturation_columns, servo_problem, simulated_columns
+from casadical.diagnosis.motion.torque_rows import torque_problem
+from casadical.diagnosis.motion.view import LogView, Signals, signals_of
+from casadical.effects.definition import DefinedEffect
+from casadical.effects.motion import Cause, motion_effects
+from casadical.effects.settings import grid_points
+
+# Causes that only a healthy log of the same arm can show.
+FRICTION_CAUSES = ("coulomb_friction", "viscous_friction", "load_friction")
+# Name of dry and of viscous friction among a cause's variables -> kinds of the base's torque columns.
+FRICTION_KINDS = {"friction": ("slip", "loaded", "dip"), "drag": ("viscous", "curved")}
+
+
+def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
+    """Return base and hypotheses of a log.
+
+    views : the log and, if there is one, its reference; chosen : causes that are candidates
+    """
+    log = views[0]
+    # Without a reference the base's friction may be any: that it has grown cannot be told.
+    told = [kind for kind in chosen if len(views) > 1 or kind.name not in FRICTION_CAUSES]
+    effects = [c for kind in told for c in _settings(kind, log.arm.joints)]
+    if log.motion.torque is not None:
+        problem = torque_problem(views)
+        log = replace(
+            log, variables={**log.variables, "slip": np.sign(log.motion.v)}, frictions=_frictions(problem, log)
+        )
+        made = [(candidate, signals_of(log, effect)) for candidate, effect in effects]
+        made += smooth_functions(log, problem.rows, problem.fit.variance)
+        return with_candidates(problem, [(c, signals) for c, signals in made if signals])
+    problem, replay, x = servo_problem(views)
+    known = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
+    log = replace(log, frictions={k: v / log.peak_torque + 0 * log.motion.q for k, v in known.items()})
+    return with_candidates(problem, [*_simulated(replace(replay, view=log), x, effects, problem)])
+
+
+def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffect]]:
+    """Yield a candidate, and its effect, for each joint and setting of a cause."""
+    name = kind.answers_as or kind.name
+    for joint in range(1, joints + 1) if kind.acts_at == "joints" else (None,):
+        for point in grid_points(kind):
+            effect = kind(joint, **point)
+            yield Candidate(name if joint is None else f"{name}@{joint}", name, joint, ((effect,),)), effect
+
+
+def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:
+    """Return the friction torques of the fitted base, divided by peak torque, (samples, joints)."""
+    x, m, speed = problem.fit.x, log.motion, log.variables["speed"]
+    slip = np.sign(m.v)
+    shapes = {"slip": slip, "loaded": slip * np.abs(log.variables["load"]), "dip": slip * np.exp(-np.abs(m.v) / 0.05)}
+    shapes |= {"viscous": speed, "curved": speed * np.abs(speed)}
+    at = {name: k for k, name in enumerate(problem.names)}
+    return {
+        name: sum(shapes[k] * np.array([x[at["torque", str(j), k]] for j in range(log.arm.joints)]) for k in kinds)
+        for name, kinds in FRICTION_KINDS.items()
+    }
+
+
+def _simulated(
+    replay: Replay, x: Array, effects: Sequence[tuple[Candidate, DefinedEffect]], problem: LogProblem
+) -> Iterator[tuple[Candidate, list[Signals]]]:
+    """Yield each variant of each hypothesis with its columns by simulation."""
+    view = replay.view
+    pairs = [_both_ways(view, effect) for _, effect in effects]
+    torques = [replace(r, kind="torque") for r in problem.rows]
+    scale = (0.5 * np.exp(x[:, 2] - x[:, 0]) / view.peak_torque) ** 2
+    rivals = smooth_functions(view, torques, scale)
+    for candidate, variants in zip(
+        (*(c for c, _ in effects), *(c for c, _ in rivals)),
+        simulated_columns(replay, x, [*pairs, *((s, s) for _, s in rivals)]),
+        strict=True,
+    ):
+        for columns in variants:
+            if columns:
+                yield candidate, columns
+    kind = motion_effects()["saturation"]
+    for j, column in saturation_columns(replay, x):
+        effect = ((kind(j + 1),),)
+        yield Candidate(f"saturation@{j + 1}", "saturation", j + 1, effect), [column]
+
+
+def _both_ways(view: LogView, effect: DefinedEffect) -> tuple[list[Signals], list[Signals]]:
+    """Return the signals of a cause while all joints slide one way, and the other."""
+    plus = signals_of(view, effect, 1.0)
+    return plus, signals_of(view, effect, -1.0) if {"slip", "friction"} & {*effect.drivers} else plus

@@ -1,0 +1,341 @@
+"""Rows of a log of commands and positions alone: positions in a simulated replay of the commands.
+
+Base and causes are parameters of the simulated response (see `response`), which is linearised at
+the base's fit: the columns of a cause are differences of two simulations. A cause's torque loads
+the joint, or moves the limit of its dry friction where it reverses with the direction of motion; a
+cause's position error changes the command.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from casadical.core.basics import Array
+from casadical.core.statistics import first_of_best
+from casadical.diagnosis.motion.engine import MIN_SPAN_RAD, LogProblem, Rows
+from casadical.diagnosis.motion.response import simulated
+from casadical.diagnosis.motion.view import LogView, Signals
+
+# The base's parameters of a joint with, each, the prior standard deviation without a reference, the
+# standard deviation of its change from day to day, and the step of finite differences. Compliance
+# (one over the gain), friction, damping and inertia (these divided by the gain) are logarithms;
+# offset [rad], delay beyond the declared one [s], share of the load in the friction, two combinations
+# of the bodies' parameters that load the joint most, shares of friction and damping that are gone when the
+# arm has warmed up, share of friction that is gone at speed, and that of damping that grows with it.
+BASE_PARAMETERS = {
+    "compliance": (0.15, 0.02, 1e-2),
+    "offset": (0.01, 2e-3, 1e-4),
+    "friction": (1.0, 0.18, 1e-2),
+    "damping": (0.25, 0.12, 1e-2),
+    "inertia": (0.3, 0.04, 1e-2),
+    "delay": (4e-3, 2e-3, 1e-3),
+    "load friction": (0.05, 0.015, 5e-3),
+    "gravity": (1.0, 0.05, 5e-2),
+    "gravity 2": (1.0, 0.05, 5e-2),
+    "cold": (0.05, 0.05, 2e-2),
+    "cold viscous": (0.05, 0.05, 2e-2),
+    "dip": (0.3, 0.1, 5e-2),
+    "curved": (0.2, 0.05, 2e-2),
+}
+PARAMETER_COUNT = len(BASE_PARAMETERS)
+TYPICAL_FRICTION_RAD = 0.01  # prior mean of dry friction divided by the gain
+TYPICAL_LOAD_FRICTION = 0.08  # prior mean of friction divided by the load
+# Prior means of damping and inertia divided by the declared ones (motors add to both).
+TYPICAL_DAMPING_SHARE, TYPICAL_INERTIA_SHARE = 1.5, 1.6
+CLOCK_STEPS = 0.25  # clocks of commands and readings differ by about this [samples]
+STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
+WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
+TYPICAL_LAG_S = 0.06  # prior mean of damping / gain where kd is not declared [s]
+BASE_NOISE_RAD = 1.5e-3  # typical noise of a position in a replay, without the reading's resolution
+SETTLING_TIME_S = 0.3  # time at the start of each run that is not used [s]
+START_NOISE_FACTOR = 2.0  # noise at the start of the base's fit, divided by the typical noise
+START_FRICTION_FACTORS = (1.0, 3.0)  # frictions at which the base's fit starts, divided by the prior mean
+MAX_STEPS = 12  # largest number of Levenberg-Marquardt steps of the base's fit with one noise
+MIN_COST_DECREASE = 0.1  # decrease of the cost below which the fit ends
+COLUMN_SCALES = (0.3, 1.0)  # sizes of a cause, in typical ones, at which its columns are computed
+VARIANTS_PER_BATCH = 500  # number of variants that are simulated at once
+CAPACITY_SHARES = (0.5, 0.7, 0.85, 0.95)  # tried torque limits, divided by the largest torque
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Simulation of a log, with variants of its parameters and signals.
+
+    view : signals; loads : torques of the bodies, without that of each joint's own acceleration,
+        shape (samples, joints) [N m]
+    gravity : loads by two combinations of the bodies' parameters, shape (2, samples, joints) [N m]
+    starts : first samples of the runs; length : of the longest run
+    """
+
+    view: LogView
+    loads: Array
+    gravity: Array
+    starts: Array
+    length: int
+
+    def by_run(self, values: Array) -> Array:
+        """Return samples by run, shape (length, runs, ...), the last one repeated.
+
+        values : shape (samples, ...)
+        """
+        ends = np.append(self.starts[1:], len(values))
+        at = np.minimum(self.starts + np.arange(self.length)[:, None], ends - 1)
+        return np.asarray(values[at])
+
+    def angles(self, joint: Array, x: Array, signals: Sequence[Signals], capacity: Array | None = None) -> Array:
+        """Return simulated angles of variants, shape (samples, variants) [rad].
+
+        joint : of each variant; x : parameters, shape (variants, PARAMETER_COUNT)
+        signals : load [N m], limit of friction [N m] and command [rad] beyond the base's, by name
+            "torque", "limit" and "position", of each variant
+        capacity : largest position error that the servo acts on, shape (variants,) [rad]
+        """
+        out = [
+            self._angles(joint[s], x[s], signals[s], None if capacity is None else capacity[s])
+            for s in self._batches(len(x))
+        ]
+        return np.concatenate(out, axis=1)
+
+    @staticmethod
+    def _batches(count: int) -> list[slice]:
+        return [slice(k, k + VARIANTS_PER_BATCH) for k in range(0, count, VARIANTS_PER_BATCH)]
+
+    def _angles(self, joint: Array, x: Array, signals: Sequence[Signals], capacity: Array | None) -> Array:
+        m = self.view.motion
+        assert m.command is not None
+        assert m.command_v is not None
+        yields, friction, damping, inertia = np.exp(x[:, [0, 2, 3, 4]]).T
+        loads = self.loads[:, joint] + sum(x[:, 7 + k] * self.gravity[k][:, joint] for k in (0, 1))
+        limit = friction + np.maximum(x[:, 6], 0.0) * yields * np.abs(loads)
+        cold = np.exp(-m.time / WARM_UP_TIME_S)[:, None]
+        speed = m.v[:, joint]
+        limit *= 1 + x[:, 9] * cold + x[:, 11] * np.exp(-np.abs(speed) / STRIBECK_SPEED_RAD_S)
+        drag = damping * speed * (x[:, 10] * cold + x[:, 12] * np.abs(speed))
+        command = m.command[:, joint] - x[:, 5] * m.command_v[:, joint]
+        for k, own in enumerate(signals):
+            for (kind, _), values in own.items():
+                if kind == "torque":
+                    loads[:, k] += values
+                elif kind == "limit":
+                    limit[:, k] += yields[k] * values
+                else:
+                    command[:, k] -= values
+        command, rest, limit = (
+            self.by_run(a) for a in (command, command - yields * loads - drag - x[:, 1], np.maximum(limit, 0.0))
+        )
+        middle = (rest[1:] + rest[:-1]) / 2
+        start = self.by_run(m.position)[0][:, joint]
+        q = simulated(
+            middle, len(middle), start, np.array(m.step), limit, damping, inertia,
+            commands=None if capacity is None else (command[1:] + command[:-1]) / 2, capacity=capacity,
+        )  # fmt: skip
+        runs = np.searchsorted(self.starts, np.arange(len(m.q)), side="right") - 1
+        return np.asarray(q[np.arange(len(m.q)) - self.starts[runs], runs])
+
+
+def servo_problem(views: Sequence[LogView]) -> tuple[LogProblem, Replay, Array]:
+    """Return the problem of a log, its simulation, and the base's fit, shape (joints, PARAMETER_COUNT).
+
+    views : the log and, if there is one, its reference, whose fit is the prior then
+    """
+    n = views[0].arm.joints
+    statics = [v.arm.regressor(v.motion.q, 0 * v.motion.q, 0 * v.motion.q) for v in views]
+    turns = _turns(statics, views[0].arm.spread)
+    mean, width = _prior(views[0])
+    covariance = np.stack([np.diag(w**2) for w in width])
+    sigma = np.hypot(BASE_NOISE_RAD, views[0].motion.quantum / np.sqrt(12))
+    for view, static in reversed([*zip(views, statics, strict=True)]):
+        replay = _replay(view, static, turns)
+        x, problem = _fitted(replay, mean, covariance, sigma)
+        if view is not views[0]:
+            fit = problem.fit
+            every = np.linalg.inv(fit.precision)
+            daily = np.diag([daily**2 for _, daily, _ in BASE_PARAMETERS.values()])
+            daily[5, 5] += (CLOCK_STEPS * view.motion.step) ** 2
+            covariance = np.stack(
+                [
+                    every[
+                        PARAMETER_COUNT * j : PARAMETER_COUNT * j + PARAMETER_COUNT,
+                        PARAMETER_COUNT * j : PARAMETER_COUNT * j + PARAMETER_COUNT,
+                    ]
+                    + daily
+                    for j in range(n)
+                ]
+            )
+            mean, sigma = x, np.sqrt(fit.variance)
+    return problem, replay, x
+
+
+def _turns(statics: Sequence[Array], spread: Array) -> Array:
+    """Return two combinations of the bodies' parameters for each joint, (joints, 10 joints, 2).
+
+    They load the joint most, by one prior standard deviation of each.
+    statics : regressors of gravity in each log; spread : see `Arm`
+    """
+    out = []
+    for j in range(statics[0].shape[1]):
+        every = np.concatenate([static[:, j] @ spread for static in statics])
+        out.append(spread @ np.linalg.svd(np.linalg.qr(every - every.mean(axis=0))[1])[2][:2].T)
+    return np.stack(out)
+
+
+def _replay(view: LogView, static: Array, turns: Array) -> Replay:
+    """Return the simulation of a log. static : regressor of gravity; turns : see `_turns`"""
+    m = view.motion
+    starts = np.flatnonzero(np.diff(m.run, prepend=m.run[0] - 1))
+    length = int(np.diff(np.append(starts, len(m.run))).max())
+    gravity = np.einsum("tjp,jpk->ktj", static, turns)
+    coupled = (view.Y - static) @ view.arm.inertial
+    for j in range(len(turns)):
+        a = np.zeros_like(m.a)
+        a[:, j] = m.a[:, j]
+        coupled[:, j] -= ((view.arm.regressor(m.q, 0 * a, a) - static)[:, j]) @ view.arm.inertial
+    return Replay(
+        view, static @ view.arm.inertial + coupled, gravity - gravity.mean(axis=1, keepdims=True), starts, length
+    )
+
+
+def _prior(view: LogView) -> tuple[Array, Array]:
+    """Return prior means and standard deviations of the base, shapes (joints, PARAMETER_COUNT) each."""
+    arm, n = view.arm, view.arm.joints
+    mean = np.zeros((n, PARAMETER_COUNT))
+    mean[:, 0] = -np.log(view.gain)
+    mean[:, 2] = np.log(TYPICAL_FRICTION_RAD)
+    damping = TYPICAL_LAG_S if arm.kd is None or not arm.kd.any() else TYPICAL_DAMPING_SHARE * arm.kd / view.gain
+    mean[:, 3] = np.log(np.maximum(damping, 5e-3))
+    mean[:, 4] = np.log(np.maximum(TYPICAL_INERTIA_SHARE * arm.rotor / view.gain, 1e-4))
+    mean[:, 5] = -CLOCK_STEPS * view.motion.step
+    mean[:, 6] = TYPICAL_LOAD_FRICTION
+    width = np.tile([sigma for sigma, *_ in BASE_PARAMETERS.values()], (n, 1))
+    width[:, 5] = np.hypot(width[:, 5], CLOCK_STEPS * view.motion.step)
+    if arm.kp is None:
+        width[:, 0] = 0.5
+    if arm.kd is None:
+        width[:, 3:5] = 1.0
+    if arm.delay is None:
+        width[:, 5] = 0.03
+    return mean, width
+
+
+def _fitted(replay: Replay, mean: Array, covariance: Array, sigma: Array) -> tuple[Array, LogProblem]:
+    """Return the parameters of highest density, (joints, PARAMETER_COUNT), and the problem linearised there."""
+    # With a variance that contains the misfit of the start, priors would hold the parameters there.
+    small, starts = START_NOISE_FACTOR**2 * sigma**2, []
+    for factor in START_FRICTION_FACTORS:
+        start = mean.copy()
+        start[:, 2] += np.log(factor)
+        starts.append(_descended(replay, start, mean, covariance, sigma, small))
+    costs = np.stack([_costs(problem, x, mean, covariance, small) for x, problem in starts])
+    best = np.array([first_of_best(-own) for own in costs.T])
+    x = np.stack([starts[k][0][j] for j, k in enumerate(best)])
+    rows = tuple(starts[k][1].rows[j] for j, k in enumerate(best))
+    problem = replace(starts[0][1], rows=rows, mean=(mean - x).ravel())
+    return _descended(replay, x, mean, covariance, sigma, problem.fit.variance)
+
+
+def _descended(
+    replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array, variance: Array
+) -> tuple[Array, LogProblem]:
+    """Return parameters and problem after Levenberg-Marquardt steps from x with a given noise."""
+    best, prior, damping = (
+        _linearised(replay, x, mean, covariance, sigma),
+        np.linalg.inv(covariance),
+        np.full(len(x), 0.1),
+    )
+    for _ in range(MAX_STEPS):
+        after = x.copy()
+        for j, (r, s2) in enumerate(zip(best.rows, variance, strict=True)):
+            A = r.grams[0] / s2 + prior[j]
+            b = r.grams[1] / s2 + prior[j] @ (mean[j] - x[j])
+            after[j] += np.linalg.solve(A + damping[j] * np.diag(np.diag(A)), b)
+        after[:, 5:7] = np.clip(after[:, 5:7], [-0.2, 0.0], [0.4, 2.0])
+        trial = _linearised(replay, after, mean, covariance, sigma)
+        before, now = (_costs(p, z, mean, covariance, variance) for p, z in ((best, x), (trial, after)))
+        better = now < before
+        x = np.where(better[:, None], after, x)
+        damping = np.where(better, damping / 6, damping * 6)
+        rows = tuple(b if ok else a for a, b, ok in zip(best.rows, trial.rows, better, strict=True))
+        best = replace(best, rows=rows, mean=(mean - x).ravel())
+        if (np.abs(before - now) < MIN_COST_DECREASE).all():
+            break
+    return x, best
+
+
+def _costs(problem: LogProblem, x: Array, mean: Array, covariance: Array, variance: Array) -> Array:
+    """Return the cost of each joint at the parameters x, with the noise variance of each."""
+    fits = [r.share * float(r.r @ r.r) / s2 for r, s2 in zip(problem.rows, variance, strict=True)]
+    asides = zip(x - mean, covariance, strict=True)
+    return np.array([fit + a @ np.linalg.solve(c, a) for fit, (a, c) in zip(fits, asides, strict=True)])
+
+
+def _linearised(replay: Replay, x: Array, mean: Array, covariance: Array, sigma: Array) -> LogProblem:
+    """Return the problem of the base linearised at parameters x, shape (joints, PARAMETER_COUNT)."""
+    m, n = replay.view.motion, len(x)
+    steps = np.array([step for *_, step in BASE_PARAMETERS.values()])
+    variants = np.concatenate([x[:, None], x[:, None] + np.diag(steps)], axis=1)
+    q = replay.angles(
+        np.repeat(np.arange(n), PARAMETER_COUNT + 1),
+        variants.reshape(-1, PARAMETER_COUNT),
+        [Signals()] * (n * (PARAMETER_COUNT + 1)),
+    )
+    used = np.ones(len(m.q), dtype=bool)
+    for start in replay.starts:
+        used[start : start + int(SETTLING_TIME_S / m.step)] = False
+    fold = m.run if len(replay.starts) > 1 else np.floor(3 * np.arange(len(m.q)) / len(m.q))
+    whole = np.zeros((n * PARAMETER_COUNT, n * PARAMETER_COUNT))
+    rows = []
+    for j in range(n):
+        own = np.arange(PARAMETER_COUNT * j, PARAMETER_COUNT * j + PARAMETER_COUNT)
+        whole[np.ix_(own, own)] = covariance[j]
+        angles = q[:, (PARAMETER_COUNT + 1) * j : (PARAMETER_COUNT + 1) * (j + 1)]
+        J = (angles[:, 1:] - angles[:, :1]) / steps
+        residual = m.position[:, j] - angles[:, 0]
+        rows.append(Rows("position", j, used, residual[used], J[used], own, sigma[j], fold[used], 1 / m.step))
+    names = tuple(("position", str(j), name) for j in range(n) for name in BASE_PARAMETERS)
+    return LogProblem(tuple(rows), (mean - x).ravel(), whole, names)
+
+
+def simulated_columns(
+    replay: Replay, x: Array, causes: Sequence[tuple[Sequence[Signals], Sequence[Signals]]]
+) -> list[list[list[Signals]]]:
+    """Return the columns of causes: of each its variants, each with its parameters' columns.
+
+    x : the base's fit, shape (joints, PARAMETER_COUNT)
+    causes : signals of each parameter while all joints slide one way, and the other
+    """
+    view, n = replay.view, len(x)
+    joints, signals, owners = list(range(n)), [Signals() for _ in range(n)], []
+    moves = np.ptp(view.motion.position, axis=0) > MIN_SPAN_RAD
+    # Causes of many parameters are about linear in them: one size is enough.
+    scales = [COLUMN_SCALES[-1 if len(plus) > 1 else 0 :] for plus, _ in causes]
+    for c, ways in enumerate(causes):
+        for p, (plus, minus) in enumerate(zip(*ways, strict=True)):
+            for j in sorted({j for _, j in plus if moves[j]}):
+                for scale in scales[c]:
+                    own = Signals()
+                    if ("position", j) in plus:
+                        own["position", j] = scale * plus["position", j]
+                    if ("torque", j) in plus:
+                        a, b = (scale * view.peak_torque[j] * s["torque", j] for s in (plus, minus))
+                        own |= {("torque", j): (a + b) / 2, ("limit", j): (a - b) / 2}
+                    joints.append(j)
+                    signals.append(own)
+                    owners.append((c, p, j, scale))
+    q = replay.angles(np.array(joints), x[joints], signals)
+    out = [[[Signals() for _ in plus] for _ in own] for (plus, _), own in zip(causes, scales, strict=True)]
+    for k, (c, p, j, scale) in enumerate(owners):
+        out[c][scales[c].index(scale)][p]["position", j] = (q[:, n + k] - q[:, j]) / scale
+    return [[[s for s in variant if s] for variant in variants] for variants in out]
+
+
+def saturation_columns(replay: Replay, x: Array) -> list[tuple[int, Signals]]:
+    """Return for each joint (0-based) and tried torque limit the column of saturation."""
+    n, m = len(x), replay.view.motion
+    assert m.command is not None
+    most = np.quantile(np.abs(m.command - m.position), 0.999, axis=0)
+    joints = np.repeat(np.arange(n), 1 + len(CAPACITY_SHARES))
+    capacity = (most[:, None] * np.array([np.inf, *CAPACITY_SHARES])).ravel()
+    q = replay.angles(joints, x[joints], [Signals()] * len(joints), capacity).reshape(len(m.q), n, -1)
+    moves = np.flatnonzero(np.ptp(m.position, axis=0) > MIN_SPAN_RAD)
+    return [(int(j), {("position", int(j)): q[:, j, k] - q[:, j, 0]}) for j in moves for k in range(1, q.shape[2])]
