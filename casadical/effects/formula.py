@@ -283,7 +283,10 @@ def _checked_operation(text: str, node: ast.BinOp, names: dict[str, None]) -> in
 
 
 def _value(node: ast.expr, names: Mapping[str, Any], functions: Mapping[str, Callable[..., Any]]) -> Any:
-    """Return the value of a node, a scalar or a list of three; the arguments are of `values`."""
+    """Return the value of a node of a validated formula, a scalar or a list of three.
+
+    names, functions : values and implementations by name, see `Formula.values`
+    """
     if isinstance(node, ast.Constant):
         return float(node.value)  # type: ignore[arg-type]
     if isinstance(node, ast.Name):

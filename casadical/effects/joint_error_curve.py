@@ -14,7 +14,7 @@ from casadical.effects.base import Context, Counterparts, Effect
 # Prior standard deviation of the sine and of the cosine amplitude of each harmonic up to the knee
 # of a joint's error curve [rad], until the data give another one.
 TYPICAL_HARMONIC_RAD = 60e-6
-# Order of the highest harmonic of each joint's curve.
+# Order of the highest harmonic of each joint's curve in campaigns of fewer than 400 poses.
 DEFAULT_ORDERS = 60
 # Order of the highest harmonic of each joint's curve in campaigns of 400 poses or more.
 EXTENDED_ORDERS = 90

@@ -180,8 +180,8 @@ class BearingPlay(Effect):
         if number != self.joint:
             return ca.SX.eye(4)
         turn = context.frames[number - 1][:3, :3].T
-        # Moments across the axis are scaled by the peak gravity torque of this joint and the one
-        # before.
+        # Moments across the axis are scaled by the larger of the peak gravity torques of this
+        # joint and the one before.
         moment = turn @ context.moment(number) / context.greatest(max(number - 1, 1), number)
         size = ca.sqrt(moment[0] ** 2 + moment[1] ** 2 + 1e-8)
         share = self.value(context, "rock") * ca.tanh(size / self.soft) / ca.tanh(1 / self.soft) / size

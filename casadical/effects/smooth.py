@@ -203,9 +203,10 @@ class AnyOfLoad(_OfOneJoint):
         return (f"approach{self.joint}",)
 
     def terms(self, context: Context | None) -> list[tuple[str, float, Symbolic]]:
-        """Return (name, prior size, value) of functions of load, and of these times the approach.
+        """Return (name, prior size, value) of load functions, the approach, and their products.
 
-        The odd ones saturate, the even ones act on one side; the compliance takes up the linear one.
+        Of the four functions of load two are odd and saturate, two are even: its smoothed absolute
+        value and its square. The linear one is omitted, as the joint's compliance represents it.
         """
         load, side = (context.load(self.joint), context.conditions[self.conditions[0]]) if context else (0.0, 0.0)
         of_load = {"s": ca.tanh(8 * load), "t": ca.tanh(2 * load), "e": ca.sqrt(load**2 + 1e-4), "q": load**2}

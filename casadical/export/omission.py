@@ -15,7 +15,7 @@ from casadical.robot.robot import Robot
 if TYPE_CHECKING:
     from casadical.project.calibration import Calibration
 
-# Number of random poses over which the position error of an omission is averaged.
+# Number of random poses at which the mean and largest position error of an omission are computed.
 SAMPLED_POSES = 1000
 
 

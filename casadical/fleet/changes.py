@@ -332,7 +332,7 @@ def _per(found: Comparison, change: Change) -> str:
 
 def _tables_of(found: Comparison, change: Change) -> list[Table]:
     """Return two tables of a change: its possible causes, and the changes of its parameters."""
-    # Largest number of possible causes in the table of a change.
+    # The table holds the first cause, and of the next three those that are probable enough.
     rows = [(r.label, r.course, found.campaigns[r.since].label, f"{r.probability:.3f}") for r in change.rivals[:4]]
     rows = [row for k, row in enumerate(rows) if k == 0 or change.rivals[k].probability >= MIN_PROBABILITY_SHOWN]
     causes = Table("Causes", ("cause", "course", "since", "probability"), rows, frozenset({3}), strong=frozenset({0}))

@@ -289,7 +289,9 @@ def with_common_noise(campaigns: Sequence[Estimate]) -> list[Estimate]:
 
 
 def _with_noise_of_file(c: Estimate, held_out: tuple[float, int] | None) -> Estimate:
-    """Return a campaign with its noise pooled with that of a robot file, if it cannot tell its own.
+    """Return a campaign whose noise is pooled with that of a robot file.
+
+    It is unchanged if it has enough degrees of freedom, or a noise much larger than the file's.
 
     held_out : standard deviation of a coordinate of the file's held-out poses [m], and their number
     """

@@ -50,6 +50,8 @@ class Expressions:
     def function(self, *outputs: str) -> ca.Function:
         """Return the CasADi function (q, w, phi, constants, loaded) -> outputs, cached.
 
+        Inputs and outputs are the class's fields of these names.
+
         outputs : names out of p, R, tau and margin
         """
         if outputs not in self.functions:

@@ -193,7 +193,7 @@ def blocks(names: Sequence[str], owners: Sequence[str], matrix: Array) -> tuple[
 
 
 # Lower limit of a joint's peak gravity torque, as a share of the largest one of all joints of its
-# kind, for joints that gravity does not load.
+# kind; and of the largest one, as a share of the moved weight (times the reach, if revolute).
 MIN_TORQUE_SHARE = 0.05
 
 

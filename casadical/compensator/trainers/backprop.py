@@ -61,7 +61,10 @@ class BackpropRun:
         return float(task.loss.value(errors)[0]), slope
 
     def step(self) -> None:
-        """Do one gradient step, and undo it if the loss rises too much."""
+        """Do one gradient step with momentum, or none if it would raise the loss beyond a tolerance.
+
+        The learning rate grows after a step that lowers the loss, and shrinks after a refused one.
+        """
         t = self.trainer
         velocity = t.momentum * self.velocity - (1 - t.momentum) * self.rate * self.slope
         weights = self.weights + velocity

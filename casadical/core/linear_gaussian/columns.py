@@ -120,6 +120,7 @@ def row_columns(made: Factors, blocks: int, rows: int, directions: Directions = 
     """Return columns whose intermediate variables are the rows themselves."""
 
     def block(columns: Array | None, some: Array | slice) -> Factors:
+        """Return the factors of some columns, or of all if `columns` is None, at some blocks."""
         if columns is None:
             return made.at(some)
         # A slice of the blocks is a view; other blocks are copied, so that columns are chosen first.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 else:
     Sheet = Any
 
-# Margin at the left and right of an A4 page [mm].
+# Margin at the left, right and top of an A4 page [mm].
 MARGIN_MM = 18.0
 # Width of the text on an A4 page [mm].
 TEXT_WIDTH_MM = 174.0

@@ -134,7 +134,7 @@ class Plan:
         return len(self.first) - width
 
     def _end(self, op: str) -> None:
-        """End the current run, which holds the operation `op`."""
+        """Record the operation of the run that ends here, and the place at which the next begins."""
         self.operations.append(op)
         self.starts.append(len(self.first))
 

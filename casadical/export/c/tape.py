@@ -171,7 +171,7 @@ class _Builder:
         return self.add("mul", self.constant(-0.5 if negate else 0.5), k)
 
 
-# Function that adds a CasADi operation as others of the tape, guards included, by CasADi's name.
+# CasADi's name of an operation: function that adds it as operations of the tape, with its guards.
 _COMPOSED_OPERATIONS: dict[str, Callable[..., int]] = {
     "sq": lambda b, x: b.add("mul", x, x),
     "twice": lambda b, x: b.add("add", x, x),

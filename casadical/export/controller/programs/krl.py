@@ -249,11 +249,14 @@ def _pairs(aggregate: Tree[Token]) -> Pairs:
 
 
 def _target(source: str, name: str, aggregate: Tree[Token], axes: tuple[float, ...]) -> Target:
-    """Return the target of an aggregate; source : name of the program, for messages.
+    """Return the target of an aggregate such as {A1 0, A2 -90, ..} or {X 1200, .., S 2, T 10}.
 
+    A target that lacks a number or has one twice has the reason in `skip_reason` and no numbers.
+
+    source : name of the program, for messages
     name : name of its variable, "" for one inside a motion
     axes : factor of each joint's number to SI
-    Raises InputError.
+    Raises InputError: it has more joints than the robot.
     """
     values, line, shown = _pairs(aggregate), aggregate.meta.line, name or "in the motion"
     joints = "A1" in values
