@@ -52,27 +52,27 @@ class Outcome:
 
     @property
     def detected(self) -> bool:
-        """Whether the answer reports anything."""
+        """Return whether the answer reports anything."""
         return self.verdict != "none"
 
     @property
     def alarmed(self) -> bool:
-        """Whether the answer names a cause that was not hidden, or is "ambiguous" or "unknown"."""
+        """Return whether the answer names a cause that was not hidden, or is "ambiguous" or "unknown"."""
         return self.verdict in ("ambiguous", "unknown") or any(text not in self.truth for text in self.named)
 
     @property
     def claimed(self) -> bool:
-        """Whether the answer claims to explain the gap, the error of the base model."""
+        """Return whether the answer claims to explain the gap, the error of the base model."""
         return self.verdict == "explained"
 
     @property
     def wrong_claims(self) -> tuple[str, ...]:
-        """The labels of claimed causes that were not hidden."""
+        """Return the labels of claimed causes that were not hidden."""
         return tuple(text for text in self.named if text not in self.truth) if self.claimed else ()
 
     @property
     def first_right(self) -> bool:
-        """Whether the causes named first are the hidden ones, with their joints, in any order."""
+        """Return whether the causes named first are the hidden ones, with their joints, in any order."""
         return bool(self.truth) and set(self.truth) <= set(self.named[: len(self.truth)])
 
 

@@ -242,7 +242,7 @@ class RobotCheck(Result):
 
     @property
     def figures(self) -> dict[str, Estimate]:
-        """The fractions of right and wrong answers, 0 to 1, with 95 % intervals, by description."""
+        """Return the fractions of right and wrong answers, 0 to 1, with 95 % intervals, by description."""
         none, one, off = ([t for t in self.outcomes if t.kind == kind] for kind in ("none", "one", "unlisted"))
         hidden = [t for t in self.outcomes if t.kind != "none"]
         claims = [t for t in self.outcomes if t.claimed]
@@ -260,7 +260,7 @@ class RobotCheck(Result):
 
     @property
     def by_effect(self) -> dict[str, list[Outcome]]:
-        """The outcomes of campaigns that hid an effect, alone or with others, by its name."""
+        """Return the outcomes of campaigns that hid an effect, alone or with others, by its name."""
         names = sorted({e for t in self.outcomes for e in t.effects}, key=lambda e: (e in UNLISTED, e))
         return {name: [t for t in self.outcomes if name in t.effects] for name in names}
 
@@ -298,7 +298,7 @@ class RobotCheck(Result):
 
     @property
     def verdict(self) -> str:
-        """A sentence with the numbers of right claims and of false alarms."""
+        """Return a sentence with the numbers of right claims and of false alarms."""
         right, alarms = self.figures["claims that are right"], self.figures["false alarms where nothing is hidden"]
         first = f"{right.hits} of {right.n} claims are right" if right.n else "No cause is claimed"
         many = "campaigns that hide" if alarms.n > 1 else "campaign that hides"

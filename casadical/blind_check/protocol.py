@@ -84,7 +84,7 @@ class HiddenEffect(_Strict):
 
     @property
     def label(self) -> str:
-        """The label by which the effect is compared."""
+        """Return the label by which the effect is compared."""
         return label(self.effect, self.joint)
 
 
@@ -110,7 +110,7 @@ class Secret(_Strict):
 
     @property
     def truth(self) -> tuple[str, ...]:
-        """The labels that a right answer names; none for effects that are not listed."""
+        """Return the labels that a right answer names; none for effects that are not listed."""
         return () if self.kind == "unlisted" else tuple(h.label for h in self.hidden)
 
 
@@ -206,12 +206,12 @@ class NamedCause(_Loose):
 
     @property
     def label(self) -> str:
-        """The label by which the cause is compared."""
+        """Return the label by which the cause is compared."""
         return label(self.effect, self.joint)
 
     @property
     def alike(self) -> tuple[str, ...]:
-        """The labels, as of the key, of the other causes of its set."""
+        """Return the labels, as of the key, of the other causes of its set."""
         return tuple(relabelled(text) for text in self.indistinguishable)
 
 
@@ -231,7 +231,7 @@ class Answer(_Loose):
 
     @property
     def probabilities(self) -> dict[str, float]:
-        """The posterior probability by label, with the labels of the key."""
+        """Return the posterior probability by label, with the labels of the key."""
         by_label: dict[str, float] = {}
         for text, p in self.posterior.items():
             by_label[relabelled(text)] = by_label.get(relabelled(text), 0.0) + p

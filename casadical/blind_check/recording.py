@@ -49,7 +49,7 @@ class Plan:
 
     @property
     def not_logged(self) -> tuple[str, ...]:
-        """The quantities that are not logged, such as "temperature"; see `COLUMN_PREFIXES`."""
+        """Return the quantities that are not logged, such as "temperature"; see `COLUMN_PREFIXES`."""
         return tuple(self.missing.split(",")) if self.missing else ()
 
 

@@ -28,12 +28,12 @@ class Score(Result):
 
     @property
     def unanswered(self) -> list[str]:
-        """The names of campaigns without an answer, sorted; they do not count."""
+        """Return the names of campaigns without an answer, sorted; they do not count."""
         return sorted(set(self.key.campaigns) - {t.name for t in self.outcomes})
 
     @property
     def metrics(self) -> dict[str, tuple[Estimate, str]]:
-        """The metrics over all outcomes by name, each with its target as text; "" for none."""
+        """Return the metrics over all outcomes by name, each with its target as text; "" for none."""
         return counted.metrics(self.outcomes)
 
     def blocks(self) -> list[Block]:

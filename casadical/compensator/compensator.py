@@ -261,12 +261,12 @@ class Compensator:
 
     @property
     def helps(self) -> bool:
-        """Whether a network is in use; if not, the compensator corrects nothing."""
+        """Return whether a network is in use; if not, the compensator corrects nothing."""
         return self.network is not None
 
     @property
     def verdict(self) -> str:
-        """A sentence that states whether the network helps, with its effect on held-out poses.
+        """Return a sentence that states whether the network helps, with its effect on held-out poses.
 
         It has the mean error before and after [mm] and its relative reduction with the standard
         error [%], of poses not trained on; a second sentence warns if the largest error grows.

@@ -55,18 +55,18 @@ class Layout:
 
     @property
     def features(self) -> int:
-        """The number of network inputs, without that of the biases: two for a periodic joint."""
+        """Return the number of network inputs, without that of the biases: two for a periodic joint."""
         return self.joints + len(self.periodic)
 
     @cached_property
     def shapes(self) -> tuple[tuple[int, int], ...]:
-        """The shape (neurons, inputs + 1) of ``[W | b]`` of every layer, inputs to outputs."""
+        """Return the shape (neurons, inputs + 1) of ``[W | b]`` of every layer, inputs to outputs."""
         sizes = (self.features, *self.hidden, self.outputs)
         return tuple((m, k + 1) for k, m in pairwise(sizes))
 
     @cached_property
     def count(self) -> int:
-        """The number of weights, biases included."""
+        """Return the number of weights, biases included."""
         return sum(m * k for m, k in self.shapes)
 
     def layers(self, weights: Array) -> list[Array]:
@@ -133,12 +133,12 @@ class JointBox:
 
     @property
     def centre(self) -> Array:
-        """The middle of every range, shape (joints,) [rad]."""
+        """Return the middle of every range, shape (joints,) [rad]."""
         return 0.5 * np.add(self.lower, self.upper, dtype=np.float64)
 
     @property
     def half_width(self) -> Array:
-        """The half of every range, shape (joints,) [rad]; 1 for a joint that does not move."""
+        """Return the half of every range, shape (joints,) [rad]; 1 for a joint that does not move."""
         half = 0.5 * np.subtract(self.upper, self.lower, dtype=np.float64)
         return np.where(half > 0, half, 1.0)
 

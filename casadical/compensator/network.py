@@ -330,7 +330,7 @@ class Task:
 
     @cached_property
     def _idle_buffers(self) -> list[OutputBuffers]:
-        """Buffers for `losses` that no thread uses at the moment."""
+        """Return buffers for `losses` that no thread uses at the moment."""
         return []
 
     def errors_mm(self, weights: Array) -> Array:

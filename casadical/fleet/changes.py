@@ -104,7 +104,7 @@ class Change:
 
     @property
     def words(self) -> str:
-        """The technical meaning of the change, in words."""
+        """Return the technical meaning of the change, in words."""
         return MEANINGS[self.course][self.cause.kind].format(joint=self.cause.joint, label=self.cause.effect)
 
     @property
@@ -117,7 +117,7 @@ class Change:
 
     @property
     def named(self) -> bool:
-        """Whether the data distinguish this cause from all others (probability 0.95 or more)."""
+        """Return whether the data distinguish this cause from all others (probability 0.95 or more)."""
         return self.probability >= 0.95
 
 
@@ -177,12 +177,12 @@ class Comparison(Result):
 
     @property
     def changed(self) -> bool:
-        """Whether any change was found."""
+        """Return whether any change was found."""
         return bool(self.changes)
 
     @property
     def unexplained(self) -> tuple[str, ...]:
-        """Sentences on campaigns whose residuals are unusual, or whose poses are too few.
+        """Return sentences on campaigns whose residuals are unusual, or whose poses are too few.
 
         Residuals are unusual if they exceed those of the others, or those of any calibrated robot.
         """
@@ -210,12 +210,12 @@ class Comparison(Result):
 
     @property
     def dated(self) -> bool:
-        """Whether the day of every campaign is known; if not, campaigns are numbered from 1."""
+        """Return whether the day of every campaign is known; if not, campaigns are numbered from 1."""
         return all(c.date for c in self.campaigns)
 
     @property
     def span(self) -> str:
-        """The number of campaigns and the first and the last day or label, as text."""
+        """Return the number of campaigns and the first and the last day or label, as text."""
         first, last = (c.date or c.label for c in (self.campaigns[0], self.campaigns[-1]))
         return f"{len(self.campaigns)} campaigns, {first} to {last}"
 
@@ -240,7 +240,7 @@ class Comparison(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command in a list of one.
+        """Return the suggested next command in a list of one.
 
         It is empty if the last campaign is no table, or there is neither a change nor an
         unexplained residual.

@@ -86,12 +86,12 @@ class Estimate(Shown):
 
     @property
     def date(self) -> str:
-        """The day as an ISO date; empty if it is not known."""
+        """Return the day as an ISO date; empty if it is not known."""
         return date_text(self.day)
 
     @property
     def scale(self) -> Array:
-        """The scale of each parameter: the SI value of its unit in the solver, shape (k,)."""
+        """Return the scale of each parameter: the SI value of its unit in the solver, shape (k,)."""
         return np.array([self.robot.parameters[n].scale for n in self.names])
 
     def about(self, names: tuple[str, ...], values: Array) -> tuple[Array, Array]:

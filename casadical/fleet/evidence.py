@@ -88,7 +88,7 @@ class Candidate:
 
     @property
     def label(self) -> str:
-        """The label of the effect; without one the kind, or KIND@JOINT such as joint_zero@3."""
+        """Return the label of the effect; without one the kind, or KIND@JOINT such as joint_zero@3."""
         return self.effect or (self.kind if self.joint is None else f"{self.kind}@{self.joint}")
 
 
@@ -260,17 +260,17 @@ class Model:
 
     @property
     def inverse(self) -> Array:
-        """The posterior covariance of u, shape (p + m, p + m)."""
+        """Return the posterior covariance of u, shape (p + m, p + m)."""
         return self.root.T @ self.root
 
     @property
     def mean(self) -> Array:
-        """The posterior mean of u, shape (p + m,); theta is relative to the first campaign."""
+        """Return the posterior mean of u, shape (p + m,); theta is relative to the first campaign."""
         return self.root.T @ self.turned
 
     @property
     def p(self) -> int:
-        """The number of shared parameters."""
+        """Return the number of shared parameters."""
         return int(self.shared.score.shape[1])
 
 

@@ -263,7 +263,7 @@ class Drawing:
 
     @property
     def robots(self) -> str:
-        """The number of robots as text, such as "3 robots"."""
+        """Return the number of robots as text, such as "3 robots"."""
         return f"{self.count} robot{'s' * (self.count > 1)}"
 
     def correction(self, common: Common, name: str, near: Sequence[Drawing] = ()) -> str:

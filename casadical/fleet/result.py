@@ -84,12 +84,12 @@ class Fleet(Result):
 
     @property
     def good(self) -> pd.DataFrame:
-        """The rows of robots that were calibrated."""
+        """Return the rows of robots that were calibrated."""
         return self.robots[self.robots["status"] == "ok"]
 
     @property
     def grown(self) -> dict[str, str]:
-        """A sentence on each robot whose residuals grew in its last campaign, by its name."""
+        """Return a sentence on each robot whose residuals grew in its last campaign, by its name."""
         some = self.good[self.good["campaigns"] > 1]
         words_of = {
             r["robot"]: grown(r["left_mm"], r.get("left_free"), FALSE_ALARM_PROBABILITY / len(some))
@@ -107,7 +107,7 @@ class Fleet(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command in a list of one, for the first robot to check; else empty."""
+        """Return the suggested next command in a list of one, for the first robot to check; else empty."""
         return tuple(
             next_step(f"for {r['robot']}", "compare" if r["changes"] else "diagnose", r["folder"])
             for r in records(self._first().head(1))
@@ -273,7 +273,7 @@ class Fleet(Result):
 
     @property
     def _listed(self) -> list[dict[str, Any]]:
-        """The rows of all robots as dictionaries by column for the JSON file, without lists."""
+        """Return the rows of all robots as dictionaries by column for the JSON file, without lists."""
         columns = "robot folder status error type type_name method verdict causes changes at_bounds notes"
         words = [*columns.split(), "poses", "campaigns", "before_mm", "after_mm", "seconds"]
         return records(self.robots[words])

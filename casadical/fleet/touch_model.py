@@ -176,12 +176,12 @@ class TouchModel:
 
     @cached_property
     def usual_candidates(self) -> tuple[Candidate, ...]:
-        """The candidates of `USUAL_KINDS`: joint zeros, tool, foot (the base) and all lengths."""
+        """Return the candidates of `USUAL_KINDS`: joint zeros, tool, foot (the base) and all lengths."""
         return tuple(c for c in candidates_of(self.robot, self.names) if c.kind in USUAL_KINDS and c.names)
 
     @cached_property
     def candidates(self) -> tuple[Candidate, ...]:
-        """The usual candidates, then a crash and an unknown change.
+        """Return the usual candidates, then a crash and an unknown change.
 
         A crash changes all joint zeros and the tool at once; an unknown change displaces each
         coordinate of each pose independently.
@@ -197,17 +197,17 @@ class TouchModel:
 
     @cached_property
     def day(self) -> Array:
-        """The day on which each coordinate was touched, counted from 1, shape (rows,)."""
+        """Return the day on which each coordinate was touched, counted from 1, shape (rows,)."""
         return np.repeat(np.arange(1, len(self.days) + 1), [3 * len(m) for m in self.days])
 
     @cached_property
     def _poses(self) -> Array:
-        """The index of each touch's pose, from 0, shape (rows / 3,), equal for equal readings."""
+        """Return the index of each touch's pose, from 0, shape (rows / 3,), equal for equal readings."""
         return same_readings(np.concatenate([m.q for m in self.days]), STANDSTILL_TOLERANCE)
 
     @cached_property
     def _evaluated(self) -> tuple[Array, Array]:
-        """Measured less predicted coordinates, shape (rows,) [mm], and the prediction's Jacobian.
+        """Return measured less predicted coordinates, shape (rows,) [mm], and the prediction's Jacobian.
 
         The Jacobian has the shape (rows, p) and is in mm per unit of scale.
         """
@@ -216,18 +216,18 @@ class TouchModel:
 
     @property
     def residual_mm(self) -> Array:
-        """Measured less predicted positions in the measuring frame, shape (touches, 3) [mm]."""
+        """Return measured less predicted positions in the measuring frame, shape (touches, 3) [mm]."""
         return self._evaluated[0].reshape(-1, 3)
 
     @cached_property
     def temperatures(self) -> Array:
-        """The mean temperature of each day, NaN where it is not logged, shape (days,) [degC]."""
+        """Return the mean temperature of each day, NaN where it is not logged, shape (days,) [degC]."""
         logged = [m.conditions.get(TEMPERATURE) for m in self.days]
         return np.array([np.nan if t is None else float(np.mean(t)) for t in logged])
 
     @cached_property
     def warming(self) -> Array:
-        """The temperature above that of the calibration at each coordinate, shape (rows,) [K].
+        """Return the temperature above that of the calibration at each coordinate, shape (rows,) [K].
 
         If that is not known, it is above the first logged day's; it is zero on a day without one.
         """
@@ -240,7 +240,7 @@ class TouchModel:
 
     @property
     def _times(self) -> tuple[Array, bool]:
-        """The times of the calibration and of each day, (days + 1,) [years], and whether dated.
+        """Return the times of the calibration and of each day, (days + 1,) [years], and whether dated.
 
         The calibration is assumed to be a month before the first day. If any date is not known, so
         is each day before the next one.
@@ -252,7 +252,7 @@ class TouchModel:
 
     @cached_property
     def _gaussian_model(self) -> tuple[Array, Array, Array]:
-        """The deviations y, (rows,) [mm], their covariance S, (rows, rows) [mm^2], and a mask.
+        """Return the deviations y, (rows,) [mm], their covariance S, (rows, rows) [mm^2], and a mask.
 
         y is measured less predicted, less the expected thermal growth. S does not include the
         unexplained error r and noise. The mask, (rows, rows), is true for pairs of the same
@@ -418,12 +418,12 @@ class TouchModel:
 
     @cached_property
     def weight(self) -> Array:
-        """The mean of J'J over the task's poses, shape (p, p) [mm^2 per squared unit of scale]."""
+        """Return the mean of J'J over the task's poses, shape (p, p) [mm^2 per squared unit of scale]."""
         return np.asarray(np.einsum("kip,kiq->pq", self.task, self.task, optimize=True) / len(self.task))
 
     @property
     def stated(self) -> float:
-        """The rms error over the task's poses that the robot file itself states [mm]."""
+        """Return the rms error over the task's poses that the robot file itself states [mm]."""
         return float(np.sqrt(self.rest**2 + np.sum(self.weight * (self.factor @ self.factor.T))))
 
     def size_of(self, d: Array, extra: Array | float = 0.0) -> Array:

@@ -106,12 +106,12 @@ class Touches(Result):
 
     @property
     def probability(self) -> float:
-        """The posterior probability that today's rms error is within the tolerance."""
+        """Return the posterior probability that today's rms error is within the tolerance."""
         return float(np.mean(self.errors <= self.tolerance))
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict by `probability` and its two limits: "valid", "open" or "changed"."""
+        """Return the verdict by `probability` and its two limits: "valid", "open" or "changed"."""
         if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
         # Smallest probability of an error above the tolerance at which the calibration is reported
@@ -120,13 +120,13 @@ class Touches(Result):
 
     @property
     def label(self) -> str:
-        """The label of the most probable change, such as joint_zero@3; "" for no change."""
+        """Return the label of the most probable change, such as joint_zero@3; "" for no change."""
         labels, counts = np.unique(self.draws.label.astype(str), return_counts=True)
         return str(labels[first_of_best(counts)])
 
     @cached_property
     def departure(self) -> tuple[Array, Array]:
-        """The posterior mean, (p,), and covariance, (p, p), of the parameters' changes.
+        """Return the posterior mean, (p,), and covariance, (p, p), of the parameters' changes.
 
         They are in units of scale; samples with an unknown change are excluded.
         """
@@ -146,7 +146,7 @@ class Touches(Result):
 
     @property
     def better(self) -> bool:
-        """Whether the correction is significant and large enough for a corrected robot file."""
+        """Return whether the correction is significant and large enough for a corrected robot file."""
         before, after, sure = self.gain
         # A correction must be better with a probability of 0.95, and remove more than 20 % of the
         # error that the file states.
@@ -196,7 +196,7 @@ class Touches(Result):
 
     @property
     def why_not_updated(self) -> str:
-        """A sentence why the robot is not corrected, with the change before and after."""
+        """Return a sentence why the robot is not corrected, with the change before and after."""
         before, after, sure = self.gain
         remaining = (
             f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
@@ -214,7 +214,7 @@ class Touches(Result):
 
     @property
     def change_in_words(self) -> str:
-        """The most probable change, its probability and the table that first shows it, in words."""
+        """Return the most probable change, its probability and the table that first shows it, in words."""
         label = self.label
         sure = f"probability {self.draws.probability(label):.2f}"
         if not label:
@@ -236,13 +236,13 @@ class Touches(Result):
 
     @property
     def what_moved(self) -> list[Table]:
-        """A list of one table with the eight most significant parameters of `moved`, or of none."""
+        """Return a list of one table with the eight most significant parameters of `moved`, or of none."""
         rows = [(n, f"{v:+.4g}", f"{s:.2g}", unit) for n, v, s, unit in self.moved[:8]]
         return [Table("What moved", ("parameter", "by", "std error", "unit"), rows, frozenset({1, 2}))] if rows else []
 
     @property
     def more_touches(self) -> list[Table]:
-        """A list of one table with the readings of additional touches; empty if there are none."""
+        """Return a list of one table with the readings of additional touches; empty if there are none."""
         if self.more is None:
             return []
         keys = list(self.given.reading_units)
@@ -252,7 +252,7 @@ class Touches(Result):
 
     @property
     def next(self) -> tuple[Words, ...]:
-        """The suggested next command in a list of one; empty where nothing is to be done."""
+        """Return the suggested next command in a list of one; empty where nothing is to be done."""
         if (self.verdict == "valid" and not self.better) or not self.sources:
             return ()
         robot, *tables = self.sources
@@ -278,7 +278,7 @@ class Touches(Result):
 
     @property
     def correction(self) -> dict[str, float | bool]:
-        """The effect of a correction for the JSON file, as of `gain` in mm.
+        """Return the effect of a correction for the JSON file, as of `gain` in mm.
 
         The keys are before_mm, after_mm, better (probability of a smaller change) and written
         (whether the correction is accepted).

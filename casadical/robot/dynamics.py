@@ -38,13 +38,13 @@ class Dynamics:
 
     @cached_property
     def robot(self) -> Robot:
-        """The given robot without effects, with masses estimated from it if it has none."""
+        """Return the given robot without effects, with masses estimated from it if it has none."""
         bare = self.given.with_only(())
         return with_estimated_masses(bare) if lacks_masses(bare) else bare
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the 11 n inertial parameters pi.
+        """Return the names of the 11 n inertial parameters pi.
 
         m1, mx1 .. Izz1, m2 .. Izzn [kg, kg m, kg m^2], then Ia1 .. Ian [kg m^2 or kg].
         """
@@ -57,7 +57,7 @@ class Dynamics:
 
     @cached_property
     def values(self) -> Array:
-        """Parameters pi by the robot file, shape (11 n,) [SI].
+        """Return the parameters pi by the robot file, shape (11 n,) [SI].
 
         The declared payload is part of the last link.
         """
@@ -116,7 +116,7 @@ class Dynamics:
 
     @cached_property
     def function(self) -> ca.Function:
-        """CasADi function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N].
+        """Return the CasADi function inverse_dynamics:(q[n], v[n], a[n], pi[11 n])->(tau[n]) [N m or N].
 
         q, v, a : readings, velocities and accelerations; pi : inertial parameters (see `names`)
         """
@@ -189,7 +189,7 @@ class Dynamics:
 
     @cached_property
     def tangent(self) -> Array:
-        """Derivatives of pi by the coordinates of `at`, at zero, shape (11 n, 11 n).
+        """Return the derivatives of pi by the coordinates of `at`, at zero, shape (11 n, 11 n).
 
         With the regressor Y, Y @ tangent is the regressor by the coordinates.
         """

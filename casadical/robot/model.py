@@ -187,7 +187,7 @@ class Structure:
 
     @cached_property
     def key(self) -> tuple[object, ...]:
-        """The data that decide on the symbolic model, as a hashable tuple."""
+        """Return the data that decide on the symbolic model, as a hashable tuple."""
         arm = self.arm
         joints = tuple(
             (j.kind, j.beta is None, j.b is None, j.compliance is None, j.body and (j.body.mass, *j.body.com))

@@ -268,14 +268,14 @@ class Robot(Shown, Arm):
 
     @cached_property
     def conditions(self) -> tuple[str, ...]:
-        """Names of the logged columns that the model uses, besides the joint readings."""
+        """Return the names of the logged columns that the model uses, besides the joint readings."""
         tilting = GRAVITY_COLUMNS if self.gravity_frame == "logged" else ()
         own = (*(("payload_kg",) if self.payload else ()), *(t.column for t in self.targets), *tilting)
         return tuple(dict.fromkeys((*own, *(c for e in self.effects for c in e.conditions))))
 
     @cached_property
     def declared(self) -> Array:
-        """Values of `conditions` where nothing was logged, shape (k,) [each in its column's unit].
+        """Return the values of `conditions` where nothing was logged, shape (k,) [each in its column's unit].
 
         Payload and gravity are the declared ones; progress is 1, as at the end of the campaign; all
         else is zero, which for several tools means the first.
@@ -292,7 +292,7 @@ class Robot(Shown, Arm):
 
     @property
     def shown(self) -> tuple[str, ...]:
-        """Names of the parameters that tables show.
+        """Return the names of the parameters that tables show.
 
         Effects with a `summary` in place of their parameters are left out.
         """
@@ -301,7 +301,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def torque_scale(self) -> Array:
-        """Peak gravity torque of each joint, shape (n,) [N m or N].
+        """Return the peak gravity torque of each joint, shape (n,) [N m or N].
 
         It is the 95 % quantile over the joints' range with full payload, and at least a twentieth
         of the largest of joints of the same kind, revolute or prismatic: a gear with a vertical
@@ -345,22 +345,22 @@ class Robot(Shown, Arm):
 
     @cached_property
     def model(self) -> Model:
-        """The symbolic model and its CasADi functions."""
+        """Return the symbolic model and its CasADi functions."""
         return Model(self, self.declared, self.constants, expressions(self.structure, False))
 
     @cached_property
     def structure(self) -> Structure:
-        """The parts of which the symbolic model is composed."""
+        """Return the parts of which the symbolic model is composed."""
         return Structure(self, self.parameters, self.effects, self.conditions)
 
     @cached_property
     def constants(self) -> Array:
-        """Constants of the model, shape (24 + n,) (see `constants_of`)."""
+        """Return the constants of the model, shape (24 + n,) (see `constants_of`)."""
         return constants_of(self, self.torque_scale if self.effects else np.zeros(self.n))
 
     @cached_property
     def position(self) -> ca.Function:
-        """CasADi function (q[n], phi)->p[3], the measured point [m] in the measuring frame.
+        """Return the CasADi function (q[n], phi)->p[3], the measured point [m] in the measuring frame.
 
         q are readings [rad or m], phi the parameters [SI]; the payload is the declared one.
         """
@@ -368,7 +368,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def pose(self) -> ca.Function:
-        """CasADi function (q[n], phi)->(p[3], R[3x3]), the tool frame [m] in the measuring frame.
+        """Return the CasADi function (q[n], phi)->(p[3], R[3x3]), the tool frame [m] in the measuring frame.
 
         Arguments and payload are as of `position`.
         """
@@ -376,7 +376,7 @@ class Robot(Shown, Arm):
 
     @cached_property
     def torque(self) -> ca.Function:
-        """CasADi function (q[n], phi)->tau[n], gravity torques of actuated joints [N m or N].
+        """Return the CasADi function (q[n], phi)->tau[n], gravity torques of actuated joints [N m or N].
 
         Arguments and payload are as of `position`.
         """
@@ -388,7 +388,7 @@ class Robot(Shown, Arm):
 
     @property
     def effects_in_words(self) -> str:
-        """The labels of all effects with their values and units as text; empty without effects."""
+        """Return the labels of all effects with their values and units as text; empty without effects."""
         texts = []
         for effect in self.effects:
             sizes, values = effect.sizes(), effect.own_values(self.effect_values)
@@ -410,7 +410,7 @@ class Robot(Shown, Arm):
 
     @property
     def rigid(self) -> Robot:
-        """The robot with rigid joints, and without knowledge of its accuracy."""
+        """Return the robot with rigid joints, and without knowledge of its accuracy."""
         joints = tuple(replace(j, compliance=None) for j in self.joints)
         return replace(self, joints=joints, knowledge=None)
 

@@ -212,12 +212,12 @@ class Kind:
 
     @property
     def name(self) -> str:
-        """The name of the effect."""
+        """Return the name of the effect."""
         return self.act.__name__
 
     @property
     def sizes(self) -> set[str]:
-        """The names of its sizes, the keyword arguments of `act`."""
+        """Return the names of its sizes, the keyword arguments of `act`."""
         return {p.name for p in signature(self.act).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
 

@@ -28,7 +28,7 @@ class ClosedLoop:
 
     @property
     def lever(self) -> Array:
-        """The ratio of the crank's torque to that on the driven link in equilibrium, shape (n,).
+        """Return the ratio of the crank's torque to that on the driven link in equilibrium, shape (n,).
 
         It follows from the coupler's force, which is along the coupler.
         """

@@ -53,12 +53,12 @@ class Hidden:
 
     @property
     def about(self) -> str:
-        """The sizes as text, "NAME VALUE, .." [SI]."""
+        """Return the sizes as text, "NAME VALUE, .." [SI]."""
         return ", ".join(f"{name} {np.round(value, 9).tolist()}" for name, value in self.size.items())
 
     @property
     def label(self) -> str:
-        """The label of the effect: EFFECT, or EFFECT@JOINT."""
+        """Return the label of the effect: EFFECT, or EFFECT@JOINT."""
         return self.effect if self.joint is None else f"{self.effect}@{self.joint}"
 
 

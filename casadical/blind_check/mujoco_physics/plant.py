@@ -185,27 +185,27 @@ class Plant(Shown):
 
     @property
     def n(self) -> int:
-        """The number of joints."""
+        """Return the number of joints."""
         return len(self.home)
 
     @property
     def turning(self) -> list[int]:
-        """The numbers of the revolute joints, from 1."""
+        """Return the numbers of the revolute joints, from 1."""
         return [j for j in range(1, self.n + 1) if j not in self.slides]
 
     @property
     def weight(self) -> float:
-        """The magnitude of the acceleration of gravity [m/s^2]."""
+        """Return the magnitude of the acceleration of gravity [m/s^2]."""
         return float(np.hypot(np.hypot(self.gravity[0], self.gravity[1]), self.gravity[2]))
 
     @property
     def axes(self) -> Array:
-        """The unit vectors of the joint axes at zero readings in the robot's base, shape (n, 3)."""
+        """Return the unit vectors of the joint axes at zero readings in the robot's base, shape (n, 3)."""
         return self.home[:, :3, 2]
 
     @property
     def centres(self) -> Array:
-        """A point on every joint axis at zero readings in the robot's base, shape (n, 3) [m]."""
+        """Return a point on every joint axis at zero readings in the robot's base, shape (n, 3) [m]."""
         return self.home[:, :3, 3]
 
     def at_home(self, link: int, x: Array) -> Array:
@@ -217,7 +217,7 @@ class Plant(Shown):
 
     @property
     def stations(self) -> Array:
-        """The ends of the links in the base frame at zero readings, shape (n + 2, 3) [m].
+        """Return the ends of the links in the base frame at zero readings, shape (n + 2, 3) [m].
 
         They are the base's origin, the origins of the links' frames and the reflector.
         """
@@ -225,7 +225,7 @@ class Plant(Shown):
 
     @property
     def reach(self) -> float:
-        """The length of all links together [m]."""
+        """Return the length of all links together [m]."""
         return float(np.linalg.norm(np.diff(self.stations, axis=0), axis=-1).sum())
 
 

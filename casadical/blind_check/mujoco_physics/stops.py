@@ -46,7 +46,7 @@ class Stops:
 
     @property
     def progress(self) -> Array:
-        """The index of each stop divided by that of the last one, 0 to 1, shape (n,)."""
+        """Return the index of each stop divided by that of the last one, 0 to 1, shape (n,)."""
         return np.arange(len(self)) / max(len(self) - 1, 1)
 
 

@@ -48,7 +48,7 @@ class IwoRun:
 
     @property
     def steps(self) -> int:
-        """The number of generations done, the first colony included."""
+        """Return the number of generations done, the first colony included."""
         return self.search.iteration + 1
 
     def step(self) -> None:
@@ -95,7 +95,7 @@ class IwoThenLmRun:
 
     @property
     def steps(self) -> int:
-        """The number of steps done in both parts."""
+        """Return the number of steps done in both parts."""
         return self.done + self.run.steps
 
     def step(self) -> None:

@@ -189,7 +189,7 @@ class LmRun:
 
     @property
     def choosing_ridge(self) -> bool:
-        """Whether the cross-validation that chooses the ridge is still running."""
+        """Return whether the cross-validation that chooses the ridge is still running."""
         return self.ridge is None
 
     def step(self) -> None:
