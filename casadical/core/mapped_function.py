@@ -143,8 +143,8 @@ class MappedFunction:
     def _over(self, n: int) -> Buffered:
         """Return the CasADi function mapped over n points, from the cache if it is there."""
         if n not in self._mapped:
-            # Largest number of versions of one function, each mapped over another number of points,
-            # that are cached; at the next one the cache is emptied.
+            # A function of n points is cached for each of at most 64 values of n; at the next one
+            # the cache is emptied.
             if len(self._mapped) >= 64:
                 self._mapped.clear()
             self._mapped[n] = Buffered(self._each.map("points", "serial", n, [1, 2], []))

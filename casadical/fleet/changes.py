@@ -194,8 +194,7 @@ class Comparison(Result):
         )
         for k, (c, sigma, freedom) in enumerate(fitted):
             others = [(s, f) for _, s, f in fitted[:k] + fitted[k + 1 :]]
-            # Largest residual sigma of a coordinate of a calibrated robot, divided by the robot's
-            # reach; a greater one is reported as unusual.
+            # A calibrated robot's residual sigma of a coordinate is a smaller share of its reach.
             if sigma > 0.003 * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
                 said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {no_known_cause}")

@@ -461,8 +461,8 @@ def _tool(before: Estimate, after: Estimate, names: Sequence[str], between: Betw
     size = float(np.linalg.norm(apart * scale))
     error = float(np.sqrt(np.trace(cov * np.outer(scale, scale)) / 3))
     distance = float(np.sqrt(apart @ np.linalg.solve(cov, apart) / 3))
-    # Smallest displacement of the tool's point that is reported as another tool, or the same one
-    # mounted again [standard errors, rms of the coordinates].
+    # Only a displacement of the tool's point of more than four standard errors (rms of the
+    # coordinates) is reported as another tool, or as the same one mounted again.
     if distance > 4.0:
         words = "another tool, or mounted again"
     elif distance > MOVED_SIGMAS:

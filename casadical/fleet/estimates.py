@@ -261,7 +261,8 @@ def readings_of(robot: Robot, n: int) -> Array:
 
 
 # Largest ratio of the residual sigmas of two campaigns that may have been measured by one
-# instrument; an F test decides whether it is exceeded.
+# instrument. Between two campaigns an F test decides whether it is exceeded; a campaign and the
+# held-out poses of a robot file are compared by the ratio itself.
 MAX_SIGMA_RATIO = 3.0
 # Smallest number of degrees of freedom with which a campaign determines its own noise.
 MIN_FREEDOM = 6

@@ -147,7 +147,7 @@ def common_of(rows: Iterable[Mapping[str, Any]]) -> Common:
     H, b = [], []
     first: dict[str, Any] = {}
     identified: Counter[str] = Counter()
-    # Largest number of robots of a type that are used; those beyond it in the store are ignored.
+    # The first 1000 robots of a type are used; the others in the store are ignored.
     for row in islice(rows, 1000):
         first = first or {k: row[k] for k in ("type", "type_name", "names", "spread", "scale")}
         place = {n: k for k, n in enumerate(row["names"])}

@@ -149,7 +149,7 @@ class Fleet(Result):
         rows = []
         for r in records(self.robots.head(MAX_ROWS_ON_PAGE)):
             errors = (f"{v:.4f}" if np.isfinite(v) else "" for v in (r["before_mm"], r["after_mm"]))
-            # Largest number of letters of an error message on the page.
+            # An error message is cut to 60 letters.
             figures = (short(r["error"], 60), *errors, str(r["poses"]), str(r["campaigns"]))
             rows.append((r["robot"], r["type_name"], r["status"], *figures, _found_in(r), r["changes"]))
         head = ("robot", "type", "status", "error", "before", "after", "poses", "campaigns", "diagnosis", "changed")

@@ -114,8 +114,8 @@ class Touches(Result):
         """Return the verdict by `probability` and its two limits: "valid", "open" or "changed"."""
         if self.probability >= MIN_PROBABILITY_VALID:
             return "valid"
-        # Smallest probability of an error above the tolerance at which the calibration is reported
-        # as no longer valid.
+        # The calibration is reported as no longer valid where an error above the tolerance is this
+        # probable.
         return "changed" if 1 - self.probability >= 0.9 else "open"
 
     @property
@@ -526,7 +526,7 @@ def judge_touches(
     touches = Touches(arm, model, model.drawn(seed), tolerance, None, tuple(notes), sources)
     named = not touches.label or touches.draws.probability(touches.label) >= 0.9
     if touches.verdict == "open" or (touches.verdict == "changed" and not named):
-        # Number of additional touches that are proposed where those of the last day do not decide.
+        # Two additional touches are proposed where those of the last day do not decide.
         more = plan_touches(place, 2, noise_mm=noise_mm, touched=distinct[-1][1], seed=seed)
         return replace(touches, more=more)
     return touches

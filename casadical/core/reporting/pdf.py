@@ -88,7 +88,7 @@ def _drawn(pages: Sequence[Page], scale: float) -> tuple[Sheet, int | None]:
                     _table(sheet, block, scale)
             if figures:
                 _figures(sheet, figures, scale)
-        # Largest distance of text from the top of an A4 page [mm].
+        # Text must end 18 mm above the bottom of the A4 page, which is 297 mm high.
         if sheet.get_y() > 297.0 - 18.0 and full is None:
             full = number
         sheet.set_y(-14.0)  # mm from the bottom of the page
