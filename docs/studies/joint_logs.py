@@ -910,7 +910,7 @@ def summary(table: list[dict], one: bool = False) -> None:
     lines += [of_pairs(table)]
     first, third = (sum(x["rank"] < k for x in seen) for k in (1, 3))
     lines += [f"truth on top {first}, in the top three {third}, of {len(seen)} visible"]
-    if max(cpu):
+    if max(cpu, default=0):
         lines += [f"CPU a log {np.median(cpu):.1f} s median, {max(cpu):.1f} s greatest"]
         lines += [f"memory a log {np.median(memory):.0f} MB median, {max(memory):.0f} MB greatest"]
     print("; ".join(lines[:5]) if one else "\n".join(lines))
