@@ -33,15 +33,15 @@ CHANGE_SIGMA_OF_SCALE = 0.1
 PRIOR_PROBABILITY_OF_CHANGE = 0.1
 
 
-def probability_of_change(log_odds: float) -> float:
+def probability_of_change(log_likelihood_ratio: float) -> float:
     """Return the posterior probability that something changed between two campaigns.
 
-    log_odds : logarithm of the likelihood ratio of a change against none
+    Its prior probability is `PRIOR_PROBABILITY_OF_CHANGE`.
+
+    log_likelihood_ratio : natural logarithm of the likelihood ratio of a change against none
     """
-    return float(
-        1
-        / (1 + (1 - PRIOR_PROBABILITY_OF_CHANGE) / PRIOR_PROBABILITY_OF_CHANGE * np.exp(-np.clip(log_odds, -500, 500)))
-    )
+    odds_against = (1 - PRIOR_PROBABILITY_OF_CHANGE) / PRIOR_PROBABILITY_OF_CHANGE
+    return float(1 / (1 + odds_against * np.exp(-np.clip(log_likelihood_ratio, -500, 500))))
 
 
 @dataclass(frozen=True, eq=False)
