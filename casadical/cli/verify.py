@@ -177,7 +177,7 @@ def _touched(
 ) -> None:
     """Judge the last of several days of touches, and write requested files.
 
-    asked : further arguments of `touched`; update, chart, report : paths of such files, or None
+    asked : further arguments of `judge_touches`; update, chart, report : paths of such files, or None
     """
     from casadical.fleet.touches import judge_touches
 

@@ -265,7 +265,7 @@ WIDTHS: Mapping[str, Width] = {
 
 @dataclass(frozen=True)
 class BodyWidth:
-    """Prior standard deviations of declared link masses.
+    """Prior standard deviations of the declared masses and mass centres of links.
 
     share : relative standard deviation of a mass
     centre : standard deviation of each coordinate of a mass centre [m]
@@ -316,7 +316,7 @@ class Arm:
     payload : declared payload in the last link's frame; poses may have another mass (column
         payload_kg)
     widths : bounds and priors of deviations, by group of parameters
-    body_width : prior standard deviations of the links' masses
+    body_width : prior standard deviations of the links' masses and mass centres
     tool_name : name of the tool's measured point; targets : additional measured points; the column
         `tool` names the measured one
     masses : whether the links' masses are declared or estimated from the reach

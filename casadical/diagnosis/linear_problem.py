@@ -184,7 +184,7 @@ class Case:
         return replace(self, whole=replace(self.whole, Jq=Jq))
 
     def _with_evidence(self, evidence: Evidence) -> Case:
-        """Store `known` as the linear model of the inlier poses, and return the case itself."""
+        """Store `evidence` as the linear model of the inlier poses, and return the case itself."""
         self.selected[:] = [evidence]
         return self
 

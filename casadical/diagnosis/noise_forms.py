@@ -29,7 +29,8 @@ AR_NOISE = "autocorrelated noise"
 HEAVY_TAILS = "noise with heavy tails"
 # Label of readings that lag behind the joints, by a random share of each pose's last motion.
 RANDOM_LAG = "readings that lag behind the last motion"
-# Shares of the motion by which readings lag, in units of the joints' repeatability [1/rad].
+# Candidate standard deviations of the lag of readings, as shares of each pose's last motion, divided
+# by that of the joints' repeatability [1/rad].
 LAG_SHARES = (5.0, 20.0, 80.0)
 # Beginning of the label of a joint that repeats worse than the others.
 NOISY_JOINT = "poor repeatability of joint "

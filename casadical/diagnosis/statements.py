@@ -143,9 +143,9 @@ def unlogged(d: Diagnosis) -> list[int]:
 
 
 def wires_of(d: Diagnosis, faults: Sequence[Cause]) -> str:
-    """Return the names of the distance sensors (wires) with errors as text; empty for none.
+    """Return as text the names of the distance sensors (wires) at fault by some causes, or "".
 
-    faults : causes
+    faults : the causes; those at no distance sensor add no name
     """
     return listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
 

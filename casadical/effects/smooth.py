@@ -16,7 +16,7 @@ from casadical.core.transforms import Symbolic, small_frame, translate
 from casadical.effects.base import Context, Effect, setting
 from casadical.effects.formula_effect import grown_link
 
-# Prior standard deviation of the coefficient of a smooth joint error's first harmonic [rad].
+# Typical coefficient of a smooth joint error [rad]; each term of its series has a multiple of it.
 TYPICAL_ANGLE_RAD = 30e-6
 # Prior standard deviation of the coefficient of a smooth displacement's first term [m].
 TYPICAL_LENGTH_M = 30e-6

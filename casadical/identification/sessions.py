@@ -78,9 +78,11 @@ def with_sessions(robot: Robot, sets: Sequence[Measurements]) -> tuple[Robot, tu
 
 
 def place_sessions(robot: Robot, sets: Sequence[Measurements]) -> Robot:
-    """Return the robot with initial base and tool frames of every session, fitted to the sets.
+    """Return the robot with initial base and tool frames, and those of sessions, fitted to the sets.
 
-    Each session is placed as `place_frames` places one without sessions.
+    The robot's own frames are fitted by `place_frames` to positions outside of the sessions, or to
+    all sets without such. Each session with a base of its own and measured positions gets this base
+    and, where that is its own too, its tool point; other sessions keep their values.
     """
     sessions = [e for e in robot.effects if isinstance(e, Session)]
     if not sessions:

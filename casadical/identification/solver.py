@@ -225,7 +225,7 @@ class _Solver:
         return (self.cost(v) / self.scale,)
 
     def _gradient(self, v: Array, _: Array) -> Sequence[Array | float]:
-        """Return cost and gradient (size,) at v divided by `scale`, and record the iteration."""
+        """Return cost / scale and gradient / scale, shape (size,), at v, and record the cost."""
         cost, gradient = self.cost(v), self.gradient(v)[0]
         self.history.append(cost)
         if self.progress:

@@ -462,9 +462,9 @@ class Columns:
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Return an indicator per name in the column `session`: "session_NAME" -> (n,), boolean 0 or 1.
+        """Return an indicator per name in the column `session`: "session_NAME" -> shape (n,), 0 or 1.
 
-        Empty without that column. Raises InputError: an empty cell.
+        The dict is empty without that column. Raises InputError: an empty cell.
         """
         return self._named("session", "name the session in every row")
 

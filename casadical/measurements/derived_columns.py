@@ -145,9 +145,10 @@ def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | 
 
 
 def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
-    """Return the sense of the last rotation of the instrument's head, shape (n,), -1, 0 or 1.
+    """Return the sense of the head's last rotation about z, -1, 0 or 1, in row order, shape (n,).
 
-    None without measured positions of a single table.
+    None where no positions were measured, or where they are of several tables together. Rotations
+    that displace the beam by less than `MIN_WAY_M` are ignored.
 
     station : position of the head in the measuring frame, shape (3,) [m]; order : rows in the order
         of measuring

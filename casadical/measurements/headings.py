@@ -485,11 +485,12 @@ def _joints(
 ) -> list[dict[int, Heading]]:
     """Return the groups of columns that may be the joint readings, each by the number of its joint.
 
-    Where no group has the readings of all free joints, the groups with the most are returned, if
-    they have more than half of them.
+    Groups with the fewest missing free joints are returned, if more than half of these joints are
+    present; of equal ones those whose headings are plain and of the preferred qualifier.
 
     n : number of joints; free : numbers of those that need a reading, as they follow no other
-    own : numbers of those whose readings have casadical's own names
+    own : numbers of joints with readings under casadical's own names, which are left out; with any,
+        only headings that are names of joints count for the others
     order : joint of each number, where a column of the table names it (see `_names_in_cells`)
     """
     groups: dict[tuple[str, frozenset[str]], dict[int, Heading]] = {}

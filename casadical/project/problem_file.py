@@ -128,7 +128,7 @@ class DataTable(_Strict):
     sigma_mm, sigma_deg : one sigma of a coordinate and of an angle
     datasheet_mm : largest error of a point that the data sheet of the instrument states
     inverted : whether poses are those of the measuring frame in the tool; None: as the robot says
-    camera : where the camera is, in hand or to base; empty: as the poses look
+    camera : where the camera is, in hand or to base; empty: inferred from the poses
     intrinsics : of the camera whose images the corners are in; camera_errors : that are taken off its poses
     """
 

@@ -157,9 +157,10 @@ class LearntTable(TomlTable):
     robots: int = Field(default=0, ge=0)
 
     def ranges(self, arm: Arm) -> Array:
-        """Return lowest and highest reading of each joint, shape (n, 2) [rad or m].
+        """Return each joint's lowest and highest reading in the identified poses, (n, 2) [rad or m].
 
-        The shape is (0, 2) without any. Raises InputError for keys of other joints or units.
+        The shape is (0, 2) if the table states none. Raises InputError for keys of other joints or
+        units, and if a joint is missing.
         """
         factors = arm.reading_units
         if not self.readings:

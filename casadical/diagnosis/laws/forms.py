@@ -257,9 +257,11 @@ def _beyond(x: Array) -> Array:
 
 
 def _with_widths(count: int, shares: Sequence[float]) -> Callable[[Array], Array]:
-    """Return a function for a grid of all pairs of k and w, shape (K, 2).
+    """Return a function: values of a driver -> grid of a form's settings k and w, shape (K, 2).
 
-    count : number of k, quantiles of the driver; shares : w divided by the range of the driver
+    The grid has every pair of a location k, a quantile of the driver, and a width w.
+
+    count : number of locations; shares : widths divided by the range of the driver
     """
     at = np.linspace(0.5 / count, 1 - 0.5 / count, count)
     return lambda x: rounded(np.array([(a, b) for a in np.quantile(x, at) for b in np.array(shares) * np.ptp(x)]))

@@ -160,7 +160,7 @@ def _base_pose(N: Sequence[Array], axes: Array, points: Array, joints: Sequence[
     N : joint frames of the nominal robot in its base frame at zero, shape (4, 4) [m] each
     axes, points : axes of the model's joints in its world, and points on them, shape (n, 3) [m]
     joints : names of the joints; source : name of the file, for messages
-    Raises InputError: the axes are not those of the nominal robot.
+    Raises InputError: all axes are parallel, or they are not those of the nominal robot.
     """
     z = np.array([T[:3, 2] for T in N])
     p = np.array([T[:3, 3] for T in N])

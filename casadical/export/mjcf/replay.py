@@ -29,7 +29,8 @@ from casadical.measurements.measurements import Measurements
 from casadical.project.diagnosis import Campaign, EffectChoice, Options, diagnose_campaign
 from casadical.robot.robot import Robot
 
-# Fraction of the poses from which models are identified, and of those at which they are replayed.
+# Fraction of the poses from which models are identified, and of those at which they are replayed;
+# their sum is just below one, as rounding must not raise it above.
 REPLAY_SHARES = {"identify": 2 / 3, "report": round(0.999 - 2 / 3, 3)}
 
 

@@ -192,9 +192,10 @@ def _plausible(
 def _data_findings(
     robot: Robot, sets: tuple[Measurements, ...], others: Sequence[Robot], table: Measurements | None, standard: bool
 ) -> tuple[list[Finding], Slips | None, dict[str, dict[str, Source]]]:
-    """Return findings on the fitted data, the best single slip of the first table, better readings.
+    """Return findings on the fitted data, the first table's best single slip, and better readings.
 
-    The slip is None without one; better readings are as of `_reading_findings`, by file.
+    A slip is a mistake in the table or robot file, such as swapped joints; None as of `_plausible`.
+    Better readings are columns that fit better, as of `_reading_findings`, by the table's source.
 
     sets : fitted poses; others, standard : as of `_plausible`
     table : all positions of the only table, held-out poses included; None where there is no such
