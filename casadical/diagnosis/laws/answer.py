@@ -336,14 +336,14 @@ def _factors(d: Discovery, s: ScoredLaw) -> str:
 
 def _table(r: Round, title: str) -> Table:
     """Return the table of the best laws of a round and their rivals, with probabilities."""
-    best = ((s, f"{s.law.place} by the {s.variable.words}") for s in (r.best, *r.alike))
+    best = ((s, f"{s.law.place} by the {s.variable.words}") for s in (r.best, *r.indistinguishable))
     rows = [
         (f"{r.ranking.probability[s.candidate.label]:.2g}", words if s.form == SMOOTH_FORM else line_of(s.law), s.form)
         for s, words in best
     ]
     rivals = [("nothing", r.ranking.none), *[*r.rivals.items()][:3]]
     rows += [(f"{p:.2g}", label, "") for label, p in rivals]
-    count = 1 + len(r.alike)
+    count = 1 + len(r.indistinguishable)
     return Table(
         title,
         ("probability", "law", "form"),
@@ -382,7 +382,9 @@ def _round(r: Round) -> dict[str, Any]:
         "best": {"line": line_of(r.best.law), "form": r.best.form, "score": round(r.best.score, 2)},
         "probability": round(r.probability, 4),
         "further": None if np.isnan(r.further) else round(1 - r.further, 4),
-        "not_distinguished": [{"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.alike],
+        "not_distinguished": [
+            {"line": line_of(s.law), "behind": round(r.best.score - s.score, 2)} for s in r.indistinguishable
+        ],
         "within": SETTINGS.indistinguishable_law_margin,
         "nothing": round(r.ranking.none, 4),
         "rivals": {label: round(p[label], 4) for label in [*r.rivals][:5]},

@@ -56,8 +56,8 @@ class Round:
         return self.laws[0]
 
     @property
-    def alike(self) -> tuple[ScoredLaw, ...]:
-        """Return at most six laws that the data do not distinguish from the best one.
+    def indistinguishable(self) -> tuple[ScoredLaw, ...]:
+        """Return at most six other laws that the data do not distinguish from the best one.
 
         Their scores are within `Settings.indistinguishable_law_margin` of its score.
         """
