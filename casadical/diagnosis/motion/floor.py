@@ -24,7 +24,7 @@ MIN_HEIGHT_NOISE_M = 1e-3  # added to the estimated standard deviation of the to
 # Log evidence [nats] from which a surface is assumed.
 MIN_FLOOR_EVIDENCE = 150.0
 # Fraction of the samples that count as independent, as noise is correlated.
-INDEPENDENT_SAMPLE_SHARE = 0.05
+INDEPENDENT_SAMPLE_FRACTION = 0.05
 # Residuals beyond this many standard deviations get less weight (pseudo-Huber).
 OUTLIER_SIGMAS = 3.0
 CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
@@ -106,7 +106,7 @@ def floor_of(dynamics: Dynamics, read: Array, replayed: Array) -> Floor | None:
 
     def cost(heights: Array) -> float:
         wide = np.sqrt(1 + ((read_heights - heights) / (OUTLIER_SIGMAS * sigma)) ** 2) - 1
-        return INDEPENDENT_SAMPLE_SHARE * OUTLIER_SIGMAS**2 * float(wide.sum())
+        return INDEPENDENT_SAMPLE_FRACTION * OUTLIER_SIGMAS**2 * float(wide.sum())
 
     tried = read_heights.min() + np.arange(0.0, MAX_HEIGHT_ABOVE_LOWEST_M, HEIGHT_STEP_M)
     costs = np.array([cost(np.maximum(replayed_heights, height)) for height in tried])

@@ -17,7 +17,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.core.reporting.blocks import Table
 from casadical.core.statistics import first_of_best
-from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor
+from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, INDEPENDENT_SAMPLE_FRACTION, Floor
 from casadical.diagnosis.motion.signals import REGRESSOR_BLOCK_SAMPLES, SMOOTHING_WIDTH_S, Arm, motion_of, smoothed
 from casadical.measurements.logs.log import JointLog
 
@@ -25,8 +25,6 @@ WITHHELD_THIRDS = 3  # number of parts of each run that are held out in turn
 FRICTION_MEMORY_RAD = 1e-3  # half-width of the play operator of dry friction [rad]
 # Prior standard deviation of a coefficient, divided by the joint's peak torque.
 SIGMA_FRICTION = 0.3
-# Fraction of the samples that count as independent, as noise is correlated.
-INDEPENDENT_SAMPLE_SHARE = 0.05
 # Tried Stribeck curves: speed, divided by the joint's 99 % speed, and exponent.
 STRIBECK_CURVES = tuple(product((0.05, 0.15, 0.4), (1, 2)))
 MAX_ROWS = 20_000  # of longer logs every k-th row is used
@@ -242,7 +240,7 @@ def _solved(sums: Array, own: int, columns: Sequence[int], sigma: Array) -> tupl
     local = np.concatenate([np.arange(bodies), bodies + np.asarray(columns)])
     places = [np.concatenate([np.arange(bodies), bodies + j * m + np.arange(m)]) for j in range(n)]
     for place, products, noise in zip(places, sums, sigma, strict=True):
-        share = INDEPENDENT_SAMPLE_SHARE / noise**2
+        share = INDEPENDENT_SAMPLE_FRACTION / noise**2
         H[np.ix_(place, place)] += share * products[np.ix_(local, local)]
         right[place] += share * products[local, -1]
     solution, out = np.linalg.solve(H, right), np.zeros((n, sums.shape[1]))

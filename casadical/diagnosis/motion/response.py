@@ -17,7 +17,15 @@ import numpy as np
 
 from casadical.core.basics import Array, InputError
 from casadical.core.drive import Drive
-from casadical.diagnosis.motion.floor import CONTACT_MARGIN_M, Floor, Stop, floor_of, stops_of
+from casadical.diagnosis.motion.floor import (
+    CONTACT_MARGIN_M,
+    INDEPENDENT_SAMPLE_FRACTION,
+    OUTLIER_SIGMAS,
+    Floor,
+    Stop,
+    floor_of,
+    stops_of,
+)
 from casadical.diagnosis.motion.signals import (
     MAX_RATE_HZ,
     Arm,
@@ -50,10 +58,6 @@ TYPICAL_LAG_S = 0.05  # prior mean of damping / gain [s]
 TYPICAL_INERTIA_S2 = 0.002  # prior mean of inertia / gain [s^2]
 TYPICAL_DELAY_S = 0.02  # prior mean of the command's delay [s]
 SIGMA_OFFSET_RAD = 0.05  # prior standard deviation of a constant position error [rad]
-# Fraction of the samples that count as independent, as noise is correlated.
-INDEPENDENT_SAMPLE_SHARE = 0.05
-# Residuals beyond this many standard deviations get less weight (pseudo-Huber).
-OUTLIER_SIGMAS = 3.0
 NOISE_ROUNDS = 4  # number of rounds of the fit, each with the noise re-estimated
 MAX_STEPS_PER_ROUND = 6  # largest number of Levenberg-Marquardt steps with one noise
 MIN_COST_DECREASE = 1e-3  # relative decrease of the cost below which a round ends
@@ -686,7 +690,9 @@ def _cost(p: _Problem, residual: Array, sigma: Array, x: Array) -> Array:
     x : parameters
     """
     rows = p.weight * 2 * OUTLIER_SIGMAS**2 * (np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2) - 1)
-    return np.asarray(INDEPENDENT_SAMPLE_SHARE * rows.sum(axis=(0, 1)) + (((x - p.middle) / p.width) ** 2).sum(axis=1))
+    return np.asarray(
+        INDEPENDENT_SAMPLE_FRACTION * rows.sum(axis=(0, 1)) + (((x - p.middle) / p.width) ** 2).sum(axis=1)
+    )
 
 
 def _normal(p: _Problem, sigma: Array, x: Array, residual: Array, slope: Array) -> tuple[Array, Array]:
@@ -695,7 +701,9 @@ def _normal(p: _Problem, sigma: Array, x: Array, residual: Array, slope: Array) 
     Priors are included; outliers have less weight. residual, slope : as of `_Problem.residual`
     """
     n = residual.shape[2]
-    weight = INDEPENDENT_SAMPLE_SHARE * p.weight / (sigma**2 * np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2))
+    weight = (
+        INDEPENDENT_SAMPLE_FRACTION * p.weight / (sigma**2 * np.sqrt(1 + (residual / (OUTLIER_SIGMAS * sigma)) ** 2))
+    )
     A = slope.reshape(-1, n, PARAMETERS_PER_JOINT).transpose(1, 2, 0)
     weighted = A * weight.reshape(-1, n).T[:, None]
     b = (weighted @ residual.reshape(-1, n).T[..., None])[..., 0]

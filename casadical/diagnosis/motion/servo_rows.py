@@ -41,8 +41,9 @@ BASE_PARAMETERS = {
 PARAMETER_COUNT = len(BASE_PARAMETERS)
 TYPICAL_FRICTION_RAD = 0.01  # prior mean of dry friction divided by the gain
 TYPICAL_LOAD_FRICTION = 0.08  # prior mean of friction divided by the load
-# Prior means of damping and inertia divided by the declared ones (motors add to both).
-TYPICAL_DAMPING_SHARE, TYPICAL_INERTIA_SHARE = 1.5, 1.6
+# Prior mean of damping divided by the declared one (motors add to it).
+TYPICAL_DAMPING_SHARE = 1.5
+TYPICAL_INERTIA_SHARE = 1.6  # prior mean of inertia divided by the declared one (motors add to it)
 CLOCK_STEPS = 0.25  # clocks of commands and readings differ by about this [samples]
 STRIBECK_SPEED_RAD_S = 0.1  # speed at which the excess of friction at low speed has fallen to 1/e
 WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
@@ -127,9 +128,16 @@ class Replay:
         middle = (rest[1:] + rest[:-1]) / 2
         start = self.by_run(m.position)[0][:, joint]
         q = simulated(
-            middle, len(middle), start, np.array(m.step), limit, damping, inertia,
-            commands=None if capacity is None else (command[1:] + command[:-1]) / 2, capacity=capacity,
-        )  # fmt: skip
+            middle,
+            len(middle),
+            start,
+            np.array(m.step),
+            limit,
+            damping,
+            inertia,
+            commands=None if capacity is None else (command[1:] + command[:-1]) / 2,
+            capacity=capacity,
+        )
         runs = np.searchsorted(self.starts, np.arange(len(m.q)), side="right") - 1
         return np.asarray(q[np.arange(len(m.q)) - self.starts[runs], runs])
 
