@@ -340,12 +340,12 @@ def test_a_form_outside_the_grammar_is_described_by_its_driver() -> None:
 
 @pytest.mark.slow
 def test_laws_of_a_large_campaign_are_searched_on_some_of_its_poses() -> None:
-    found = laws_of_diagnosis(replace(discovered(5, "stop").diagnosis, law=None), poses=36)
-    assert found.thinned == (36, 80)
-    assert found.case.inliers.sum() == 36
+    found = laws_of_diagnosis(replace(discovered(5, "stop").diagnosis, law=None), poses=64)
+    assert found.thinned == (64, 80)
+    assert found.case.inliers.sum() == 64
     assert [s.law.place for s in found.laws] == ["joint 3"]
-    assert "Laws were searched on 36 of 80 poses." in plain_text(found.blocks(), 100)
-    assert found.to_json("stop")["poses"] == {"searched": 36, "all": 80}
+    assert "Laws were searched on 64 of 80 poses." in plain_text(found.blocks(), 100)
+    assert found.to_json("stop")["poses"] == {"searched": 64, "all": 80}
     assert len(found.refit().measurements[0]) == 80
     c = where_noise_follows("kr210-P02", 0.8)
     assert thinned(c, 36).form.ar_coefficient == pytest.approx(
