@@ -19,6 +19,8 @@ from casadical.measurements.logs.log import JointLog
 
 DRY, VISCOUS, NOISE = np.array([6.0, 8.0, 3.0]), np.array([5.0, 6.0, 2.0]), 0.2
 DRIVE = Drive(kp_Nm_per_rad=9e3, friction_Nm=0.0, damping_Nms_per_rad=0.0, rotor_inertia_at_joint_kgm2=1.0)
+# Laws of which those from M1 to M4 are special cases.
+LAWS_WITH_ALL = ("M5 directional", "M6 quadratic")
 
 
 def inverse_dynamics(mujoco, q, v, a):
@@ -72,7 +74,8 @@ def test_a_planted_law_is_named_or_undecided(law):
         told = {*found.likely, *found.better}
         assert law in told or (law == "M5 directional" and told == {"M4 Stribeck, load"}), found.sentence
         np.testing.assert_array_less(found.laws[law], 0.25 * found.models["fitted bodies"])
-    named = [found for found in answers if found.likely == [law] and not found.better]
+    # Held-out rows may be fitted better by chance by the laws that contain the planted one.
+    named = [found for found in answers if found.likely == [law] and not {*found.better} - {*LAWS_WITH_ALL}]
     assert len(named) >= (0 if law in ("M4 Stribeck, load", "M5 directional", "M6 quadratic") else 3)
     assert all(found.sentence.startswith(f"Friction law: {law} ") for found in named)
 
