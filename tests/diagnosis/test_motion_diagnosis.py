@@ -181,11 +181,11 @@ def test_what_each_model_leaves_of_the_torque_is_told_of_thirds_that_were_not_fi
 def test_what_fits_is_true_of_runs_that_were_not_fitted_and_shrinks_their_gap():
     found = diagnosed(1, ripple)
     assert [f.label for f in found.fitting] == ["ripple@2"]
-    (_, before, after), (kept_before, kept_after) = found.gap(), found.gap_unfitted()
-    assert kept_after[1] < 0.5 * kept_before[1]
-    assert (kept_after > 0.95 * after).all()
-    assert (kept_before > 0.95 * before).all()
-    assert found.to_json()["joints"][1]["after_left_out"] == pytest.approx(kept_after[1])
+    (_, before, after), (held_out_before, held_out_after) = found.gap(), found.held_out_gap()
+    assert held_out_after[1] < 0.5 * held_out_before[1]
+    assert (held_out_after > 0.95 * after).all()
+    assert (held_out_before > 0.95 * before).all()
+    assert found.to_json()["joints"][1]["after_left_out"] == pytest.approx(held_out_after[1])
 
 
 def test_runs_whose_clocks_differ_a_little_are_sampled_alike():

@@ -14,8 +14,9 @@ from casadical.core.reporting.blocks import Table
 from casadical.diagnosis.motion.response import Response
 from casadical.measurements.logs.log import JointLog
 
-# Function that removes an effect from a response, by the effect's name in tables.
-WITHOUT: Mapping[str, Callable[[Response], Response]] = {
+# Function that removes an effect from a response, by the effect's name in tables. Damping is only
+# reduced to a tenth.
+REMOVALS: Mapping[str, Callable[[Response], Response]] = {
     "dry friction": lambda r: replace(r, friction=0 * r.friction),
     "gravity": lambda r: replace(r, gravity=False),
     "damping": lambda r: replace(r, damping=r.damping / 10),
@@ -99,8 +100,9 @@ class EffectTable:
 def effect_table(
     runs: Sequence[JointLog], predicted: Sequence[Array], responses: Sequence[Response], before: Array
 ) -> EffectTable:
-    """Return the rms errors of replays with one effect removed at a time.
+    """Return the rms errors of replays with one effect removed at a time, without a new fit.
 
+    Damping is reduced to a tenth instead; surface and stops have a replay only where one was found.
     predicted : positions of each run by its response, shape (rows, joints) [rad]
     responses : response that predicts each run
     before : rms of reading minus command, shape (joints,) [rad]
@@ -117,7 +119,7 @@ def effect_table(
         rms(predicted),
         {
             name: rms([change(r).predicted(run) for run, r in zip(runs, responses, strict=True)])
-            for name, change in WITHOUT.items()
+            for name, change in REMOVALS.items()
             if there.get(name, True)
         },
     )

@@ -28,7 +28,7 @@ INDEPENDENT_SAMPLE_FRACTION = 0.05
 # Residuals beyond this many standard deviations get less weight (pseudo-Huber).
 OUTLIER_SIGMAS = 3.0
 CONTACT_MARGIN_M = 4e-3  # the tool counts as in contact up to this height above the surface [m]
-MAX_PUSH_STEPS = 6  # largest number of Newton steps to the contact force
+MAX_CONTACT_FORCE_STEPS = 6  # largest number of Newton steps to the contact force
 PENETRATION_TOLERANCE_M = 1e-5  # largest height error of a converged contact force [m]
 
 
@@ -61,28 +61,29 @@ class Floor:
         z = self.function.map(len(flat))(flat.T)[0]
         return np.asarray(z).reshape(q.shape[:-1]) - self.height
 
-    def torque(self, ends: Callable[[Array], Array], give: Array, push: float) -> tuple[Array, float]:
-        """Return torques (joints,) [N m] and contact force [N] by which a step ends on the surface.
+    def contact(self, ends: Callable[[Array], Array], compliance: Array, force: float) -> tuple[Array, float]:
+        """Return the joint torques (joints,) [N m] and the force [N] of the contact in one time step.
 
-        Both are 0 where the step ends above the surface without them.
+        Newton's method finds the force with which the step ends on the surface. Both are 0 where
+        the step ends above the surface without contact.
         ends : function of joint torques [N m] that returns the angles at the end of the step [rad]
-        give : derivative of each of these angles by its torque while the joint slides, shape
+        compliance : derivative of each of these angles by its torque while the joint slides, shape
             (joints,) [rad/(N m)]
-        push : contact force of the previous step, from which the iteration starts [N]
+        force : contact force of the previous step, from which the iteration starts [N]
         """
-        torque = np.zeros(len(give))
+        torque = np.zeros(len(compliance))
         z, slope = self.function(ends(torque))
         if float(z) >= self.height:
             return torque, 0.0
-        for _ in range(MAX_PUSH_STEPS):
+        for _ in range(MAX_CONTACT_FORCE_STEPS):
             lever = np.asarray(slope).ravel()
-            torque = push * lever
+            torque = force * lever
             z, slope = self.function(ends(torque))
             low = float(z) - self.height
             if abs(low) < PENETRATION_TOLERANCE_M:
                 break
-            push = max(0.0, push - low / float((lever**2 * give).sum()))
-        return torque, push
+            force = max(0.0, force - low / float((lever**2 * compliance).sum()))
+        return torque, force
 
 
 def up_of(dynamics: Dynamics) -> Array:

@@ -37,7 +37,7 @@ JOINT_COLUMNS = ("constant", "rotor", "dry", "viscous", "curved", "mean", "motor
 # Columns of each joint and Stribeck curve, which vanish above its speed. Squared is the smaller of
 # load and motor torque.
 SLOW_COLUMNS = ("slow", "slow_mean", "slow_motor", "slow_load", "slow_load_squared", "slow_motor_squared")
-# Columns of the models whose errors are reported beside those of the laws.
+# Columns of the models whose errors are reported for comparison with those of the laws.
 MODELS: Mapping[str, str] = {
     "fitted bodies": "constant rotor",
     "and friction": "constant rotor dry viscous curved",

@@ -348,9 +348,9 @@ def _friction(replay: Replay, j: int, panel: int) -> list[Series]:
     largest = float(np.quantile(np.abs(v), 0.99)) + 1e-6
     edges = np.linspace(-largest, largest, SPEED_BINS + 1)
     parts = [torque[(v >= a) & (v < b)] for a, b in pairwise(edges)]
-    kept = [k for k, part in enumerate(parts) if len(part) >= MIN_SAMPLES_PER_BIN]
-    middle = (edges[1:] + edges[:-1])[kept] / 2
-    low, high = (np.array([np.quantile(parts[k], share) for k in kept]) for share in (0.1, 0.9))
+    filled = [k for k, part in enumerate(parts) if len(part) >= MIN_SAMPLES_PER_BIN]
+    middle = (edges[1:] + edges[:-1])[filled] / 2
+    low, high = (np.array([np.quantile(parts[k], share) for k in filled]) for share in (0.1, 0.9))
     r = replay.response
     ends = np.array([-largest, -1e-9, 1e-9, largest])
     law = r.friction[j] * np.sign(ends) + r.damping[j] * ends

@@ -329,7 +329,7 @@ def simulated(
         push += keeps * v
         band[0] = levels[k]
         if floor is not None and gain is not None:
-            torque, pushed = floor.torque(partial(ends, q, push), step * gives / gain, pushed)
+            torque, pushed = floor.contact(partial(ends, q, push), step * gives / gain, pushed)
             push += torque / gain
         slid(push)
         v = push.copy() if pushed else (2 * push - v) * (push != 0)

@@ -140,7 +140,7 @@ class LogDiagnosis(Result):
         first, before, after = map(self._rms, (nominal, *fitted))
         return first, before, after
 
-    def gap_unfitted(self) -> tuple[Array, Array]:
+    def held_out_gap(self) -> tuple[Array, Array]:
         """Return the rms residuals of each joint in held-out runs, of two models, (joints,) each.
 
         The models are the fitted base, and base with causes; units are those of `gap`. Each run is
@@ -188,7 +188,7 @@ class LogDiagnosis(Result):
     def _gap_table(self) -> Table:
         """Return the table of each joint's rms residuals, and of the region of the largest ones."""
         nominal, before, after = self.gap()
-        (_, held_out), unit = self.gap_unfitted(), self.unit[0] or "mrad"
+        (_, held_out), unit = self.held_out_gap(), self.unit[0] or "mrad"
         factor = 1.0 if self.unit[0] else 1e3
         rows = [
             (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, held_out)), self._where(j))
@@ -243,7 +243,7 @@ class LogDiagnosis(Result):
 
         Units are those of the method `gap`.
         """
-        (nominal, before, after), held_out = self.gap(), self.gap_unfitted()
+        (nominal, before, after), held_out = self.gap(), self.held_out_gap()
         total = {"before": np.sqrt((before**2).mean()), "after": np.sqrt((after**2).mean())}
         names = ("joint", "model", "usual", "after", "usual_left_out", "after_left_out")
         each = zip(self.log.joints, nominal, before, after, *held_out, strict=False)
