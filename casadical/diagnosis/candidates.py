@@ -51,9 +51,10 @@ def standard_candidates(robot: Robot) -> list[Candidate]:
 
 
 def extended_candidates(robot: Robot) -> list[Candidate]:
-    """Return the standard and extended effects as candidates, with smooth forms unlisted.
+    """Return the standard and extended effects as candidates; smooth forms are unlisted.
 
-    Many effects of the extended list look like standard ones or like the base model.
+    Unlisted candidates compete with the effects, but are not named as causes. Many effects of the
+    extended list resemble standard ones or the base model.
     """
     return [*_of_list("standard", robot), *_of_list("extended", robot), *_smooth(robot)]
 

@@ -54,7 +54,7 @@ def conclude(
         """
         last = state.rankings[-1]
         noise = last.noise["" if end == "none" else last.order[0]]
-        # A form that gains little beside what the causes gain may be a flaw of their equations; one that
+        # A form that gains little compared with the causes may be a flaw of their equations; one that
         # would not be detected as a cause is none.
         least = max(SETTINGS.max_flaw * state.log_gain, -float(np.log(SETTINGS.max_p_nothing_further)))
         form = last.noise_form if last.log_noise > least else ""

@@ -231,10 +231,10 @@ class _Question:
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
             self.show("the noise lies beyond the usual grid: searched again on a wider one")
-            found = _refuse_coarser(self.searched(case.with_all_sigmas()))
+            found = _refuse_excessive_noise(self.searched(case.with_all_sigmas()))
         if self.laws:
             self.show("laws in place of the causes")
-            found = _held_against_laws(found)
+            found = _compared_with_laws(found)
         found = self.with_level_varied(found)
         return replace(found, prior=prior if prior.free or prior.frozen else None, changes=changed)
 
@@ -306,7 +306,7 @@ def _prepared(
     return replace(found, robot=found.robot.with_effect(*errors), free=(*found.free, *(e.label for e in errors)))
 
 
-def _held_against_laws(found: Diagnosis) -> Diagnosis:
+def _compared_with_laws(found: Diagnosis) -> Diagnosis:
     """Return the diagnosis without its causes if an expression (law) explains the data better.
 
     An expression that was claimed is attached to it as `Diagnosis.law`. Without causes, one is
@@ -342,9 +342,9 @@ def _assumed(case: Case, found: Identification, given: Sequence[Measurements]) -
     ]
     if case.observations.plain:
         return tuple(said)
-    held = (u.reason.split(";")[0] for u in found.identifiability.unidentifiable)
+    reasons = (u.reason.split(";")[0] for u in found.identifiability.unidentifiable)
     # The reason for fixed parameters begins so where measurements do not determine the base.
-    said += dict.fromkeys(reason for reason in held if reason.startswith("nothing at rest"))
+    said += dict.fromkeys(reason for reason in reasons if reason.startswith("nothing at rest"))
     stops = case.observations.stops
     if stops.most > 1:
         said.append(
@@ -386,7 +386,7 @@ def _turn_to_upright(robot: Robot, m: Measurements) -> Array | None:
     return np.asarray(np.eye(3) + K + K @ K / (1 + c))
 
 
-def _refuse_coarser(found: Diagnosis) -> Diagnosis:
+def _refuse_excessive_noise(found: Diagnosis) -> Diagnosis:
     """Return the diagnosis unchanged. Raises InputError if its noise is beyond the widest grid.
 
     The robot then differs too much from its file.

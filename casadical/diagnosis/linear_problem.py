@@ -575,11 +575,11 @@ def base_prior_sigmas(robot: Robot, free: Collection[str] = ()) -> Array:
 
     free : labels of the effects of the robot that are not fixed, unlike all its other effects
     """
-    held = {e.label for e in robot.effects} - set(free)
+    fixed = {e.label for e in robot.effects} - set(free)
 
     def sigma(p: Parameter) -> float:
         """Return the prior standard deviation of one parameter [SI]."""
-        if p.group in held:
+        if p.group in fixed:
             # A prior standard deviation of 1e-3 of the parameter's scale is practically fixed.
             return 1e-3 * p.scale
         # The prior standard deviation of a data-sheet compliance is the compliance itself: a joint

@@ -96,7 +96,7 @@ class NoiseAccount:
         return float(np.sqrt(self.total**2 - self.excess**2)) if self.excess else 0.0
 
     def unless_small(self, times: float) -> Self:
-        """Return the account without its doubt if what may hide is small beside what is explained.
+        """Return the account without its doubt if the effect that may hide in it is small.
 
         An effect less than `Settings.max_hidden` as large as the named causes together is a rest
         that an explanation may leave.

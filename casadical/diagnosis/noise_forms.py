@@ -179,9 +179,9 @@ def best_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float]:
 
 
 def better_ar_form(case: Case, chosen: Array) -> tuple[Form, Noise, float] | None:
-    """Return the result of `best_ar_form`, or None if the case's own form of noise is kept.
+    """Return the result of `best_ar_form`, or None if the case's own form of noise remains.
 
-    It is kept if the coefficient is the same within half a refinement step, or the log evidence
+    It remains if the coefficient is the same within half a refinement step, or the log evidence
     over white noise is below `Settings.min_ar_log_gain`.
     """
     form, noise, gain = best_ar_form(case, chosen)

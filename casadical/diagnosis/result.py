@@ -40,7 +40,8 @@ Verdict = Literal["none", "explained", "ambiguous", "unknown"]
 class Gap:
     """Mean distance [m] between measured and computed positions on held-out poses.
 
-    before : that of the base model, outliers included if they are named as a cause; else `kept`
+    before : that of the base model, outliers included if they are named as a cause, else
+        `without_outliers`
     after : that of the model with the causes, on the inlier poses
     floor : that of simulated noise alone under the same fit
     without_outliers : that of the base model on the inlier poses, over the same partitions into fifths
@@ -399,10 +400,10 @@ class Diagnosis(Result):
 
         Lengths and angles are scaled to equal noise.
         """
-        kept = self.case.inliers
+        inliers = self.case.inliers
         if not self.columns.size:
             return self.case.evidence.r
-        return residual_of_fit_without(self.case.whole, self.columns, self.noise, ~kept)[kept]
+        return residual_of_fit_without(self.case.whole, self.columns, self.noise, ~inliers)[inliers]
 
     @cached_property
     def fitted(self) -> PoseErrors:

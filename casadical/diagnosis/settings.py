@@ -26,7 +26,7 @@ class Settings:
     untried : probability, beyond that of one more cause, that an effect acts that was not tried, the
         residuals like noise; untried_in_doubt : the same where they are in doubt. Of campaigns of
         docs/studies/open_world.py (seeds "develop 2") 14 of 20 with an effect of foreign_effects.py
-        beside a listed one were in doubt, and 6 of 21 with a listed one alone
+        and a listed one were in doubt, and 6 of 21 with a listed one alone
     min_further : an additional cause is accepted from this probability on, given that there is one
     max_causes : largest number of causes of a diagnosis
     ambiguous_share : causes that the data cannot distinguish are counted until they reach this
@@ -42,8 +42,8 @@ class Settings:
         of a listed effect's equation: none was larger in 44 right claims of mismatched truth; loose
         anchors and hoses leave 0.08 and 0.11 (seeds 77)
     max_hidden : what is taken as noise is in doubt only if an effect that may hide in it is at least
-        this large beside the named causes (root mean squares): half of them is the smallest effect
-        beside which a listed one must not be called an explanation
+        this large compared with the named causes (root mean squares): half of them is the smallest
+        effect given which a listed one must not be called an explanation
     max_block_ratio : ratio of the held-out error for blocks of time with the causes to that without
         them above which the causes are no explanation
     min_joint_log_evidence : log evidence [nats], given the others, by which a joint shows an

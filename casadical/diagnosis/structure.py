@@ -144,15 +144,15 @@ class _WhitenedResidual:
     def __init__(self, case: Case, columns: Array, noise: Noise, form: Form) -> None:
         self.case = case
         m, _ = derive(case.m, ["progress", *(f"approach{j}" for j in case.robot.numbers)])
-        kept = np.flatnonzero(case.inliers)
-        self._order = order = np.argsort(m.conditions["progress"][kept], kind="stable")
+        inliers = np.flatnonzero(case.inliers)
+        self._order = order = np.argsort(m.conditions["progress"][inliers], kind="stable")
         # The tested poses are spread over the campaign; under autocorrelated noise they are the
         # first ones, in sequence.
         n, most = len(order), min(len(order), 4000 if form.ar_coefficient else 600)
         # Autocorrelated noise can be whitened only over consecutive poses.
         self.pick = np.arange(most) if form.ar_coefficient else np.linspace(0, n - 1, most).round().astype(int)
         self._form = form if form.scale is None else replace(form, scale=form.scale[self.pick])
-        self._m, self.at = m[kept[order]], kept[order[self.pick]]
+        self._m, self.at = m[inliers[order]], inliers[order[self.pick]]
         self.e = e = case.evidence.at(order[self.pick])
         repeat = joint_noise(self._form.repeatability(e.Jq))
         self._W = repeat.whitening({REPEATABILITY: noise.repeatability / noise.sigma})[0] / noise.sigma

@@ -1,6 +1,6 @@
 """Laws in the ranking of causes: which form is claimed, or which driver describes the error.
 
-Smooth functions of all state variables at all places are candidates beside the listed effects, the
+Smooth functions of all state variables at all places are candidates, as are the listed effects, the
 smooth effects, forms of noise and "nothing"; the grammar's forms are, where those have the most
 evidence. A form is claimed if the forms of one state variable at one place are certain, no listed
 effect is equivalent, and nothing further is probable given it: a form outside the grammar leaves a
@@ -35,7 +35,7 @@ from casadical.measurements.measurements import Noise
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One ranking of laws beside all other candidates, given the causes in the model.
+    """One ranking of laws and all other candidates, given the causes in the model.
 
     laws : the laws by score, the best first
     ranking : posterior over the next cause, laws among the candidates by `label_of`
