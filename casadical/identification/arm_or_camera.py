@@ -122,7 +122,10 @@ class Moved(Shown):
         )
 
     def doubt_in_words(self) -> str:
-        """Return a sentence on a step that is not sure: none, or not tellable."""
+        """Return a sentence that nothing moved between two rows, or that the poses do not tell it.
+
+        It is for a movement that is not certain.
+        """
         if self.probability <= 1 - _SURE:
             return "Hand-eye or board moved between two rows: no."
         return (
@@ -427,10 +430,13 @@ class _Model(NamedTuple):
         return ArmOrCamera(total, own, *shares, tuple(errors), named, None, noise, sigmas, taken)
 
 
-def _share(size: Array, noise: float) -> Share:
-    """Return the share of one side; size : samples of its contribution [m]; noise : the camera's [m]."""
-    low, middle, high = (float(v) for v in np.quantile(size, [0.025, 0.5, 0.975]))
-    return Share(middle, low, high, float(np.mean(size > noise / 4)))
+def _share(samples: Array, noise: float) -> Share:
+    """Return median, 95 % interval and probability of relevance of what arm or camera contributes.
+
+    samples : of the posterior of its contribution, rms over the poses [m]; noise : the camera's [m]
+    """
+    low, median, high = (float(v) for v in np.quantile(samples, [0.025, 0.5, 0.975]))
+    return Share(median, low, high, float(np.mean(samples > noise / 4)))
 
 
 def _settings(drawn: Array, widths: Array) -> tuple[Array, Array, Array]:

@@ -229,7 +229,7 @@ def prepared_again(found: Identification, sets: Sequence[Measurements] = ()) -> 
 
 
 # Maximum number of poses of each set in the test for undeclared compliance, to save time.
-MAX_POSES_TRIED = 1_000
+MAX_POSES_OF_COMPLIANCE_TEST = 1_000
 
 
 def identify(
@@ -322,7 +322,7 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
     data), and an F-test gives such a reduction by chance a probability below 1e-3, which few data
     require. Only parameters that the data determine are counted, and the robot's priors constrain
     both models. Outliers are those of the compliant model: the residuals of a rigid model of a
-    compliant robot are no gross errors. At most MAX_POSES_TRIED poses of a set, drawn at random,
+    compliant robot are no gross errors. At most MAX_POSES_OF_COMPLIANCE_TEST poses of a set, drawn at random,
     are used.
     """
     wider = prepared.compliant
@@ -330,7 +330,9 @@ def with_compliance_if_supported(prepared: Prepared, progress: Progress | None =
         return prepared
     rng = np.random.default_rng(0)
     sets = tuple(
-        m if len(m) <= MAX_POSES_TRIED else m[np.sort(rng.choice(len(m), MAX_POSES_TRIED, replace=False))]
+        m
+        if len(m) <= MAX_POSES_OF_COMPLIANCE_TEST
+        else m[np.sort(rng.choice(len(m), MAX_POSES_OF_COMPLIANCE_TEST, replace=False))]
         for m in prepared.sets
     )
     by = partial(calibrated, free=METHODS["SKCM"], loss="huber", priors=True, progress=progress)

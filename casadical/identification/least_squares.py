@@ -138,7 +138,7 @@ class LeastSquares:
             of_set = (self.robot, m, self.names, sigma, sigma_angle, self.points, group)
             made.append(
                 make_block(
-                    *of_set, fixed_loads=self.fixed_loads, held=min(MAX_CACHED_DATA_POSES, self.max_cached_values)
+                    *of_set, fixed_loads=self.fixed_loads, max_cached=min(MAX_CACHED_DATA_POSES, self.max_cached_values)
                 )
             )
         return tuple(made)

@@ -402,13 +402,13 @@ def solve_placement(
     before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
     if known_tool is not None:
         G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ known_tool, before[:12]
-    placed = before + _seen_inverse(G) @ (h - G @ before)
+    placed = before + _truncated_inverse(G) @ (h - G @ before)
     R_B = nearest_rotation(placed[:9].reshape(3, 3)).T
     t = placed[12:] if known_tool is None else known_tool
     # R t + s = R_B' y - p, with s = R_B' p_B the measuring frame's offset in the base frame
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
-    inverse, p_sum = _seen_inverse(G), p.sum(axis=0)
+    inverse, p_sum = _truncated_inverse(G), p.sum(axis=0)
     # Kabsch's method and the tool alternate; three rounds suffice.
     for _ in range(3):
         if known_tool is None:
@@ -420,13 +420,13 @@ def solve_placement(
     return frame(R_B, centre - R_B @ (p.mean(axis=0) + S @ t / n)), t
 
 
-def _seen_inverse(G: Array) -> Array:
-    """Return the pseudoinverse of a normal matrix G, shape (k, k), in the directions it determines.
+def _truncated_inverse(G: Array) -> Array:
+    """Return the pseudoinverse of a normal matrix G = A'A in the directions it determines, (k, k).
 
-    Directions whose singular value is below a thousandth of the largest get zero: a step computed
-    with it does not move along them.
+    Directions in which the singular value of A is below a thousandth of the largest one get zero: a
+    step computed with the inverse does not move along them.
     """
     values, V = np.linalg.eigh(G)
-    # Singular values below this share of the largest are noise.
-    seen = values > 1e-3**2 * values[-1]
-    return np.asarray((V[:, seen] / values[seen]) @ V[:, seen].T)
+    # Eigenvalues of G are squares of singular values of A; those below this share are noise.
+    determined = values > 1e-3**2 * values[-1]
+    return np.asarray((V[:, determined] / values[determined]) @ V[:, determined].T)

@@ -326,7 +326,7 @@ def _runs(robot: Robot, m: Measurements, parts: Sequence[tuple[int, int]]) -> li
         few = np.linspace(first, last, MIN_POSES_PER_PART).astype(int)
 
         def in_other_unit(k: int, few: Array = few) -> bool:
-            """Return whether a pose beside a faulty part is in another unit, too.
+            """Return whether a pose next to a faulty part is in another unit, too.
 
             k : place of the pose in `by_row`; few : places of sample poses of the part
             """

@@ -211,19 +211,22 @@ def carry_over(
     return model, Prior(tuple(means), means, covariances, labels, knowledge)
 
 
-def _widened_covariance(block: Covariance, sizes: Mapping[str, float], times: float, share: float) -> Array:
+def _widened_covariance(
+    block: Covariance, scales: Mapping[str, float], variance_factor: float, change_share: float
+) -> Array:
     """Return the prior covariance of a campaign from that of an earlier one, shape (k, k) [SI].
 
-    block : of the earlier one; sizes : scale of each parameter [SI]; times : factor on it
-    share : standard deviation of a change in between, as a share of each parameter's scale
+    block : covariance of the earlier one; scales : scale of each parameter [SI]
+    variance_factor : factor on that covariance
+    change_share : standard deviation of a change in between, as a share of each parameter's scale
     Raises InputError for a variance of zero.
     """
     variances = np.diag(block.matrix)
     if not (variances > 0).all():
         name = block.names[int(np.argmin(variances))]
         raise InputError(f"prior: covariance: the variance of {name} is zero; it must be positive, or take it frozen")
-    change = share * np.array([sizes[name] for name in block.names])
-    return times * block.matrix + np.diag(change**2)
+    change = change_share * np.array([scales[name] for name in block.names])
+    return variance_factor * block.matrix + np.diag(change**2)
 
 
 def _chosen_effects(other: Robot, parts: Collection[str]) -> tuple[Effect, ...]:

@@ -82,7 +82,7 @@ def _in_camera(
 ) -> tuple[tuple[Measurements, ...], tuple[tuple[float, float], ...]]:
     """Return the sets and their sigmas with the noise of cameras' poses as the residuals show it.
 
-    sigmas : of each set as estimated; declared ones are kept
+    sigmas : of each set as estimated; declared ones are not changed
     """
     sets, result = list(problem.sets), list(sigmas)
     for k, (m, (r, freedom)) in enumerate(

@@ -236,7 +236,7 @@ def make_block(
     group: Array,
     *,
     fixed_loads: bool = False,
-    held: int = MAX_CACHED_DATA_POSES,
+    max_cached: int = MAX_CACHED_DATA_POSES,
 ) -> Block:
     """Return a set of measurements as a block, from which residuals and Jacobians are evaluated.
 
@@ -244,7 +244,7 @@ def make_block(
         angle [rad]
     points : initial positions of all unknown points in the measuring frame, shape (K, 3) [m]
     group : index of each pose's point among these, shape (n,); fixed_loads : see `kernel`
-    held : maximum number of poses whose inputs are cached
+    max_cached : number of poses up to which their inputs are cached
     """
     kind, arrays = find_kind(m.kind), m.arrays
     compiled = kernel(robot, kind.of(arrays), bool(kind.point_names(arrays)), tuple(names), fixed_loads)
@@ -254,7 +254,7 @@ def make_block(
         start = points[group[at]] if len(points) else np.zeros((len(m), 3))
         return data_columns(robot, m, compiled.observed, start, sigma, sigma_angle)
 
-    whole = data(m, slice(None)) if len(m) <= held else None
+    whole = data(m, slice(None)) if len(m) <= max_cached else None
     of_some = (lambda at: whole[:, at]) if whole is not None else (lambda at: data(m[at], at))
     return Block(compiled, of_some, group, robot_numbers(robot, names))
 

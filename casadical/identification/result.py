@@ -269,13 +269,16 @@ class Identification(Result):
     def left_out(self) -> tuple[LeftOut, ...]:
         """The outliers with table, row and error [m], the one with the largest error first."""
         by_set = [[i for place, i in self.outliers if place == k] for k in range(len(self.measurements))]
-        out = [row for m, poses in zip(self.measurements, by_set, strict=True) for row in self._rows_out(m, poses)]
+        out = [row for m, poses in zip(self.measurements, by_set, strict=True) for row in self._outlier_rows(m, poses)]
         return tuple(sorted(out, key=lambda out: -out.error))
 
-    def _rows_out(self, m: Measurements, poses: Sequence[int]) -> list[LeftOut]:
-        """Return the rows of these poses of m with their errors and the columns that explain them.
+    def _outlier_rows(self, m: Measurements, poses: Sequence[int]) -> list[LeftOut]:
+        """Return the rows of these outliers among the poses of m, with error and faulty column.
 
-        A column explains a row if a change of it alone leaves no more than noise.
+        A column is named if it is the only one of which a change alone leaves no more than noise.
+        It is searched for measured positions only, and for the first 20 outliers.
+
+        poses : indices of the outliers in m
         """
         if not len(poses):
             return []
@@ -326,7 +329,7 @@ class Identification(Result):
             out[far] = True
         if out.sum() > max(1, 0.2 * len(m)):
             out[:] = False
-        return m[np.flatnonzero(~out)], self._rows_out(m, [int(i) for i in np.flatnonzero(out)])
+        return m[np.flatnonzero(~out)], self._outlier_rows(m, [int(i) for i in np.flatnonzero(out)])
 
     @property
     def sources(self) -> tuple[str, ...]:
