@@ -31,25 +31,25 @@ def table_of_arrays(path: Path, data: bytes) -> tuple[pd.DataFrame, str]:
     ending = path.suffix.lower()
     with foreign(f"{path}: not a readable {ending} file", "save the table as CSV"):
         if ending in (".npy", ".npz"):
-            held: Any = np.load(io.BytesIO(data), allow_pickle=False)
-            held = held if isinstance(held, np.ndarray) else dict(held)
+            content: Any = np.load(io.BytesIO(data), allow_pickle=False)
+            content = content if isinstance(content, np.ndarray) else dict(content)
         elif ending == ".mat":
             from scipy.io import loadmat
 
             try:
-                held = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True)
+                content = loadmat(io.BytesIO(data), squeeze_me=True, struct_as_record=True)
             except NotImplementedError:
                 raise InputError(f"{path}: a .mat file of version 7.3; save it with -v7, or as CSV") from None
         elif ending == ".json":
-            held = json.loads(data)
+            content = json.loads(data)
         else:
             yaml = optional("yaml", f"{path}: reading YAML needs PyYAML: pip install pyyaml, or save the table as CSV")
-            held = yaml.safe_load(data)
+            content = yaml.safe_load(data)
     with foreign(f"{path}: holds no table", "save the poses as CSV, one row each"):
-        arrays = {**_arrays(held)}
+        arrays = {**_arrays(content)}
     counts = {size for a in arrays.values() for size in a.shape if size > 3}
     if not arrays or not counts:
-        raise InputError(f"{path}: holds no table: {_contents(held)}; save the poses as CSV, one row each")
+        raise InputError(f"{path}: holds no table: {_contents(content)}; save the poses as CSV, one row each")
     arrays, handeye = _without_flange(path, arrays)
     n = max(counts, key=lambda size: (sum(size in a.shape for a in arrays.values()), size))
     columns: dict[str, Array] = {}
@@ -80,23 +80,23 @@ def _without_flange(path: Path, arrays: Mapping[str, Array]) -> tuple[dict[str, 
     return {name: array for name, array in arrays.items() if parts[name] != "robot"}, said
 
 
-def _contents(held: Any) -> str:
+def _contents(content: Any) -> str:
     """Return what a file holds, for messages."""
-    names = [str(k) for k in held if not str(k).startswith("__")] if isinstance(held, Mapping) else []
-    return ", ".join(names)[:200] if names else type(held).__name__
+    names = [str(k) for k in content if not str(k).startswith("__")] if isinstance(content, Mapping) else []
+    return ", ".join(names)[:200] if names else type(content).__name__
 
 
-def _arrays(held: Any, name: str = "") -> Mapping[str, Array]:
+def _arrays(content: Any, name: str = "") -> Mapping[str, Array]:
     """Return all arrays in nested mappings, records and structs, by their names joined by dots."""
-    if isinstance(held, np.ndarray) and held.dtype.names:
-        if held.ndim == 0:
-            return _arrays({field: held[field].item() for field in held.dtype.names}, name)
-        fields = {field: _stacked(held[field]) for field in held.dtype.names}
+    if isinstance(content, np.ndarray) and content.dtype.names:
+        if content.ndim == 0:
+            return _arrays({field: content[field].item() for field in content.dtype.names}, name)
+        fields = {field: _stacked(content[field]) for field in content.dtype.names}
         return {key: value for field in fields for key, value in _arrays(fields[field], f"{name}.{field}").items()}
-    if isinstance(held, Mapping) and {"columns", "data"} <= {*held}:  # as pandas splits a table
-        return _arrays([dict(zip(held["columns"], row, strict=False)) for row in held["data"]], name)
-    if isinstance(held, Mapping):
-        inner = {str(key): value for key, value in held.items() if not str(key).startswith("__")}
+    if isinstance(content, Mapping) and {"columns", "data"} <= {*content}:  # as pandas splits a table
+        return _arrays([dict(zip(content["columns"], row, strict=False)) for row in content["data"]], name)
+    if isinstance(content, Mapping):
+        inner = {str(key): value for key, value in content.items() if not str(key).startswith("__")}
         single = len(inner) == 1 and not name
         return {
             key: value
@@ -105,12 +105,12 @@ def _arrays(held: Any, name: str = "") -> Mapping[str, Array]:
                 part, "" if single and isinstance(part, list) else f"{name}.{own}".strip(".")
             ).items()
         }
-    if isinstance(held, list) and held and all(isinstance(row, Mapping) for row in held):
-        frame = pd.json_normalize(held)
+    if isinstance(content, list) and content and all(isinstance(row, Mapping) for row in content):
+        frame = pd.json_normalize(content)
         return {
             key: value for own in frame for key, value in _arrays([*frame[own]], f"{name}.{own}".strip(".")).items()
         }
-    array = held if isinstance(held, np.ndarray) else _stacked(held)
+    array = content if isinstance(content, np.ndarray) else _stacked(content)
     whole = isinstance(array, np.ndarray) and array.ndim and array.size and array.dtype.kind in "fiuUO"
     return {name: array} if whole else {}
 

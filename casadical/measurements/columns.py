@@ -71,8 +71,10 @@ class Source:
         return " ".join([first, *texts[1:]]) + plus + (rows if self.rows else "")
 
 
-def named(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
-    """Yield every column of the file that the sources use, and a phrase "named for ...".
+def columns_used(sources: Mapping[str, Source]) -> Iterator[tuple[str, str]]:
+    """Yield every column of the file that the sources use, and for messages who names it.
+
+    That is a phrase such as "named for 'q1_deg'".
 
     sources : casadical's column name -> its source
     """
@@ -205,7 +207,7 @@ class Columns:
         Raises InputError: a named column is missing.
         """
         sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in columns.items()}
-        used = [*named(sources), *((name, "named in point_from") for name in point_from)]
+        used = [*columns_used(sources), *((name, "named in point_from") for name in point_from)]
         for theirs, where in used:
             if theirs not in self.table:
                 raise InputError(f"{self.source}: column {theirs!r}, {where}, is missing; there are {self.names}")

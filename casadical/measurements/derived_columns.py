@@ -77,7 +77,7 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
     # Pattern of a whole number of millimetres in a column's name; "m" stands for a minus sign.
     integer_mm = r"(m?\d+)"
     if station := re.fullmatch(rf"head_{integer_mm}_{integer_mm}_{integer_mm}mm", name):
-        return _head(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
+        return _head_rotation_sense(m, [1e-3 * float(mm.replace("m", "-")) for mm in station.groups()], order)
     for pattern, of_joint in _JOINT_COLUMNS.items():
         if match := re.fullmatch(pattern, name):
             joint, *way = map(int, match.groups())
@@ -144,7 +144,7 @@ def _heat(m: Measurements, joint: int, lag: float, order: Array, loads: Loads | 
     return _in_row_order(_lagged(square[order], m.conditions[TIME_COLUMN][order], lag), order)
 
 
-def _head(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
+def _head_rotation_sense(m: Measurements, station: Sequence[float], order: Array) -> Array | None:
     """Return the sense of the head's last rotation about z, -1, 0 or 1, in row order, shape (n,).
 
     None where no positions were measured, or where they are of several tables together. Rotations

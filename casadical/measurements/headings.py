@@ -50,7 +50,7 @@ _ORIENTATION_FORMS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "a matrix, column by column": (tuple(f"R{j}{i}" for i in range(3) for j in range(3)), ""),
 }
 # Forms that three angles rx, ry, rz may have.
-_ANGLES = tuple(_ORIENTATION_FORMS)[:3]
+_THREE_ANGLE_FORMS = tuple(_ORIENTATION_FORMS)[:3]
 
 
 @dataclass(frozen=True)
@@ -682,7 +682,7 @@ def _orientation(headings: Sequence[Heading], raw: RawTable, taken: Collection[s
             return [(_listed(g), [(g, names, quantity)]) for g in groups], which, ""
     ways: Sequence[str] = ()
     if groups := _groups(headings, "turn", _XYZ):
-        ways = _ANGLES
+        ways = _THREE_ANGLE_FORMS
     elif groups := [g for g in _numbered(raw, 4, taken) if _is_unit(g)]:
         ways = ("a quaternion, w first", "a quaternion, w last")
     elif groups := [g for g in _numbered(raw, 9, taken) if _is_rotation(g)]:

@@ -10,8 +10,7 @@ import pandas as pd
 from casadical.core.basics import Array, InputError
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.measurements.arrangement import long
-from casadical.measurements.columns import FULL_TURN_RAD, MAX_TURNS, Columns, Source
-from casadical.measurements.columns import named as column_names
+from casadical.measurements.columns import FULL_TURN_RAD, MAX_TURNS, Columns, Source, columns_used
 from casadical.measurements.headings import Understanding, understand
 from casadical.measurements.kinds.registry import find_kind, kind_of, kinds
 from casadical.measurements.measurements import FIELDS, Measurements
@@ -47,7 +46,7 @@ def read_measurements(
     ('position', (40, 3))
     """
     sources = {ours: Source(given) if isinstance(given, str) else given for ours, given in (columns or {}).items()}
-    raw = long(read_table(path, keep_text=False), [name for name, _ in column_names(sources)])
+    raw = long(read_table(path, keep_text=False), [name for name, _ in columns_used(sources)])
     named = Columns.of_file(raw).mapped(_sources(raw, joints, columns or {}, kind), point_from)
     return from_columns(named, joints, kind, sigma_mm=sigma_mm, sigma_deg=sigma_deg)
 

@@ -13,7 +13,7 @@ from casadical.core.reading import load_toml
 from casadical.core.schema import check
 from casadical.identification.plausibility import check_against
 from casadical.measurements.arrangement import long
-from casadical.measurements.columns import Columns, named
+from casadical.measurements.columns import Columns, columns_used
 from casadical.measurements.headings import understand
 from casadical.measurements.kinds.registry import kinds
 from casadical.measurements.logs.reading import is_log
@@ -164,7 +164,7 @@ def _check_table(path: Path, data: DataTable, robot: Robot | None, joints: Seque
     of_file = [j if j in ("revolute", "prismatic") else "revolute" for j in joints]
     if robot is None and not of_file:
         return
-    raw = long(raw, [name for name, _ in named(data.sources)])
+    raw = long(raw, [name for name, _ in columns_used(data.sources)])
     meaning = understood(raw, robot, data.sources, data.kind) if robot else understand(raw, of_file, data.sources)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)
     columns = columns.without(data.leave_out, "leave_out")

@@ -18,7 +18,7 @@ from casadical.identification.plausibility import refuse_undefined
 from casadical.identification.prior import Prior, carry_over
 from casadical.identification.residuals import AnyLoss
 from casadical.measurements.arrangement import long
-from casadical.measurements.columns import Columns, named
+from casadical.measurements.columns import Columns, columns_used
 from casadical.measurements.derived_columns import derive
 from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import SETS, Measurements
@@ -420,7 +420,7 @@ def _columns(raw: RawTable, data: DataTable, robot: Robot) -> Columns:
     Headings are interpreted as `data` declares, else by themselves and by the nominal robot.
     Raises InputError where a question remains open.
     """
-    raw = long(raw, [name for name, _ in named(data.sources)])
+    raw = long(raw, [name for name, _ in columns_used(data.sources)])
     meaning = understood(raw, robot, data.sources, data.kind)
     refuse_open(raw, meaning)
     columns = Columns.of_file(raw).mapped({**meaning.sources, **data.sources}, data.point_from)

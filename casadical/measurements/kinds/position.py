@@ -182,7 +182,11 @@ class _WhitenedPose(Pose):
     """Pose of a camera whose noise is in its own axes (see `camera_noise`)."""
 
     def residual(self, pose: PoseExpression) -> Symbolic:
-        """Return the whitened residual of a pose: three lengths [m] and three angles [rad]."""
+        """Return the residual of a pose along the camera's axes, each scaled to the usual noise.
+
+        It is three lengths [m] and three angles [rad], whose noise is independent and has one sigma
+        for all lengths and one for all angles (see `camera_noise.whitening`).
+        """
         residual = super().residual(pose)
         return ca.reshape(pose.take("whitening", 36), 6, 6).T @ residual
 

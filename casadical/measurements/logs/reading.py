@@ -327,20 +327,20 @@ def _into_si(
                 if not given:
                     guessed.setdefault(unit, []).append(f"{channel} {key}")
             if unit == "percent" and channel in MOTION_CHANNELS:
-                values[:, k] = _of_range(values[:, k], robot, k, channel, log.source)
+                values[:, k] = _from_percent(values[:, k], robot, k, channel, log.source)
             else:
                 values[:, k] *= SI_FACTORS.get(unit, 1.0)
     return tuple(f"no heading tells the unit of {', '.join(c)}: by their size read as {u}" for u, c in guessed.items())
 
 
-def _of_range(values: Array, robot: Arm | None, k: int, channel: str, source: str) -> Array:
-    """Return angles [rad] or speeds [rad/s] of joint k for percentages of half its range.
+def _from_percent(values: Array, robot: Arm | None, k: int, channel: str, source: str) -> Array:
+    """Return angles [rad] or speeds [rad/s] of joint k, logged in percent of half its range.
 
-    0 is the middle of the range. A gripper's are percentages of the whole range, from its lower
-    end.
+    An angle of 0 % is the middle of the range. A gripper's are percentages of the whole range, from
+    its lower end. Raises InputError without a robot.
 
     values : percentages, shape (n,); k : index of the joint, from 0
-    channel : speeds have no middle; source : name of the log, for messages
+    channel : name of the channel, a speed if it ends so; source : name of the log, for messages
     """
     if robot is None:
         raise InputError(f'{source}: unit = "percent" needs the ranges of the joints: give the robot, too')

@@ -221,9 +221,9 @@ def _controller(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, An
 
 def _pose(_: str, message: Any) -> Iterator[tuple[tuple[str, ...], str, Any]]:
     """Yield frames, "pose", and position [m] and quaternion (x, y, z, w) of a stamped pose or transform."""
-    held = getattr(message, "transform", None) or message.pose
+    pose = getattr(message, "transform", None) or message.pose
     p, turn = (
-        getattr(held, a, None) or getattr(held, b)
+        getattr(pose, a, None) or getattr(pose, b)
         for a, b in (("translation", "position"), ("rotation", "orientation"))
     )
     frames = tuple(f for f in (message.header.frame_id, getattr(message, "child_frame_id", "")) if f)
