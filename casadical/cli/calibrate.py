@@ -7,9 +7,9 @@ from typer import Exit, Option, echo
 
 from casadical.cli import options as o
 from casadical.cli.terminal import (
-    BAD_INPUT,
     CHECK,
-    WORSE,
+    EXIT_BAD_INPUT,
+    EXIT_WORSE,
     html,
     importing,
     keep,
@@ -79,7 +79,7 @@ def check(
             for finding in f.of_level("error"):
                 echo(f"casadical: {shown(f.folder)}: {finding.topic}: {finding.text}", err=True)
     if not all(f.ok and not (strict and f.of_level("warning")) for f in checks):
-        raise Exit(BAD_INPUT)
+        raise Exit(EXIT_BAD_INPUT)
 
 
 def calibrate(
@@ -160,7 +160,7 @@ def calibrate(
     worse = [f"{name}: {c.worse}" for name, c in zip(given, done, strict=True) if c.worse]
     if worse:
         echo("casadical: nothing was written: " + "\n".join(worse), err=True)
-        raise Exit(WORSE)
+        raise Exit(EXIT_WORSE)
     if json_file:
         figures = {name: c.to_json() for name, c in zip(given, done, strict=True)}
         texts = with_json(texts, json_file, figures if len(figures) > 1 else [*figures.values()])
@@ -169,7 +169,7 @@ def calibrate(
             texts[report_file] = html([c.page() for c in done])
     keep(texts, console)
     for source, tables in given.values() if len(given) == 1 else ():
-        tell(console, done[0].next_command(source, tables, kept=bool(out)))
+        tell(console, done[0].next_command(source, tables, written=bool(out)))
     if len(given) > 1:
         suggest(
             console,

@@ -273,9 +273,9 @@ def later_poses(
 
 
 def campaign_payloads(robot: Robot, campaign: Measurements) -> Array:
-    """Return the distinct payloads of a campaign, rising, shape (k,) [kg].
+    """Return the distinct payloads of a campaign in ascending order, shape (k,) [kg].
 
-    It is the declared one alone where none was logged.
+    Where none was logged it is the declared payload alone, zero without one.
     """
     declared = robot.payload.mass if robot.payload else 0.0
     return np.unique(campaign.conditions.get("payload_kg", np.array([declared])))
@@ -321,14 +321,14 @@ def poses_at_places(
     readings, which = [], []
     for k, place in enumerate(places):
 
-        def off(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
-            """Return place less tool point, shape (n, 3) [m], and the tool point's Jacobian."""
+        def remaining(q: Array, _: Array, place: Array = place) -> tuple[Array, Array]:
+            """Return the place minus the tool points at q, (n, 3) [m], and the points' Jacobians."""
             m = unmeasured(q)
             return place - predicted(robot, m)[0], joint_jacobian(robot, m)
 
         start = draw(robot, 4 * each, workspace, rng)
-        q = solve_joints(off, start, 40, 0.3, limits=workspace.ranges(robot), coupled=robot.coupled, least=1e-2)
-        distance = np.linalg.norm(off(q, np.arange(len(q)))[0], axis=1)
+        q = solve_joints(remaining, start, 40, 0.3, limits=workspace.ranges(robot), coupled=robot.coupled, least=1e-2)
+        distance = np.linalg.norm(remaining(q, np.arange(len(q)))[0], axis=1)
         good = np.flatnonzero((distance < 1e-7) & workspace.allows(robot, q))[:each]
         readings.append(q[good])
         which.append(np.full(len(good), float(k)))

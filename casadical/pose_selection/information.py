@@ -22,7 +22,7 @@ from casadical.robot.robot import Robot
 # Metres per millimetre.
 MM = 1e-3
 # Largest number of poses whose Jacobians are computed at a time: larger problems would be compiled
-# for a single use.
+# for a single use. As many candidates show which parameters are identifiable.
 MAX_POSES_PER_PART = 1000
 
 

@@ -159,17 +159,17 @@ class Calibration(Result):
         _, before, after, held_out = judged_on(self.accuracies)
         return outcome.worse_than_before(self.identification, before, after) if held_out else ""
 
-    def next_command(self, source: Path, tables: Sequence[Path] = (), *, kept: bool = True) -> Words:
+    def next_command(self, source: Path, tables: Sequence[Path] = (), *, written: bool = True) -> Words:
         """Return the command to run next; it plans more poses where held-out errors have grown.
 
         source : problem folder or robot file
         tables : tables that were given after it
-        kept : whether the result has been written to a folder
+        written : whether the result has been written to a folder
         """
         _, before, after, held_out = judged_on(self.accuracies)
         if held_out and after.mean > before.mean:
             return more_poses(source, self.problem.sets["identify"][0])
-        if not kept:
+        if not written:
             return next_step("to keep the result", "calibrate", source, *tables, "--out", "results")
         return next_step("to learn the cause of the remaining error", "diagnose", source, *tables)
 

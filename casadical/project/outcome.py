@@ -210,7 +210,7 @@ def left_out_table(problem: Problem, identifications: Mapping[str, Identificatio
     columns: dict[tuple[str, int], str] = {}
     methods = list(identifications)
     for method, result in identifications.items():
-        for out in (*result.left_out, *(held_outliers(problem, result) if method == methods[-1] else ())):
+        for out in (*result.left_out, *(held_out_outliers(problem, result) if method == methods[-1] else ())):
             rows.setdefault((out.source, out.row), {})[method] = mm(out.error)
             columns[out.source, out.row] = out.column
     if not rows:
@@ -235,7 +235,7 @@ def held_out_of(problem: Problem, last: Identification) -> dict[str, tuple[Measu
     return {name: (m, []) if counted else last.without_outliers(m) for name, m in parts.items()}
 
 
-def held_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
+def held_out_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
     """Return all outliers among poses that were not fitted, the one with the largest error first."""
     return sorted((out for _, some in held_out_of(problem, last).values() for out in some), key=lambda out: -out.error)
 
@@ -352,7 +352,7 @@ _TEMPLATE_FUNCTIONS: dict[str, Any] = {
     "in_words": in_words,
     "worse_methods": worse_methods,
     "rows_in_words": rows_in_words,
-    "held_outliers": held_outliers,
+    "held_out_outliers": held_out_outliers,
     "undetermined": undetermined,
     "reports": lambda problem: any(name.startswith("report") for name in problem.sets),
     "fitted_mean": lambda last: np.concatenate([errors(last.robot, m) for m in last.used]).mean(),

@@ -320,7 +320,7 @@ def _search(robot: Robot, m: Measurements, given: Array, rows: slice, nearer: fl
     names, placed = given, place_frames(robot, _named(m, robot, given)[rows])
     for _ in range(5):
         points = np.array([*_points_of(placed).values()])
-        far = np.linalg.norm(_seen(placed, m)[:, None] - points, axis=2)
+        far = np.linalg.norm(_in_last_link(placed, m)[:, None] - points, axis=2)
         nearest = np.argmin(far, axis=1)
         own = far[np.arange(len(m)), given if nearer > 1 else names]
         again = np.where(own > nearer * far.min(axis=1), nearest, given if nearer > 1 else names)
@@ -336,7 +336,7 @@ def _points_of(robot: Robot) -> dict[str, Array]:
     return {robot.tool_name: robot.tool.T[:3, 3], **{t.name: t.point for t in robot.targets}}
 
 
-def _seen(placed: Robot, m: Measurements) -> Array:
+def _in_last_link(placed: Robot, m: Measurements) -> Array:
     """Return each measured position in the last link's frame, shape (n, 3) [m].
 
     placed : robot with its base fitted to the measurements
@@ -431,7 +431,7 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
     placed = place_frames(free, m)
     if robot.targets:
         yield _by_known(placed, np.array([*_points_of(robot).values()]), m)
-    seen = _seen(placed, m)
+    seen = _in_last_link(placed, m)
     points = seen[:1]
     for _ in range(1, MAX_TARGETS if len(m) >= MIN_SEARCH_ROWS else 1):
         far = np.linalg.norm(seen[:, None] - points, axis=2).min(axis=1)
@@ -473,9 +473,9 @@ def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array
     Returns points (K, 3) [m] and indices (n,); the error [m] is infinite where targets coincide, or
     a single one remains
     """
-    several = _several(free, which)
+    several = _with_targets(free, which)
     which = np.unique(_search(several, m, which, slice(None), 1.0), return_inverse=True)[1]
-    several = _several(free, which)
+    several = _with_targets(free, which)
     named = _named(m, several, which)
     placed = place_frames(several, named)
     points = np.array([*_points_of(placed).values()])
@@ -484,8 +484,11 @@ def _scattered(free: Robot, m: Measurements, which: Array) -> tuple[Array, Array
     return points, which, max(float(np.median(e[which == k])) for k in range(len(points))) if apart else np.inf
 
 
-def _several(free: Robot, which: Array) -> Robot:
-    """Return the robot with a target for each index in `which`, all of them at its tool point."""
+def _with_targets(free: Robot, which: Array) -> Robot:
+    """Return the robot with as many targets as `which` has indices, all of them at its tool point.
+
+    free : robot with unknown tool; which : index of the target of each row, from 0, shape (n,)
+    """
     return replace(
         free, tool_name="0", targets=tuple(Target(str(k), free.tool.T[:3, 3]) for k in range(1, which.max() + 1))
     )

@@ -214,8 +214,8 @@ def _data_findings(
         single = slips if k == 0 else single
         if not any(f.level == "error" for f in said):
             findings += far_rows(robot, table or m)
-            told, better = _reading_findings(robot, m)
-            findings += told
+            reading_findings, better = _reading_findings(robot, m)
+            findings += reading_findings
             readings |= {m.source: better} if better else {}
         known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
         findings += data_findings(robot, m, table or m, known_readings=known_readings)

@@ -155,7 +155,7 @@ def _round(value: float) -> float:
 
 
 def _column_present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
-    """Return the name, stem and unit, of the column that is known. Raises InputError without one.
+    """Return the name of a column, stem and unit, under which it has a source, or raise InputError.
 
     known : casadical's column name -> its source; units : suffixes that are tried in order
     """

@@ -224,7 +224,7 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
         return str(unmoved[0])
     if good:
         return "; or ".join(good[:3])
-    if find_kind(m.kind).lengths == 3 and (elsewhere := _joints_elsewhere(robot, m, k, misses, limit)):
+    if find_kind(m.kind).lengths == 3 and (elsewhere := _joints_not_at_reading(robot, m, k, misses, limit)):
         return "; or ".join(elsewhere[:3])
     more = "no single slip explains it: is the target seated, the beam free, the robot at rest?"
     if m.kind == "position" and (away := float(np.linalg.norm(misses(m[[k]])[0]))) < 0.6:
@@ -315,11 +315,11 @@ def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dic
         yield "neither robot nor target moved: the position is that of the reading before", {"q": m.q[k - 1]}
 
 
-def _joints_elsewhere(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
-    """Return sentences on single joints whose true position differs from their k-th reading.
+def _joints_not_at_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float) -> list[str]:
+    """Return a sentence on each joint whose true position may have differed from its k-th reading.
 
-    With such a joint moved, the reading is plausible; the best comes first. The position is found
-    by Gauss-Newton steps from the best of 121 places in the joint's range.
+    With this one joint moved, the reading is plausible; the most plausible comes first. The position
+    is found by Gauss-Newton steps from the best of 121 positions in the joint's range.
     """
     n, read = robot.n, m.q[k]
     lower, upper = np.maximum(robot.limits[0], -2 * np.pi), np.minimum(robot.limits[1], 2 * np.pi)

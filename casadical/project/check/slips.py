@@ -19,7 +19,8 @@ from casadical.robot.robot import Robot
 
 # Median error, as a share of the reach, up to which a nominal robot has no slips.
 NOMINAL_ERROR_OF_REACH = 0.001
-# Minimum factor by which an additional slip must reduce the error to be accepted.
+# Minimum factor by which an additional slip must reduce the error to be accepted. Explanations of a
+# table whose errors, so penalised, differ by less than this factor are rivals.
 MIN_ERROR_REDUCTION = 2.0
 
 

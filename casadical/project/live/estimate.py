@@ -29,7 +29,7 @@ from casadical.robot.robot import Robot
 # Minimum number of readings of an estimate; readings are judged by each other once there are more.
 MIN_READINGS_OF_FIT = 5
 # Maximum number of readings of which each is judged by a refit without it; of more, each is judged
-# by its leave-one-out residual of the common fit.
+# by its leave-one-out residual of the common fit. From this number on their mean error is reported.
 MAX_REFITTED_READINGS = 12
 # Number of scalars observed in a reading -> limit of the squared Mahalanobis distance ("surprise")
 # of the reading from its prediction: quantiles of chi-squared that noise exceeds in 1 of 700 000.

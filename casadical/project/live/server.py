@@ -239,7 +239,7 @@ class LivePage:
 async def _body(request: Request) -> bytes | None:
     """Return the body of a request, None where it is longer than a command may be.
 
-    No more than the longest command is ever held. Raises InputError where the client went away.
+    No more than the longest command is ever in memory. Raises InputError where the client went away.
     """
     body = b""
     try:
