@@ -9,7 +9,7 @@ import traceback
 from io import TextIOWrapper
 
 from casadical.cli.root import app as app
-from casadical.cli.terminal import BAD_INPUT, NO_CONVERGENCE, OUR_BUG, refusal
+from casadical.cli.terminal import EXIT_BAD_INPUT, EXIT_BUG, EXIT_NO_CONVERGENCE, refusal
 from casadical.core.basics import ConvergenceError, InputError, shown
 from casadical.core.subprocesses import one_thread
 
@@ -25,21 +25,21 @@ def main() -> None:
         app()
         return
     except InputError as error:
-        code, why = BAD_INPUT, error
+        code, why = EXIT_BAD_INPUT, error
     except ConvergenceError as error:
-        code, why = NO_CONVERGENCE, f"no optimum found, nothing was written: {error}"
+        code, why = EXIT_NO_CONVERGENCE, f"no optimum found, nothing was written: {error}"
     except KeyboardInterrupt:
         code, why = 130, "interrupted, nothing was written"
     except OSError as error:
         place = "" if error.filename is None else f"{shown(error.filename)}: "
-        code, why = BAD_INPUT, f"{place}{error.strerror or error}"
+        code, why = EXIT_BAD_INPUT, f"{place}{error.strerror or error}"
     except MemoryError:
         code, why = (
-            BAD_INPUT,
+            EXIT_BAD_INPUT,
             "there is not enough memory for this; give fewer poses or a smaller number",
         )
     except Exception:
         traceback.print_exc()
-        code, why = OUR_BUG, "this is a bug in casadical; please report it with the lines above"
+        code, why = EXIT_BUG, "this is a bug in casadical; please report it with the lines above"
     refusal(why)
     sys.exit(code)

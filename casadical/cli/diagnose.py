@@ -216,13 +216,13 @@ def _diagnose_logs(
     with working(quiet, "replaying") as show:
         replay = campaign.replayed(show, against)
     # How large the gap is and what makes it comes before what a usual arm would have.
-    for told, n_lines in ((replay, 20), (answer, 3 if replay else 18)):
-        if told:
-            blocks = told.blocks()
+    for result, n_lines in ((replay, 20), (answer, 3 if replay else 18)):
+        if result:
+            blocks = result.blocks()
             tell(console, *(blocks if details else shortened(blocks, n_lines)))
             console.print()
             if out:
-                texts |= told.files(out)
+                texts |= result.files(out)
     if report_file:
         texts[report_file] = html([campaign.page(answer, replay)])
     if not details:

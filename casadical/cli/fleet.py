@@ -6,7 +6,7 @@ from pathlib import Path
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Quiet, Report
-from casadical.cli.terminal import NOT_VALID, html, keep, print_result, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import EXIT_NOT_VALID, html, keep, print_result, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 
 
@@ -63,7 +63,7 @@ def compare(
     if not comparison.next:
         suggest(console, "when it was measured again", *sys.argv[1:], "LATER.csv")
     if comparison.changed or comparison.unexplained:
-        raise Exit(NOT_VALID)
+        raise Exit(EXIT_NOT_VALID)
 
 
 def fleet(

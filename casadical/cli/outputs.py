@@ -127,7 +127,7 @@ def _of_a_set(name: str) -> bool:
 
 
 def _real(path: Path, done: str = "written") -> Path:
-    """Return the real path of an output or input. Raises InputError where there can be none.
+    """Return the real path of an output or input. Raises InputError where it cannot be resolved.
 
     done : participle in the message, "written" or "read"
     """
@@ -183,15 +183,21 @@ def _refuse_foreign(path: Path, remedy: str = "move this one away") -> None:
         text = read_bytes(path).decode("utf-8", "replace")
     except OSError as error:
         raise InputError(f"{shown(path)}: is there and cannot be read: {error.strerror}; name another file") from None
-    if text.strip() and not _ours(path, text):
+    if text.strip() and not _is_output(path, text):
         raise InputError(
             f"{shown(path)}: is there and was not written by casadical, or was changed since; name "
             f"another file, or {remedy}"
         )
 
 
-def _ours(path: Path, text: str) -> bool:
-    """Return whether a file was written by casadical, judged by its content `text`."""
+def _is_output(path: Path, text: str) -> bool:
+    """Return whether a file may be replaced as an earlier output of casadical.
+
+    JSON is recognised by its keys, other text by the word casadical. Any CSV with several columns
+    counts as an output unless it has measured positions.
+
+    text : content of the file
+    """
     # Sets of keys by which each kind of JSON that `--json` writes is recognised.
     json_signatures = (
         *({"problem", "robot"}, {"campaign"}, {"forecast"}, {"targets", "corrected"}),

@@ -31,16 +31,16 @@ from casadical.core.reporting.result import shortened, terminal
 # Width of tables where the output is no terminal [characters].
 TABLE_WIDTH_WITHOUT_TERMINAL = 120
 # Exit code for unusable input.
-BAD_INPUT = 2
+EXIT_BAD_INPUT = 2
 # Exit code where the solver found no optimum.
-NO_CONVERGENCE = 3
+EXIT_NO_CONVERGENCE = 3
 # Exit code where held-out poses are worse than before the calibration.
-WORSE = 4
+EXIT_WORSE = 4
 # Exit code where a robot is no longer valid or has changed, where touches leave that undecided, or
 # where campaigns differ in a way that is unexplained.
-NOT_VALID = 5
+EXIT_NOT_VALID = 5
 # Exit code for a bug in casadical.
-OUR_BUG = 70
+EXIT_BUG = 70
 
 
 def refusal(error: object) -> None:

@@ -10,7 +10,7 @@ from typer import Argument, Context, Exit, Option
 from casadical.cli.options import Details, Effects, Json, Quiet, Report, refuse_of_others
 from casadical.cli.terminal import (
     DIAGNOSIS,
-    NOT_VALID,
+    EXIT_NOT_VALID,
     html,
     keep,
     plain,
@@ -162,7 +162,7 @@ def verify(
         folder = robot if robot.is_dir() else robot.parent
         suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
     if checked.accepted is False:
-        raise Exit(NOT_VALID)
+        raise Exit(EXIT_NOT_VALID)
 
 
 def _touched(
@@ -194,7 +194,7 @@ def _touched(
         texts[report] = html([touches.page()])
     keep(with_json(texts, json_file, touches.to_json()), console)
     if touches.verdict != "valid":
-        raise Exit(NOT_VALID)
+        raise Exit(EXIT_NOT_VALID)
 
 
 def _replay(

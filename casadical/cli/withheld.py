@@ -112,7 +112,7 @@ def withheld_make(
         raise InputError(f"--poses {poses}: allowed: whole numbers by commas, such as 40,100") from None
     place = key or out.with_name(f"{out.resolve().name}-key")
 
-    def kept(made: "Manifest") -> dict[Path, str]:
+    def json_output(made: "Manifest") -> dict[Path, str]:
         about = {"campaigns": list(made.campaigns), "folder": str(out), "key": str(place)}
         return with_json({}, json_file, about | {"key_sha256": made.key_sha256})
 
@@ -127,7 +127,7 @@ def withheld_make(
             project=project,
             executor=executor,
             show=show,
-            also=kept,
+            also=json_output,
         )
     console = wrapped(quiet)
     console.print(f"wrote {len(made.campaigns)} campaigns to {out}, their key to {place}", soft_wrap=True)
