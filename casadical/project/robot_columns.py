@@ -8,8 +8,6 @@ from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 
 from casadical.core.basics import Array, ConvergenceError, InputError
 from casadical.identification.accuracy import errors as position_errors
@@ -173,6 +171,9 @@ def _synchronised(m: Measurements, robot: Robot) -> Measurements:
     order = np.argsort(time, kind="stable")
     if not (np.diff(time[order]) > 0).all() or np.median(np.diff(time[order])) > 0.2:
         return m
+    from scipy.interpolate import CubicSpline
+    from scipy.optimize import minimize_scalar
+
     reading = CubicSpline(time[order], m.q[order])
     some = m.positions_alone()[np.linspace(0, len(m) - 1, min(len(m), 200)).astype(int)]
     free = replace(robot, base=replace(robot.base, unknown="pose"), tool=replace(robot.tool, unknown="position"))

@@ -42,9 +42,10 @@ def test_the_help_loads_no_solver() -> None:
         ("casadical.compensator", KINEMATICS | {"casadi", "casadical.export"}),
         ("casadical.export", KINEMATICS | {"casadical.compensator"}),
         ("casadical.blind_check.mujoco_physics", KINEMATICS | {"casadi", "casadical.export", "casadical.compensator"}),
+        ("casadical.project.diagnosis", {"scipy.interpolate", "scipy.optimize", "scipy.stats", "lark", "mujoco"}),
     ],
 )
-def test_a_part_that_stands_alone_loads_no_kinematics(package: str, foreign: set[str]) -> None:
+def test_a_package_loads_nothing_foreign_to_it(package: str, foreign: set[str]) -> None:
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not part of this version")
     loaded = loaded_by(f"import {package}")
