@@ -227,7 +227,10 @@ class _Question:
             if ratios is None:
                 break
             self.show("the sets' noise differs from that of the base model: searched again")
-            found = self.searched(case := self.with_unchanged_prior(self.case(ratios), unchanged))
+            # Outliers stay those given the causes: to the noise without a step, every pose beside it
+            # is a gross error of the base model.
+            again = self.case(ratios).with_inliers(found.case.inliers)
+            found = self.searched(case := self.with_unchanged_prior(again, unchanged))
         usual = case.whole.sigmas
         if not usual[0] < found.noise.sigma < usual[-1]:
             self.show("the noise lies beyond the usual grid: searched again on a wider one")

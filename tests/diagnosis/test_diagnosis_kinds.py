@@ -350,6 +350,22 @@ def test_a_wire_that_slips_twice_has_two_steps_at_their_rows() -> None:
     assert not [c.label for c in found.case.candidates if c.label.endswith("#3")]
 
 
+def test_a_step_makes_no_outliers_when_causes_are_searched_again_with_the_noise_beside_it() -> None:
+    """The step is most of the wire's noise in the base model; to the noise that remains every pose deviates."""
+    m = practice("kr210-P08")[:40]
+    wire = distances(m)[0]
+    assert wire.distance is not None
+    row = np.arange(len(m))
+    slipped = replace(wire, distance=wire.distance + 1e-3 * (row >= 20))
+    found = diagnose(robot("kr210"), [m, slipped], ["wire_step"], laws=False)
+    # The noise of the wire was estimated again, without its step.
+    assert found.case.observations.ratios.of_set(1)[0] < 1e-4
+    assert found.case.inliers.all()
+    assert [c.label for c in found.causes] == ["wire_step"]
+    time = found.case.progress
+    assert time[19] < found.causes[0].effects[0].at < time[20]  # type: ignore[attr-defined]
+
+
 @pytest.mark.slow
 def test_a_wire_that_drifts_is_named_and_no_cause_in_the_robot() -> None:
     m = practice("kr210-P08")[:60]
