@@ -359,7 +359,7 @@ def test_a_step_makes_no_outliers_when_causes_are_searched_again_with_the_noise_
     slipped = replace(wire, distance=wire.distance + 1e-3 * (row >= 20))
     found = diagnose(robot("kr210"), [m, slipped], ["wire_step"], laws=False)
     # The noise of the wire was estimated again, without its step.
-    assert found.case.observations.ratios.of_set(1)[0] < 1e-4
+    assert found.case.observations.ratios.sigmas[1][0] < 1e-4
     assert found.case.inliers.all()
     assert [c.label for c in found.causes] == ["wire_step"]
     time = found.case.progress
