@@ -464,7 +464,7 @@ class Columns:
         return self._named("tool", "name the measured point, there or in `tools` of problem.toml")
 
     def sessions(self) -> dict[str, Array]:
-        """Return an indicator per name in the column `session`: "session_NAME" -> shape (n,), 0 or 1.
+        """Return an indicator per name in the column `session`: "session_NAME" -> shape (n,), 0 or 1 [-].
 
         The dict is empty without that column. Raises InputError: an empty cell.
         """

@@ -111,7 +111,7 @@ TABLES = [
     Bad("a coordinate missing", lambda _: read(table(y_mm=None)), ("y_mm or y_m is missing", "x_mm")),
     Bad("a coordinate, two units", lambda _: read(table(x_m=np.zeros(N))), ("x_mm and x_m", "keep one")),
     Bad("renamed from nothing", lambda _: read(table(), columns={"x_mm": "X"}), ("'X'", "'x_mm'", "is missing")),
-    Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: pose, position_covariance")),
+    Bad("unknown kind", lambda _: read(table(), kind="velocity"), ("'velocity'", "allowed: pose, corners")),
     Bad("no joints", lambda _: read(table(), 0), ("joints 0", "allowed")),
     # cells
     Bad("a word", lambda _: read(changed("y_mm", 5, "12,7")), ("row 5", "'y_mm'", "'12,7'", "not a finite number")),

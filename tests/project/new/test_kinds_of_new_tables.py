@@ -73,7 +73,10 @@ def folder_of(tmp_path: Path, data: pd.DataFrame, **more: object) -> Path:
     return tmp_path / "arm"
 
 
-@pytest.mark.parametrize("form", FORMS)
+FAST_FORMS = ["quaternion", "w first", "matrix", "UR"]
+
+
+@pytest.mark.parametrize("form", [*FAST_FORMS, *slow(*(form for form in FORMS if form not in FAST_FORMS))])
 def test_an_orientation_is_read_as_it_was_measured_and_makes_the_tools_pose_unknown(form: str, tmp_path: Path) -> None:
     _, _, R = poses()
     arm = folder_of(tmp_path, table(**FORMS[form](R)), ask=lambda question: pytest.fail(question.text))

@@ -10,6 +10,7 @@ import first_hour
 import numpy as np
 import pandas as pd
 import pytest
+from marks import slow
 from scipy.io import savemat
 from scipy.spatial.transform import Rotation
 
@@ -108,7 +109,10 @@ FORMS: dict[str, Callable[[], str]] = {
 }
 
 
-@pytest.mark.parametrize("form", FORMS)
+FAST_FORMS = ["noap", "bare: 4x4", "Motive, two lines"]
+
+
+@pytest.mark.parametrize("form", [*FAST_FORMS, *slow(*(form for form in FORMS if form not in FAST_FORMS))])
 def test_a_form_is_read_as_it_was_measured(form: str, tmp_path: Path) -> None:
     (tmp_path / "dh.csv").write_text(first_hour.DH)
     (tmp_path / "table.csv").write_text(FORMS[form]())
