@@ -18,6 +18,15 @@ from hypothesis import strategies as st
 pytestmark = pytest.mark.slow  # hundreds of commands
 FOUND = sorted((Path(__file__).parent / "found").iterdir())
 
+# The same inputs in every run, and none kept.
+DRAWN_BY_RULE = settings(
+    derandomize=True,
+    deadline=None,
+    database=None,
+    phases=(Phase.generate,),
+    suppress_health_check=list(HealthCheck),
+)
+
 
 @pytest.fixture(scope="module")
 def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -27,14 +36,7 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@settings(
-    max_examples=200,
-    derandomize=True,
-    deadline=None,
-    database=None,
-    phases=(Phase.generate,),
-    suppress_health_check=list(HealthCheck),
-)
+@settings(DRAWN_BY_RULE, max_examples=200)
 @given(st.data())
 def test_every_input_ends_as_documented(template: Path, data: st.DataObject) -> None:
     def choose(among: Sequence[Any]) -> Any:
@@ -109,14 +111,7 @@ def test_every_kind_of_file_is_read_as_it_is(kinds) -> None:
             kind.read(place / kind.name)
 
 
-@settings(
-    max_examples=400,
-    derandomize=True,
-    deadline=None,
-    database=None,
-    phases=(Phase.generate,),
-    suppress_health_check=list(HealthCheck),
-)
+@settings(DRAWN_BY_RULE, max_examples=400)
 @given(st.data())
 def test_mutated_files_end_as_documented(kinds, data: st.DataObject) -> None:
     listed, place = kinds

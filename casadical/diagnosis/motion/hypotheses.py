@@ -9,7 +9,7 @@ from casadical.core.basics import Array
 from casadical.diagnosis.candidates import Candidate
 from casadical.diagnosis.motion.engine import LogProblem, smooth_functions, with_candidates
 from casadical.diagnosis.motion.servo_rows import Replay, saturation_columns, servo_problem, simulated_columns
-from casadical.diagnosis.motion.torque_rows import torque_problem
+from casadical.diagnosis.motion.torque_rows import STRIBECK_SPEED_RAD_S, torque_problem
 from casadical.diagnosis.motion.view import LogView, Signals, signals_of
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.motion import Cause, motion_effects
@@ -28,8 +28,8 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
     """
     log = views[0]
     # Without a reference the base's friction may be any: that it has grown cannot be told.
-    told = [kind for kind in chosen if len(views) > 1 or kind.name not in FRICTION_CAUSES]
-    effects = [c for kind in told for c in _settings(kind, log.arm.joints)]
+    testable = [kind for kind in chosen if len(views) > 1 or kind.name not in FRICTION_CAUSES]
+    effects = [c for kind in testable for c in _settings(kind, log.arm.joints)]
     if log.motion.torque is not None:
         problem = torque_problem(views)
         log = replace(
@@ -39,8 +39,8 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
         made += smooth_functions(log, problem.rows, problem.fit.variance)
         return with_candidates(problem, [(c, signals) for c, signals in made if signals])
     problem, replay, x = servo_problem(views)
-    known = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
-    log = replace(log, frictions={k: v / log.peak_torque + 0 * log.motion.q for k, v in known.items()})
+    torques = {"friction": np.exp(x[:, 2] - x[:, 0]), "drag": np.exp(x[:, 3] - x[:, 0]) * log.motion.v}
+    log = replace(log, frictions={k: v / log.peak_torque + 0 * log.motion.q for k, v in torques.items()})
     return with_candidates(problem, [*_simulated(replace(replay, view=log), x, effects, problem)])
 
 
@@ -57,7 +57,11 @@ def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:
     """Return the friction torques of the fitted base, divided by peak torque, (samples, joints)."""
     x, m, speed = problem.fit.x, log.motion, log.variables["speed"]
     slip = np.sign(m.v)
-    shapes = {"slip": slip, "loaded": slip * np.abs(log.variables["load"]), "dip": slip * np.exp(-np.abs(m.v) / 0.05)}
+    shapes = {
+        "slip": slip,
+        "loaded": slip * np.abs(log.variables["load"]),
+        "dip": slip * np.exp(-np.abs(m.v) / STRIBECK_SPEED_RAD_S),
+    }
     shapes |= {"viscous": speed, "curved": speed * np.abs(speed)}
     at = {name: k for k, name in enumerate(problem.names)}
     return {
