@@ -56,12 +56,8 @@ def _settings(kind: Cause, joints: int) -> Iterator[tuple[Candidate, DefinedEffe
 def _frictions(problem: LogProblem, log: LogView) -> dict[str, Array]:
     """Return the friction torques of the fitted base, divided by peak torque, (samples, joints)."""
     x, m, speed = problem.fit.x, log.motion, log.variables["speed"]
-    slip = np.sign(m.v)
-    shapes = {
-        "slip": slip,
-        "loaded": slip * np.abs(log.variables["load"]),
-        "dip": slip * np.exp(-np.abs(m.v) / STRIBECK_SPEED_RAD_S),
-    }
+    slip, fall = np.sign(m.v), np.exp(-np.abs(m.v) / STRIBECK_SPEED_RAD_S)
+    shapes = {"slip": slip, "loaded": slip * np.abs(log.variables["load"]), "dip": slip * fall}
     shapes |= {"viscous": speed, "curved": speed * np.abs(speed)}
     at = {name: k for k, name in enumerate(problem.names)}
     return {

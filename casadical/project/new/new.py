@@ -336,12 +336,12 @@ def _tilt(columns: Columns, robot: Robot, camera: Camera) -> tuple[float, list[W
     except (InputError, np.linalg.LinAlgError):
         return np.nan, [], None
     doubt = "The positions are the nominal robot's own, to the last digit: they are computed, not measured."
-    # The tilt is unknown where the median error of the placed robot is above this share of its
-    # reach.
-    tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if median < 0.02 * robot.reach else np.nan
+    fits = median < 0.02 * robot.reach  # else neither the tilt is known nor where a camera is
+    tilt = float(np.rad2deg(np.arccos(np.clip(placed.base.T[2, 2], -1, 1)))) if fits else np.nan
     said = [Words(doubt, "warning")] if computed(robot, m) else []
     if words := poses_in_words(m):
-        said.append(Words(f"{words[:-1]} (the nominal robot is {1e3 * median:.3g} mm off, median)."))
+        far = "" if fits else ": is it this robot, and is the --convention of a DH table right?"
+        said.append(Words(f"{words[:-1]} (the nominal robot is {1e3 * median:.3g} mm off, median{far})."))
     return tilt, said, m
 
 
