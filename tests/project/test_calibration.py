@@ -106,8 +106,9 @@ def test_what_is_written_is_fitted_to_all_poses_and_judged_before(tmp_path: Path
 def test_compliance_that_the_fitted_poses_are_too_few_for_shows_in_all(tmp_path: Path) -> None:
     """Fifty lengths by three wires, two of them wrong, of an arm that sags: there the compliant fit does not end."""
     user = replace(users.drawn(413), slips={"rows": 2})
-    table = users.written(tmp_path, "table", user, users.table(user, user.q, user.seen, wrong=True))
+    users.written(tmp_path, user, users.table(user, user.q, user.seen, wrong=True))
     users.robot_file(tmp_path, user)
+    (table,) = (path for path in tmp_path.glob("table0*"))
     found = calibrate(new_problem(tmp_path / "arm", dh=tmp_path / "dh.csv", data=table))
     assert found.identification.method == "SKCM"
     assert {out.row for out in found.identification.left_out} == {10, 24}
