@@ -24,6 +24,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pandas as pd
+from scipy.signal import lfilter
 
 from casadical.project.diagnosis import read_logs
 
@@ -157,8 +158,22 @@ def drive_of(arm: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjModel:
-    """MuJoCo's model of the URDF; masses and mass centres off by `spread`; with a payload on the last link."""
+def model_of(arm: str, *days: dict) -> mujoco.MjModel:
+    """MuJoCo's model of one arm of each day, side by side, with its masses and payload; of the URDF without a day."""
+    whole = mujoco.MjSpec()
+    whole.option.timestep = STEP
+    for k, day in enumerate(days or ({"spread": None, "payload": 0.0},)):
+        one = mujoco.MjSpec.from_string(physical_urdf(arm, day["spread"], day["payload"]))
+        whole.attach(one, prefix=f"{k}_", frame=whole.worldbody.add_frame())
+    model = whole.compile()
+    model.dof_armature[:] = np.tile(ARMS[arm]["rotor"], max(len(days), 1))
+    model.jnt_limited[:] = 0
+    model.dof_damping[:] = model.dof_frictionloss[:] = 0
+    return model
+
+
+def physical_urdf(arm: str, spread: dict | None, payload: float) -> str:
+    """The URDF, masses and mass centres off by `spread`; with a payload on the last link."""
     tree = ET.fromstring(urdf_of(arm))
     ET.SubElement(
         ET.SubElement(tree, "mujoco"),
@@ -197,11 +212,7 @@ def model_of(arm: str, spread: dict | None, payload: float = 0.0) -> mujoco.MjMo
                 inertia.set(key, f"{float(value) * factor}")
             at = np.array(origin.get("xyz", "0 0 0").split(), float) + shift
             origin.set("xyz", " ".join(f"{x:.7f}" for x in at))
-    model = mujoco.MjModel.from_xml_string(ET.tostring(tree, encoding="unicode"))
-    model.opt.timestep, model.dof_armature[:] = STEP, ARMS[arm]["rotor"]
-    model.jnt_limited[:] = 0
-    model.dof_damping[:] = model.dof_frictionloss[:] = 0
-    return model
+    return ET.tostring(tree, encoding="unicode")
 
 
 def arm_of(arm: str, rng: np.random.Generator) -> dict:
@@ -288,17 +299,14 @@ def shaped(command: np.ndarray, day: dict) -> np.ndarray:
     for j in range(6):
         u = np.interp(t - day["delay"][j], t, command[:, j])
         lag = max(day["lag"][j], 1e-4)
-        keep, x = np.exp(-0.004 / lag), u[0]
+        keep = np.exp(-0.004 / lag)
         ahead = 1 - lag / 0.004 * (1 - keep)  # exact for a command that is linear between samples
-        out[0, j] = x
-        for k in range(1, len(u)):
-            x = keep * x + (1 - keep) * u[k - 1] + ahead * (u[k] - u[k - 1])
-            out[k, j] = x
+        out[:, j] = u[0] + lfilter([ahead, 1 - keep - ahead], [1, -keep], u - u[0])
     return out
 
 
 def rigid(model: mujoco.MjModel, u: np.ndarray) -> np.ndarray:
-    """Torques of the rigid bodies along u, 250 Hz."""
+    """Torques of the rigid bodies along u, 250 Hz, shape (samples, joints of all arms)."""
     data, v = mujoco.MjData(model), np.gradient(u, 0.004, axis=0)
     a, out = np.gradient(v, 0.004, axis=0), np.empty_like(u)
     for k in range(len(u)):
@@ -409,8 +417,8 @@ def outside(days: list[dict], t: float, q: np.ndarray, v: np.ndarray, gust: np.n
 def simulate(days: list[dict]) -> list[dict]:
     """All days of one arm at once, at 1 kHz: logged rows (time, run, command, q, v, torque) without noise."""
     arm, n = days[0]["arm"], len(days)
-    models = [model_of(arm, d["spread"], d["payload"]) for d in days]
-    datas, nominal = [mujoco.MjData(m) for m in models], model_of(arm, None)
+    model = model_of(arm, *days)
+    data = mujoco.MjData(model)
     commands = [motion(arm, d["seed"]) for d in days]
     servo = [shaped(c, d) for c, d in zip(commands, days, strict=True)]
     total = max(map(len, servo))
@@ -420,7 +428,10 @@ def simulate(days: list[dict]) -> list[dict]:
 
     u = np.stack([hold(x) for x in servo], 1)
     speed = np.gradient(u, 0.004, axis=0)
-    forward = np.stack([hold(rigid(nominal, x)) if arm == "ur10e" else np.zeros((total + 1, 6)) for x in servo], 1)
+    forward = np.zeros_like(u)
+    if arm == "ur10e":
+        nominal = model_of(arm, *[{"spread": None, "payload": 0.0}] * n)
+        forward = rigid(nominal, u.reshape(len(u), -1)).reshape(u.shape)
     p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in P_ARRAYS}
     q, v, z, gust = u[0].copy(), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
     load, ends = np.abs(forward[0]), np.stack([ends_of(d["seed"]) for d in days])
@@ -446,35 +457,16 @@ def simulate(days: list[dict]) -> list[dict]:
             gust = 0.97 * gust + 0.24 * np.array([r.normal() for r in rngs])
         friction, z = bristles(p, t, q, v, z, load)
         torque = p["kt"] * push - friction + outside(days, t, q, v, gust)
-        for i, (m, d) in enumerate(zip(models, datas, strict=True)):
-            if k == 0:
-                d.qpos[:] = q[i]
-            d.qfrc_applied[:] = torque[i]
-            mujoco.mj_step(m, d)
-            q[i], v[i] = d.qpos, d.qvel
-            load[i] += 0.05 * (np.abs(d.qfrc_bias) - load[i])
+        data.qfrc_applied[:] = torque.ravel()
+        if k == 0:
+            data.qpos[:] = q.ravel()
+        mujoco.mj_step(model, data)
+        q, v = data.qpos.reshape(n, 6).copy(), data.qvel.reshape(n, 6).copy()
+        load += 0.05 * (np.abs(data.qfrc_bias.reshape(n, 6)) - load)
     return [table(rows[:, i], commands[i], ends[i]) for i in range(n)]
 
 
-P_ARRAYS = [
-    "kp",
-    "kd",
-    "limit",
-    "kt",
-    "dry",
-    "asymmetry",
-    "viscous",
-    "load",
-    "static",
-    "stribeck",
-    "bristle",
-    "ripple",
-    "ripple_n",
-    "ripple_at",
-    "warm",
-    "cold",
-    "cold_s",
-]
+P_ARRAYS = "kp kd limit kt dry asymmetry viscous load static stribeck bristle ripple ripple_n ripple_at warm cold cold_s".split()
 
 
 def bristles(
@@ -517,9 +509,8 @@ def written(day: dict, clean: dict, path: Path) -> None:
     of, rng = ARMS[day["arm"]], np.random.default_rng([day["seed"], 3])
     n, x = len(clean["time"]), clean["x"]
     keep, noise = rng.uniform(0.5, 0.9), rng.normal(size=(n, 6))
-    follow = np.zeros((n, 6))
-    for k in range(1, n):
-        follow[k] = keep * follow[k - 1] + np.sqrt(1 - keep**2) * noise[k]
+    noise[0] = 0.0
+    follow = lfilter([np.sqrt(1 - keep**2)], [1, -keep], noise, axis=0)
     drift = np.cumsum(rng.normal(0, 1, (n, 6)), 0) / np.sqrt(n) * 0.25
     scatter = np.array(of["noise"]) * day["noise"] * (0.8 * follow + 0.5 * rng.normal(size=(n, 6)) + drift)
     jitter = rng.normal(0, 2e-5, n)
@@ -640,7 +631,7 @@ def make(folder: Path, arm: str) -> None:
         truth = arm_of(arm, rng)
         day, other = day_of(truth, arm, rng), day_of(truth, arm, rng)
         day["torque"] = other["torque"] = entry["torque"]
-        top = np.abs(rigid(model_of(arm, truth["spread"]), motion(arm, day["seed"]))).max(0) + 0.5 * day["dry"]
+        top = np.abs(rigid(model_of(arm, day), motion(arm, day["seed"]))).max(0) + 0.5 * day["dry"]
         hidden, also, alone = day, entry.get("also"), day
         if entry["kind"]:
             hidden = put(day, entry["kind"], entry["joint"], entry["level"], top, rng)
@@ -711,7 +702,7 @@ def baseline(folder: Path) -> None:
 
 def observed(path: Path, entry: dict) -> dict:
     """Windows of 0.1 s of a log: torque less the rigid bodies of the user's file, angle, speed, time."""
-    table, of, model = pd.read_csv(path), ARMS[entry["arm"]], model_of(entry["arm"], None)
+    table, of, model = pd.read_csv(path), ARMS[entry["arm"]], model_of(entry["arm"])
 
     def pick(what: str) -> np.ndarray:
         return np.stack([table[what.replace("#", str(j + 1))] for j in range(6)], 1)
