@@ -373,7 +373,7 @@ def check_robot(
         raise InputError(f"n is {n}; a check needs at least 4 campaigns, one of each kind")
     for word in not_logged:
         if word not in COLUMN_PREFIXES:
-            raise InputError(f"not logged: {word}: not known; allowed: {', '.join(COLUMN_PREFIXES)}")
+            raise InputError(f"not logged: {word}: unknown; allowed: {', '.join(COLUMN_PREFIXES)}")
     engine_versions()
     subject, assumed = subject_of(robot, None if isinstance(poses, int) else poses)
     seed = secrets.randbits(32) if seed is None else seed

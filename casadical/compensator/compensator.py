@@ -18,7 +18,7 @@ from casadical.compensator.layout import JointBox, Layout, box_around
 from casadical.compensator.network import Loss, Network, Task, joint_angles, make_task, residuals, training_masks
 from casadical.compensator.report import BeforeAfter, table
 from casadical.compensator.trainers.base import Trainer
-from casadical.compensator.trainers.known import trainer_named
+from casadical.compensator.trainers.registry import trainer_named
 from casadical.core.basics import Array, InputError
 
 if TYPE_CHECKING:
@@ -76,9 +76,9 @@ def train(
     Examples
     --------
     >>> from casadical.compensator import JointBox, Layout, make_task, train
-    >>> from casadical.compensator.trainers.known import known_trainers
+    >>> from casadical.compensator.trainers.registry import trainers_by_name
     >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)
-    >>> train(task, known_trainers()["lm"](), seed=1).weights.shape
+    >>> train(task, trainers_by_name()["lm"](), seed=1).weights.shape
     (33,)
     """
     return train_all([task], trainer, seed=seed, every=every, progress=progress)[0]
@@ -198,7 +198,7 @@ class Compensator:
         validate : (q, residual_mm) of further poses, for the report only
         choose : (q, residual_mm) of poses that decide whether the network helps, instead of a
             cross-validation
-        trainer : name of one of `known_trainers`, or a trainer with its settings
+        trainer : name of one of `trainers_by_name`, or a trainer with its settings
         layout : sizes of the network; None: one hidden layer of 5 neurons
         joint_range : joint ranges that scale the inputs; None: those of the training poses
         output_scale_mm : millimetres of one unit of the output layer, 1 in the paper; None: root

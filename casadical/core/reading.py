@@ -255,7 +255,7 @@ def foreign(what: str, remedy: str = "") -> Iterator[None]:
         raise
     except Exception as error:
         lines = [] if _of_python(error) else str(error).strip().splitlines()
-        text = re.sub(r": \(.*,\)$", "", lines[0]).rstrip(".:") if lines else "damaged, or of a form that is not known"
+        text = re.sub(r": \(.*,\)$", "", lines[0]).rstrip(".:") if lines else "damaged, or of an unknown form"
         raise InputError(f"{what}: {shown(text)}{remedy and '; '}{remedy}") from None
 
 

@@ -179,7 +179,7 @@ def _fault(schema: type[BaseModel], data: Mapping[str, Any], error: Any) -> str:
         keys = table.keys() if issubclass(table, TomlTable) else own
         near = difflib.get_close_matches(str(loc[-1]), keys, 1, 0.6)
         hint = f" (is {near[0]} meant?)" if near else ""
-        return f"{key} = {_short(value)}: not a known key{hint}; allowed here: {', '.join(keys)}"
+        return f"{key} = {_short(value)}: unknown key{hint}; allowed here: {', '.join(keys)}"
     if error["type"] == "missing":
         return f"{key}: is missing{'; write casadical = 1, the version of the file' if key == 'casadical' else ''}"
     given = f" = {_short(value)}" if not isinstance(value, Mapping) else ""

@@ -67,7 +67,7 @@ def thirds(values: Array) -> tuple[Array, Array]:
     return np.searchsorted(edges[1:-1] + TIE_TOLERANCE * np.ptp(edges), values), edges
 
 
-def known_digits(value: float, size: float, digits: int) -> float:
+def rounded_at(value: float, size: float, digits: int) -> float:
     """Return a value rounded to the decimal place `digits` after the leading digit of `size`.
 
     Digits that rounding errors decide are dropped. The value is unchanged if `size` is zero or not

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from casadical.core.basics import InputError
 from casadical.effects import Effect
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.measurements.derived_columns import Loads, derive
 from casadical.measurements.measurements import Measurements, same_readings
 from casadical.robot.robot import Robot
@@ -146,7 +146,7 @@ def _of_list(which: str, robot: Robot) -> list[Candidate]:
 
     Neighbouring effects of single joints are ordered joint by joint.
     """
-    return _of_kinds([kind for kind in known_effects().values() if kind.on_list == which], robot)
+    return _of_kinds([kind for kind in effects_by_name().values() if kind.on_list == which], robot)
 
 
 def _of_kinds(kinds: Iterable[type[Effect]], robot: Robot) -> list[Candidate]:

@@ -40,13 +40,13 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
         as_known = _log_evidence(case, fit, noise.sigma, prior)
         for key, wide in parts.items():
             if key not in done:
-                factor[key] = _log_evidence(case, fit, noise.sigma, prior.with_nothing_known(wide)) - as_known
+                factor[key] = _log_evidence(case, fit, noise.sigma, prior.widened(wide)) - as_known
         untested = [key for key in parts if key not in done]
         first = best_of(untested, factor.__getitem__, logs=True) if untested else None
         if first is None or probability_of_change(factor[first]) < SETTINGS.min_change:
             return tuple(Change(*key, probability_of_change(value)) for key, value in factor.items()), prior
         done.add(first)
-        prior = prior.with_nothing_known(parts[first])
+        prior = prior.widened(parts[first])
 
 
 def _parts(case: Case, prior: Prior) -> dict[tuple[str, int | None], dict[str, float]]:

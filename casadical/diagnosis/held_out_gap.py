@@ -179,7 +179,7 @@ def network_gap(
     Networks are trained on four fifths of the inliers each; their inputs are joint readings only.
     columns : indices of the causes' columns, shape (k,); they are refitted to each four fifths
     noise : noise of these fits; seed : seed of the fifths and of the training
-    trainer : name of one of `known_trainers`, or a trainer with its settings
+    trainer : name of one of `trainers_by_name`, or a trainer with its settings
     """
     # Imported on demand, because it takes a tenth of the time of all imports.
     from casadical.compensator import Compensator

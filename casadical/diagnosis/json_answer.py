@@ -99,7 +99,7 @@ def diagnosis_files(
     comment = f"Diagnosed by casadical from {name}.\n{headline(found, more)}\n{refit.verdict}"
     kinds = [type(effect) for effect in refit.robot.effects]
     return {
-        **robot_files(folder / "diagnosed.robot.toml", refit.robot, comment, kinds, known_alone=True),
+        **robot_files(folder / "diagnosed.robot.toml", refit.robot, comment, kinds, reproducible=True),
         folder / "diagnosis.json": json_text({**as_json(found, name, more), "tables": list(tables)}),
         folder / "diagnosis.txt": page_of(found, more) + "\n",
     }

@@ -202,7 +202,7 @@ class Case:
         for name, (value, width) in prior.means.items():
             mean[places[name]], sigma[places[name]] = value - self.values[places[name]], width
         blocks = []
-        for names, matrix in prior.known:
+        for names, matrix in prior.covariances:
             own = [k for k, name in enumerate(names) if self.given.parameters[name].group in prior.labels]
             if own:
                 blocks.append((np.array([places[names[k]] for k in own]), matrix[np.ix_(own, own)]))

@@ -52,11 +52,11 @@ class NoiseAccount:
     """
 
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("declared", lambda noise: noise.declared or None, "mm", 5, if_known=True),
-        Key("datasheet", lambda noise: noise.sheet or None, "mm", 5, if_known=True),
-        Key("repeats", lambda noise: noise.repeats if noise.freedom else None, "mm", 5, if_known=True),
-        Key("repeats_freedom", lambda noise: noise.freedom or None, if_known=True),
-        Key("form", lambda noise: noise.form or None, if_known=True),
+        Key("declared", lambda noise: noise.declared or None, "mm", 5, omit_none=True),
+        Key("datasheet", lambda noise: noise.sheet or None, "mm", 5, omit_none=True),
+        Key("repeats", lambda noise: noise.repeats if noise.freedom else None, "mm", 5, omit_none=True),
+        Key("repeats_freedom", lambda noise: noise.freedom or None, omit_none=True),
+        Key("form", lambda noise: noise.form or None, omit_none=True),
     )
 
     total: float = field(metadata=written("taken", "mm", 5))

@@ -148,9 +148,9 @@ class CauseSet:
 
     derived: ClassVar[tuple[Key, ...]] = (
         Key("others", lambda s: [{"causes": labels, "probability": p} for labels, p in s.others], digits=4),
-        Key("names", lambda s: s.names or None, digits=4, if_known=True),
-        Key("further", lambda s: s.further or None, digits=4, if_known=True),
-        Key("further_gap", lambda s: s.further_gap if s.further else None, "mm", 5, if_known=True),
+        Key("names", lambda s: s.names or None, digits=4, omit_none=True),
+        Key("further", lambda s: s.further or None, digits=4, omit_none=True),
+        Key("further_gap", lambda s: s.further_gap if s.further else None, "mm", 5, omit_none=True),
     )
 
     probability: float = field(metadata=written(digits=4))
@@ -253,7 +253,7 @@ class Diagnosis(Result):
     )
 
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("in_part_only", lambda d: (d.verdict == "explained" and d.has_rest) or None, if_known=True),
+        Key("in_part_only", lambda d: (d.verdict == "explained" and d.has_rest) or None, omit_none=True),
         Key("gap", lambda d: {k: getattr(d.gap, k) for k in ("before", "after", "floor")}, "mm", 5),
     )
 

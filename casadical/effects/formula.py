@@ -94,13 +94,13 @@ def parse(text: str, own: frozenset[str] = frozenset()) -> Formula:
     return Formula(text, tuple(names), components)
 
 
-def refuse_unknown(formula: Formula, known: Callable[[str], bool], allowed: str) -> None:
-    """Check that all names in a formula are known. Raises InputError for the first that is not.
+def refuse_unknown(formula: Formula, allows: Callable[[str], bool], allowed: str) -> None:
+    """Check that all names in a formula are allowed. Raises InputError for the first that is not.
 
-    known : function that returns whether a name is; allowed : names that are, for the message
+    allows : function that returns whether a name is allowed; allowed : names for the message
     """
     for node in _names_of(_tree(formula.text)):
-        if not known(node.id):
+        if not allows(node.id):
             raise _error_at(formula.text, node, f"unknown name {node.id!r}; allowed are {allowed}")
 
 

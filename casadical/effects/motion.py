@@ -14,7 +14,7 @@ import numpy as np
 from casadical.core.basics import Array
 from casadical.effects.definition import DefinedEffect, read_definitions
 from casadical.effects.formula import NUMERIC_FUNCTIONS
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 
 # Class of a defined effect that is a cause in joint logs, with any joint and settings.
 Cause = type[DefinedEffect]
@@ -26,7 +26,7 @@ def motion_effects() -> Mapping[str, type[DefinedEffect]]:
 
     They are the package's and, of plug-ins, the defined effects whose `on_list` is "motion".
     """
-    installed = {k: kind for k, kind in known_effects().items() if kind.on_list == "motion"}
+    installed = {k: kind for k, kind in effects_by_name().items() if kind.on_list == "motion"}
     own = {k: kind for k, kind in installed.items() if issubclass(kind, DefinedEffect)}
     return {**read_definitions(Path(__file__).with_name("motion.effect.toml"), __name__), **own}
 

@@ -20,7 +20,7 @@ ENTRY_POINT_GROUP = "casadical.effects"
 
 
 @cache
-def known_effects() -> Mapping[str, type[Effect]]:
+def effects_by_name() -> Mapping[str, type[Effect]]:
     """Return the class of every effect by its name: the package's, then those of plug-ins.
 
     Raises InputError that names the entry point of a plug-in that cannot be loaded, is no subclass
@@ -51,7 +51,7 @@ def find_effect(name: str, own: Iterable[type[Effect]] = ()) -> type[Effect]:
     own : additional classes to search; they replace installed ones of the same name
     Raises InputError, with the names of all effects, for an unknown name.
     """
-    kinds = {**known_effects(), **{kind.name: kind for kind in own}}
+    kinds = {**effects_by_name(), **{kind.name: kind for kind in own}}
     if name not in kinds:
         raise InputError(
             f"no effect {name!r} is installed; there are {', '.join(sorted(kinds))}. One of your own is registered by "
@@ -68,7 +68,7 @@ def new_effects(definitions: Iterable[Definition]) -> tuple[type[Effect], ...]:
     """
     kinds = effect_classes(definitions)
     for k, kind in enumerate(kinds, 1):
-        if kind.name in known_effects() or kind.name in [other.name for other in kinds[: k - 1]]:
+        if kind.name in effects_by_name() or kind.name in [other.name for other in kinds[: k - 1]]:
             raise InputError(f"definition[{k}].name: there is an effect {kind.name!r} already; give it another name")
     return kinds
 
@@ -78,10 +78,10 @@ def defined_in_files(effects: Iterable[Effect]) -> list[Definition]:
 
     They are not installed, so that a file with such an effect must contain its definition, too.
     """
-    kinds = dict.fromkeys(type(e) for e in effects if isinstance(e, DefinedEffect) and e.name not in known_effects())
+    kinds = dict.fromkeys(type(e) for e in effects if isinstance(e, DefinedEffect) and e.name not in effects_by_name())
     return [kind.definition for kind in kinds]
 
 
 def signature_of(name: str) -> str:
     """Return the sentence on how the effect of a name appears in data; "" for an unknown name."""
-    return known_effects()[name].signature if name in known_effects() else ""
+    return effects_by_name()[name].signature if name in effects_by_name() else ""

@@ -47,7 +47,7 @@ class RobotModel(Result):
 
     line: ClassVar[str] = " of {{ it.about or 'a robot' }}, {{ it.text.splitlines() | length }} lines"
 
-    kept_as: ClassVar[str] = "model"
+    file_stem: ClassVar[str] = "model"
 
     text: str
     lines: tuple[str, ...]
@@ -75,7 +75,7 @@ def form_of(word: str | None, out: Path) -> str:
     if form is None:
         raise InputError(f"{out}: its ending does not say which form is wanted; give --to {'|'.join(MODEL_FORMS)}")
     if form not in MODEL_FORMS:
-        raise InputError(f"--to {form}: not known; allowed: {', '.join(MODEL_FORMS)}")
+        raise InputError(f"--to {form}: unknown; allowed: {', '.join(MODEL_FORMS)}")
     return form
 
 

@@ -175,7 +175,7 @@ class Fleet(Result):
             assert prior.knowledge is not None
             if unnamed := [b.names[0] for b in prior.knowledge.covariance if b.names[0] not in c.names]:
                 comment += f"\nHeld as drawn, for the robots' poses do not determine them: {', '.join(unnamed)}."
-            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(prior, comment, known_alone=True)
+            texts[Path(folder) / f"{c.type}.robot.toml"] = to_toml(prior, comment, reproducible=True)
         return texts
 
     def _correction(self, common: Common, name: str) -> str:

@@ -40,7 +40,7 @@ class Accuracy(Shown):
     p95: float = field(metadata=IN_MM)
     turn: Accuracy | None = None
 
-    derived: ClassVar[tuple[Key, ...]] = (Key("orientation", lambda a: a.turn and a.turn.in_degrees, if_known=True),)
+    derived: ClassVar[tuple[Key, ...]] = (Key("orientation", lambda a: a.turn and a.turn.in_degrees, omit_none=True),)
 
     @property
     def in_degrees(self) -> dict[str, float]:

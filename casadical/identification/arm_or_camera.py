@@ -240,7 +240,7 @@ def _linear(found: Identification) -> tuple[Array, Array]:
     """Return residuals of kind pose, (n, 6) [m, rad], and their derivatives by the variables, (n, 6, k)."""
     problem = found.problem
     sets = (replace(problem.sets[0], noise=None),)
-    plain = replace(problem, sets=sets, sigmas=((1.0, 1.0),), loss="linear", priors=False, known=())
+    plain = replace(problem, sets=sets, sigmas=((1.0, 1.0),), loss="linear", priors=False, correlated=())
     (r,), J = plain.evaluate(found.solution.v)
     return r, J.reshape(len(r), 6, -1)
 

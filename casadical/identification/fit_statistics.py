@@ -42,7 +42,7 @@ def variance(problem: LeastSquares, v: Array, *, trimmed: bool = False) -> float
     scatter of the residuals instead. With a correlated prior it is at least one: small residuals
     relative to the prior are no sign that the prior or the instrument is better than stated.
     """
-    least = 1.0 if problem.known else 0.0
+    least = 1.0 if problem.correlated else 0.0
     freedom = max(1, problem.degrees_of_freedom)
     if problem.loss != "linear" and not trimmed:
         typical = float(np.median([robust_std(r) ** 2 for r in problem.residuals(v)]))

@@ -167,7 +167,7 @@ def with_method(robot: Robot, method: str, sets: Sequence[Measurements]) -> tupl
     (`with_unknown_masses`). Raises InputError for another method.
     """
     if method not in METHODS:
-        raise InputError(f"method {method!r} is not known; allowed: {', '.join(METHODS)}")
+        raise InputError(f"method {method!r} is unknown; allowed: {', '.join(METHODS)}")
     if method == "KM":  # rigid joints
         return robot.with_values(dict.fromkeys(robot.parameters.select(["compliance"]), 0.0)), ()
     return with_unknown_masses(robot, sets)
@@ -384,7 +384,7 @@ def calibrated(
     robot, sets, prior = prepared.robot, prepared.sets, prepared.prior
     free = (free,) if isinstance(free, str) else tuple(free)
     if loss not in ALL_LOSSES:
-        raise InputError(f"loss {loss!r} is not known; allowed: {', '.join(ALL_LOSSES)}")
+        raise InputError(f"loss {loss!r} is unknown; allowed: {', '.join(ALL_LOSSES)}")
     by_departure = priors == "auto" and not prior.free
     if priors == "auto":
         priors = False
@@ -411,7 +411,8 @@ def calibrated(
         return replace(result, measurements=sets, outliers=outliers)
     plain: Loss = "linear" if loss == "auto" else loss
     seen = tuple(m.in_camera_axes() for m in sets) if in_camera else sets
-    problem = LeastSquares(start, seen, names, plain, priors, initial_sigmas(sets), known=prior.known, weighed=weighed)
+    sigmas, correlated = initial_sigmas(sets), prior.covariances
+    problem = LeastSquares(start, seen, names, plain, priors, sigmas, correlated=correlated, weighed=weighed)
     solve = solve_by_auto if loss == "auto" else solve_without_outliers
     (reduced, solution, judged), outliers = solve(problem, MAX_OUTLIER_ROUNDS if screen else 0, progress)
     placed = start.effect_values != robot.effect_values  # base and tool of further sessions

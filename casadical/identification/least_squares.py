@@ -77,7 +77,7 @@ class LeastSquares:
     fixed_loads : whether gravity torques are those of the nominal geometry (see `expressions`)
     weighed : whether the tilt of the pedestal is identified by the weight of the links alone, where
         nothing at rest was measured
-    known : correlated priors, each as names and their covariance [SI]; their means are those of
+    correlated : names and covariance [SI] of each group of correlated parameters; their means are those of
         `priors`
     max_cached_values : maximum number of values of a cached Jacobian or cached residuals, and of
         poses whose inputs are cached
@@ -92,7 +92,7 @@ class LeastSquares:
     sigmas: tuple[tuple[float, float], ...]
     fixed_loads: bool = False
     weighed: bool = False
-    known: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    correlated: tuple[tuple[tuple[str, ...], Array], ...] = ()
     max_cached_values: int = 2_000_000
     cache: ProblemCache = field(default_factory=ProblemCache, init=False, repr=False)
 
@@ -164,8 +164,8 @@ class LeastSquares:
 
         The robot's own priors of base and tool only limit the search: they do not count.
         """
-        known_before = {*self.given, *(n for names, _ in self.known for n in names)}
-        own = [p.group not in FRAME_GROUPS or p.name in known_before for p in self._free_parameters]
+        informed = {*self.given, *(n for names, _ in self.correlated for n in names)}
+        own = [p.group not in FRAME_GROUPS or p.name in informed for p in self._free_parameters]
         return np.array([*own, *[False] * (self.size - len(own))], dtype=bool)
 
     @property
@@ -210,10 +210,10 @@ class LeastSquares:
         without a prior are zero.
         """
         weights = np.zeros(self.size)
-        held_back = self.guesses | bool(self.priors)
-        weights[: len(self.names)] = np.where(held_back, (self.scale / self._prior[1]) ** 2, 0.0)
+        with_prior = self.guesses | bool(self.priors)
+        weights[: len(self.names)] = np.where(with_prior, (self.scale / self._prior[1]) ** 2, 0.0)
         matrix = np.diag(weights)
-        for names, covariance in self.known:
+        for names, covariance in self.correlated:
             places = [k for k, name in enumerate(self.names) if name in names]
             at = [names.index(self.names[k]) for k in places]
             scale = self.scale[places]
@@ -229,7 +229,7 @@ class LeastSquares:
     @cached_property
     def _without_priors(self) -> bool:
         """Whether no prior applies to any variable."""
-        return not (self.priors or self.known or self.guesses.any())
+        return not (self.priors or self.correlated or self.guesses.any())
 
     def prior_square(self, v: Array, *, counted: bool = False) -> float:
         """Return the squared Mahalanobis distance of the variables v from the priors' mean.
@@ -286,7 +286,7 @@ class LeastSquares:
         """
         scale = 0.5 * self.residual_count
         start = self._approached(np.zeros(self.size) if start is None else start)
-        creeps = bool(self.guesses.any() or self.known)
+        creeps = bool(self.guesses.any() or self.correlated)
         settled = (lambda v: self.decrement(v) < SETTLED_COST_GAIN) if creeps else None
         solution = minimise(
             self.cost, self.gradient, *self.bounds, scale=scale, start=start, progress=progress, settled=settled

@@ -78,14 +78,14 @@ class PlacementProblem:
     """The least squares problem of base and tool frames, with the robot file as prior.
 
     base, tool : base frame, shape (4, 4), and tool position, shape (3,) [m], of the robot file
-    tool_known : whether the tool is fixed at the file's position
+    tool_fixed : whether the tool is fixed at the file's position
     """
 
-    def __init__(self, readings: Sequence[Readings], base: Array, tool: Array, *, tool_known: bool) -> None:
+    def __init__(self, readings: Sequence[Readings], base: Array, tool: Array, *, tool_fixed: bool) -> None:
         """Set up the prior about the frames of the robot file; arguments are as of the class."""
         self.readings, self.base, self.tool = readings, base, tool
         # One sigma of the rotation [rad], the shift [m] and the tool [m].
-        sigma = np.repeat([0.3, 100.0, 1e-6 if tool_known else 0.1], 3)
+        sigma = np.repeat([0.3, 100.0, 1e-6 if tool_fixed else 0.1], 3)
         self.prior = np.diag(sigma**-2.0)
 
     def determined(self, at: FrameEstimate) -> bool:
@@ -251,7 +251,7 @@ def _placed(
     T_M0, t : initial base frame (4, 4) and tool position (3,) [m]
     """
     file = robot.tool.T[:3, 3]
-    placement = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_known=tool_position is not None)
+    placement = PlacementProblem([Readings(p, R, y)], robot.base.T, file, tool_fixed=tool_position is not None)
     starts = []
     if len(p) >= MIN_START_READINGS:
         T, tool = solve_placement(p, R, y, tool_position, T_M0, t)
@@ -282,7 +282,7 @@ def _by_distances(robot: Robot, sets: Sequence[Measurements]) -> Robot:
         some = m[::step]
         assert some.distance is not None
         readings.append(Readings(*_flange(robot, some, T), some.distance, some.target))
-    placement = PlacementProblem(readings, T, tool, tool_known=robot.tool.unknown == "none")
+    placement = PlacementProblem(readings, T, tool, tool_fixed=robot.tool.unknown == "none")
     best = placement.best(placement.starts())
     T_E = frame(robot.tool.T[:3, :3], best.t)
     return replace(robot, base=replace(robot.base, T=frame(best.R, best.p)), tool=replace(robot.tool, T=T_E))
@@ -375,7 +375,7 @@ def median_error(robot: Robot, m: Measurements) -> float:
 
 
 def solve_placement(
-    p: Array, R: Array, y: Array, known_tool: Array | None, T_M0: Array, t: Array
+    p: Array, R: Array, y: Array, fixed_tool: Array | None, T_M0: Array, t: Array
 ) -> tuple[Array, Array]:
     """Return base frame T_M0 (4, 4) and tool t, shape (3,) [m], from positions in closed form.
 
@@ -383,7 +383,7 @@ def solve_placement(
 
     p, R : flange positions (n, 3) [m] and orientations (n, 3, 3) in the base frame
     y : measured positions in the measuring frame, shape (n, 3) [m]
-    known_tool : fixed tool position, shape (3,) [m]; None: it is found
+    fixed_tool : fixed tool position, shape (3,) [m]; None: it is found
     """
     n = len(p)
     centre = y.mean(axis=0)
@@ -400,18 +400,18 @@ def solve_placement(
     G[12:, :12] = G[:12, 12:].T
     G[9:, 9:] += np.diag([n] * 6)
     before = np.concatenate([R_B.T.ravel(), R_B.T @ (centre - T_M0[:3, 3]), t])
-    if known_tool is not None:
-        G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ known_tool, before[:12]
+    if fixed_tool is not None:
+        G, h, before = G[:12, :12], h[:12] - G[:12, 12:] @ fixed_tool, before[:12]
     placed = before + _truncated_inverse(G) @ (h - G @ before)
     R_B = nearest_rotation(placed[:9].reshape(3, 3)).T
-    t = placed[12:] if known_tool is None else known_tool
+    t = placed[12:] if fixed_tool is None else fixed_tool
     # R t + s = R_B' y - p, with s = R_B' p_B the measuring frame's offset in the base frame
     yR = (cR + np.multiply.outer(centre, S)).reshape(9, 3)
     G = np.block([[n * np.eye(3), S.T], [S, n * np.eye(3)]])
     inverse, p_sum = _truncated_inverse(G), p.sum(axis=0)
     # Kabsch's method and the tool alternate; three rounds suffice.
     for _ in range(3):
-        if known_tool is None:
+        if fixed_tool is None:
             e = n * centre @ R_B - p_sum
             before = np.concatenate([t, (e - S @ t) / n])
             t = t + (inverse @ (np.concatenate([R_B.ravel() @ yR - Rp, e]) - G @ before))[:3]

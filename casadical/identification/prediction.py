@@ -85,7 +85,7 @@ def _prior_size_factors(whole: LeastSquares, v: Array, variance: float, given: R
     """
     own = [whole.robot.parameters[n] for n in whole.names]
     effects = {p.name for e in whole.robot.effects for p in e.parameters()}
-    elsewhere = {n for block in _known_covariances(whole) for n in block.names} | effects | whole.given.keys()
+    elsewhere = {n for block in _prior_covariances(whole) for n in block.names} | effects | whole.given.keys()
     frame, free = np.array([(p.group in FRAME_GROUPS, p.name not in elsewhere) for p in own]).T
     frames, arm = (np.flatnonzero(free & which) for which in (frame, ~frame))
     # Unknown points have one sigma of 1000 of their units, 1 m.
@@ -135,10 +135,10 @@ def _data_information(whole: LeastSquares, v: Array, variance: float, unit: Arra
     return (V * information) @ V.T, V @ (information / value[seen] * (V.T @ product))
 
 
-def _known_covariances(problem: LeastSquares) -> Iterator[Covariance]:
+def _prior_covariances(problem: LeastSquares) -> Iterator[Covariance]:
     """Yield the covariances from the robot file or another campaign."""
     yield from problem.robot.knowledge.covariance if problem.robot.knowledge else ()
-    yield from (Covariance(*block) for block in problem.known)
+    yield from (Covariance(*block) for block in problem.correlated)
 
 
 def _prior_covariance(problem: LeastSquares, names: Sequence[str]) -> Array:
@@ -148,7 +148,7 @@ def _prior_covariance(problem: LeastSquares, names: Sequence[str]) -> Array:
     """
     robot = problem.robot
     S = np.diag([problem.given.get(n, (0.0, robot.parameters[n].prior))[1] ** 2 for n in names])
-    for block in _known_covariances(problem):
+    for block in _prior_covariances(problem):
         own = block.only(names)
         at = [list(names).index(n) for n in own.names]
         S[np.ix_(at, at)] = own.matrix

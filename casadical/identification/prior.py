@@ -50,10 +50,10 @@ class Prior(Shown):
 
     free : names of all its parameters, which are to be identified
     means : name -> (mean, one sigma) [SI]
-    known : names and covariance [SI] of each group of correlated parameters
+    covariances : names and covariance [SI] of each group of correlated parameters
     labels : of the effects that were taken over
     knowledge : covariance and ranges of validity of the robot file that they come from
-    frozen : whether the parameters are fixed at their values (then free, means and known are empty)
+    frozen : whether the parameters are fixed at their values (then free, means and covariances are empty)
     """
 
     line: ClassVar[str] = (
@@ -70,23 +70,23 @@ class Prior(Shown):
 
     free: tuple[str, ...] = ()
     means: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    known: tuple[tuple[tuple[str, ...], Array], ...] = ()
+    covariances: tuple[tuple[tuple[str, ...], Array], ...] = ()
     labels: tuple[str, ...] = ()
     knowledge: Knowledge = field(default_factory=Knowledge)
     frozen: bool = False
 
-    def with_nothing_known(self, wide: Mapping[str, float]) -> Prior:
+    def widened(self, wide: Mapping[str, float]) -> Prior:
         """Return the prior with mean zero and no correlation for some parameters.
 
         wide : names of these parameters -> new standard deviation [SI]
         """
-        rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.known)
-        known = (
+        rest = ([k for k, name in enumerate(names) if name not in wide] for names, _ in self.covariances)
+        covariances = (
             (tuple(names[k] for k in at), matrix[np.ix_(at, at)])
-            for at, (names, matrix) in zip(rest, self.known, strict=True)
+            for at, (names, matrix) in zip(rest, self.covariances, strict=True)
         )
         means = {**self.means, **{name: (0.0, sigma) for name, sigma in wide.items()}}
-        return replace(self, means=means, known=tuple(block for block in known if block[0]))
+        return replace(self, means=means, covariances=tuple(block for block in covariances if block[0]))
 
     def uncovered(self, sets: Sequence[Measurements]) -> dict[str, float]:
         """Return the share of poses (0 to 1) outside of each range on which the prior was learnt.

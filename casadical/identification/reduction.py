@@ -126,7 +126,7 @@ def _estimated_sigmas(problem: LeastSquares, solution: Solution) -> tuple[tuple[
     ):
         r, freedom = (values[m.weight > 0] for values in both)
         n = find_kind(m.kind).lengths
-        if problem.known and freedom.sum() < MIN_NOISE_FREEDOM:
+        if problem.correlated and freedom.sum() < MIN_NOISE_FREEDOM:
             sigmas.append((m.sigma or sigma, m.sigma_angle or angle))
             continue
         if n:
@@ -361,13 +361,13 @@ def reduce_and_solve(
     if largest_sigma > MAX_RESIDUAL_OF_REACH * problem.robot.reach:
         frames = (("base", problem.robot.base), ("tool", problem.robot.tool))
         fixed_frames = " and ".join(name for name, frame in frames if frame.unknown == "none")
-        frames_known = (
+        fixed_frame_remedy = (
             f'; known here: {fixed_frames}; unknown = "pose" or "position" has them fitted (robot file, Placement)'
         )
         raise InputError(
             f"{problem.sets[0].source}: the model does not fit: {1e3 * largest_sigma:.3g} mm per coordinate remain "
             "after the best fit; check the signs and zeros of the joints, their order, units and the DH convention"
-            f"{fixed_frames and frames_known}"
+            f"{fixed_frames and fixed_frame_remedy}"
         )
     fixed = (*poor, *analysis.unidentifiable)
     reasons = "; ".join(f"{u.name}: {u.reason}" for u in fixed[:MAX_NAMES_IN_MESSAGE]) + (

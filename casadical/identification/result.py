@@ -155,7 +155,7 @@ class Identification(Result):
         Key("iterations", lambda found: len(found.solution.history) - 1),
         Key("loss"),
         Key("left_out"),
-        Key("departure", if_known=True),
+        Key("departure", omit_none=True),
         Key("unknown_places"),
         Key("parameters", "shown"),
         Key("modified_dh", lambda found: modified_dh(found.robot)),
@@ -364,7 +364,8 @@ class Identification(Result):
         place_of = {name: k for k, name in enumerate(self.names)}
         before = {p.name: p.prior for p in self.start.parameters if p.guess}
         before |= {name: sigma for name, (_, sigma) in self.problem.given.items()}
-        before |= {n: np.sqrt(v) for names, C in self.problem.known for n, v in zip(names, np.diag(C), strict=True)}
+        blocks = self.problem.correlated
+        before |= {n: np.sqrt(v) for names, C in blocks for n, v in zip(names, np.diag(C), strict=True)}
         rows = []
         for p in self.start.parameters:
             nominal = p.readable(p.value)
@@ -410,7 +411,7 @@ class Identification(Result):
         With a correlated prior, few poses leave too few degrees of freedom to estimate it.
         """
         problem = self.problem
-        if not problem.known or all(m.sigma for m in problem.sets):
+        if not problem.correlated or all(m.sigma for m in problem.sets):
             return False
         return float(redundancies(problem, self.solution.v).sum()) < MIN_NOISE_FREEDOM
 
@@ -493,7 +494,7 @@ class Identification(Result):
 
     def to_toml(self) -> str:
         """Return the calibrated robot as the text of a robot file that `read_robot` reads."""
-        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}", known_alone=True)
+        return to_toml(self.robot, f"Calibrated by casadical.\n{self.verdict}", reproducible=True)
 
     @property
     def dh_table(self) -> pd.DataFrame:

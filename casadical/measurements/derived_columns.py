@@ -81,8 +81,8 @@ def _derived(m: Measurements, name: str, loads: Loads | None) -> Array | None:
     for pattern, of_joint in _JOINT_COLUMNS.items():
         if match := re.fullmatch(pattern, name):
             joint, *way = map(int, match.groups())
-            known = 1 <= joint <= m.q.shape[1]
-            return _in_row_order(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if known else None
+            exists = 1 <= joint <= m.q.shape[1]
+            return _in_row_order(of_joint(m.q[order, joint - 1], *(1e-3 * w for w in way)), order) if exists else None
     return None
 
 

@@ -90,7 +90,7 @@ class Measurements(Shown):
     lost : lines that were dropped because a reading or an observation is missing
     inverted : whether the source has the inverse of each pose: the measuring frame as the tool sees
         it
-    camera : where the camera is that saw the poses, "in hand" or "to base"; empty: not known
+    camera : where the camera is that saw the poses, "in hand" or "to base"; empty: unknown
     clock_offset : time by which the images were taken after the readings of their rows [s], for
         which the readings q are corrected
     noise : ratios of the noise of a camera's poses in its own axes; None: equal in all axes of the
@@ -317,13 +317,13 @@ class Measurements(Shown):
                 )
         return {name: self[own] for name, own in members.items()}
 
-    def with_separations(self, known: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
+    def with_separations(self, separations: Iterable[tuple[str, str, float]], sigma: float = 2e-5) -> Measurements:
         """Return the poses with given distances between touched points.
 
-        known : (label, label, distance [m]) of each pair; sigma : standard deviation of a distance
+        separations : (label, label, distance [m]) of each pair; sigma : standard deviation of a distance
             [m]
         """
-        return replace(self, separations=tuple(known), separation_sigma=sigma)
+        return replace(self, separations=tuple(separations), separation_sigma=sigma)
 
 
 def unmeasured(q: Array, conditions: Mapping[str, Array] | None = None, source: str = "table") -> Measurements:

@@ -24,8 +24,8 @@ from casadical.pose_selection.experimental_design import Design, inverse
 from casadical.pose_selection.information import (
     MAX_POSES_PER_PART,
     independent,
-    known_before,
     noise_covariance,
+    prior_information,
     scaled_jacobian,
 )
 from casadical.pose_selection.instruments import Instrument, without_base
@@ -132,10 +132,10 @@ def prepare(
     words = ("kinematic", "compliance", *(e.label for e in robot.effects)) if free is None else tuple(free)
     wanted = robot.parameters.select(words)
     _refuse_combination(instrument, measured=measured is not None, given=candidates is not None)
-    q, held_at = _readings(robot, candidates, workspace, pool, rng, instrument)
+    q, conditions_at = _readings(robot, candidates, workspace, pool, rng, instrument)
     ready = candidates_at(robot, q, circumstances, n, rng)
-    held_at = {name: which[:, None] * np.ones(ready.size) for name, which in held_at.items()}
-    ready = replace(ready, conditions={**ready.conditions, **held_at})
+    conditions_at = {name: which[:, None] * np.ones(ready.size) for name, which in conditions_at.items()}
+    ready = replace(ready, conditions={**ready.conditions, **conditions_at})
     m, measured = ready.measurements(robot), None if measured is None else _with_columns(robot, measured)
     total = n * ready.size + (0 if measured is None else len(measured))
     some = m[np.arange(min(MAX_POSES_PER_PART, len(m)))]
@@ -144,8 +144,8 @@ def prepare(
     def before(identified: Sequence[str]) -> Array:
         """Return the information matrix of some parameters and the unknown places without poses."""
         size = len(identified) + extra
-        known = known_before(robot, identified, prior, size)
-        return known + (instrument.before(size, noise) if instrument else 0.0)
+        prior_matrix = prior_information(robot, identified, prior, size)
+        return prior_matrix + (instrument.before(size, noise) if instrument else 0.0)
 
     def information(identified: Sequence[str]) -> Array:
         """Return the information matrix of as many random poses as are planned, priors included."""
@@ -205,7 +205,7 @@ def jacobian_of(robot: Robot, names: Sequence[str], m: Measurements, instrument:
     names : the p parameters; m : the poses
     """
     J = scaled_jacobian(robot, names, m)
-    return J if instrument is None or instrument.known else without_base(robot, J, m)
+    return J if instrument is None or instrument.surveyed else without_base(robot, J, m)
 
 
 def _refuse_combination(instrument: Instrument | None, *, measured: bool, given: bool) -> None:
@@ -223,8 +223,8 @@ def _refuse_combination(instrument: Instrument | None, *, measured: bool, given:
         )
     if given and instrument.kind == "sockets":
         raise InputError("sockets: poses that hold the tool in them are computed, and are no candidates to be given")
-    if instrument.known and instrument.kind == "sockets":
-        raise InputError("sockets are identified together with the robot; known places are those of wires")
+    if instrument.surveyed and instrument.kind == "sockets":
+        raise InputError("sockets are identified together with the robot; only wires may have measured places")
 
 
 def _readings(

@@ -105,7 +105,7 @@ def independent(
     return tuple(identifiable[k] for k in determined), (*analysis.unidentifiable, *poor)
 
 
-def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
+def prior_information(robot: Robot, names: Sequence[str], prior: Prior | None, size: int = 0) -> Array:
     """Return the prior information matrix of parameters, shape (size, size), in units of scale.
 
     It is that which `identify` uses; rows and columns beyond the parameters are zero.
@@ -113,6 +113,6 @@ def known_before(robot: Robot, names: Sequence[str], prior: Prior | None, size: 
     names : the parameters; prior : prior of another campaign
     size : number of all variables; less than the number of parameters: that number
     """
-    means, covariances = (prior.means, prior.known) if prior is not None else (False, ())
-    matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), known=covariances).prior_matrix
+    means, covariances = (prior.means, prior.covariances) if prior is not None else (False, ())
+    matrix = LeastSquares(robot, (), tuple(names), "linear", means, (), correlated=covariances).prior_matrix
     return np.pad(matrix, (0, max(0, size - len(names))))

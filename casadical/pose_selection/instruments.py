@@ -36,12 +36,12 @@ class Instrument:
         one of the places
     places : approximate positions of the anchors or sockets in the measuring frame, shape (k, 3)
         [m]
-    known : whether the places are measured too, so that they are no unknowns
+    surveyed : whether the places are measured too, so that they are not estimated
     """
 
     kind: Literal["wires", "sockets"]
     places: Array
-    known: bool = False
+    surveyed: bool = False
 
     @property
     def numbers(self) -> int:
@@ -51,7 +51,7 @@ class Instrument:
     @property
     def extra(self) -> int:
         """Number of unknown coordinates of the places."""
-        return 0 if self.known else self.places.size
+        return 0 if self.surveyed else self.places.size
 
     def sets(self, m: Measurements) -> tuple[Measurements, ...]:
         """Return the noise-free measurements of this instrument at poses m with model positions.
@@ -72,7 +72,7 @@ class Instrument:
         wires = []
         for place in self.places:
             length, end = np.linalg.norm(m.position - place, axis=1), np.tile(place, (len(m), 1))
-            target = end if self.known else None
+            target = end if self.surveyed else None
             wires.append(Measurements(m.q, "distance", distance=length, target=target, conditions=m.conditions))
         return tuple(wires)
 
@@ -100,7 +100,7 @@ class Instrument:
             places[:, np.arange(k), np.arange(k)] = -beam
             places = places.reshape(n, k, 3 * k)
             covariance = beam @ covariance @ beam.transpose(0, 2, 1)
-        whole = seen if self.known else np.concatenate([seen, places], axis=2)
+        whole = seen if self.surveyed else np.concatenate([seen, places], axis=2)
         own = (noise.sigma / POINT_SCALE) ** 2 * np.eye(self.numbers)
         return np.asarray(whitening_of(covariance + own)[0] @ whole)
 
@@ -122,7 +122,7 @@ class Instrument:
         noise : its sigma is that of the distance
         """
         fixed = np.zeros((size, size))
-        if self.kind == "wires" or self.known or len(self.places) < 2:
+        if self.kind == "wires" or self.surveyed or len(self.places) < 2:
             return fixed
         i, j = _farthest(self.places)
         line = self.places[i] - self.places[j]

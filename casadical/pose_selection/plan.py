@@ -32,12 +32,12 @@ class MeasurementPlan(Result):
 
     report: ClassVar[str] = "plan.j2"
     derived: ClassVar[tuple[Key, ...]] = (
-        Key("poses", lambda plan: plan.selection and len(plan.selection), if_known=True),
-        Key("expected_error", "selection.accuracy", "mm", if_known=True),
-        Key("expected_reading", "selection.reading_error", "mm", if_known=True),
+        Key("poses", lambda plan: plan.selection and len(plan.selection), omit_none=True),
+        Key("expected_error", "selection.accuracy", "mm", omit_none=True),
+        Key("expected_reading", "selection.reading_error", "mm", omit_none=True),
         Key("forecast", lambda plan: plan.forecast.table.to_dict("list")),
-        Key("wires", lambda plan: plan.places_of("wires"), if_known=True),
-        Key("sockets", lambda plan: plan.places_of("sockets"), if_known=True),
+        Key("wires", lambda plan: plan.places_of("wires"), omit_none=True),
+        Key("sockets", lambda plan: plan.places_of("sockets"), omit_none=True),
     )
 
     forecast: Forecast

@@ -238,7 +238,7 @@ def forecast(
     )
     design = problem.design(problem.pool, 0.0)
     each, numbers = problem.pool.size, instrument.numbers if instrument else 3
-    with_prior = {*prior.means, *(name for names, _ in prior.known for name in names)} if prior else set()
+    with_prior = {*prior.means, *(name for names, _ in prior.covariances for name in names)} if prior else set()
     p = len(problem.weight) - sum(name in with_prior for name in problem.names)
     # Measurements at one reading have nearly the same information: only the first of them counts
     # here.
@@ -261,7 +261,7 @@ def place_instrument(
     places: Array,
     count: int,
     *,
-    known: bool = False,
+    surveyed: bool = False,
     workspace: Workspace | None = None,
     q: Array | None = None,
     free: Iterable[str] | None = None,
@@ -275,7 +275,7 @@ def place_instrument(
     kind : as of `Instrument`
     places : candidates for the places, in the measuring frame, shape (K, 3) [m]
     count : required number of places
-    known : whether the places will be measured, too, so that they are not unknown
+    surveyed : whether the places will be measured, too, so that they are not estimated
     workspace : which poses can be measured
     q : poses that will be measured by wires, shape (n, joints) [rad or m]; None: random ones
     free : as of `select_poses`
@@ -293,7 +293,7 @@ def place_instrument(
     room, rng = workspace or Workspace(), np.random.default_rng(seed)
     if kind == "sockets":
         places = reachable_places(robot, places, count, room, rng)
-    noise, every = noise or Noise(), Instrument(kind, places, known)
+    noise, every = noise or Noise(), Instrument(kind, places, surveyed)
     size = max(300, 4 * len(places))
     problem = prepare(
         robot,
@@ -309,7 +309,7 @@ def place_instrument(
     )
     p, m = len(problem.names), problem.pool.measurements(robot)
     best = best_places(robot, every, count, problem.names, m, noise, problem.weight[:p, :p])
-    return Instrument(kind, places[best], known)
+    return Instrument(kind, places[best], surveyed)
 
 
 def select_with_places(
@@ -319,7 +319,7 @@ def select_with_places(
     places: Array,
     count: int,
     *,
-    known: bool = False,
+    surveyed: bool = False,
     workspace: Workspace | None = None,
     free: Iterable[str] | None = None,
     noise: Noise | None = None,
@@ -332,14 +332,14 @@ def select_with_places(
     expected error increases; for sockets each are chosen once.
 
     n : number of poses to choose
-    kind, places, count, known : as of `place_instrument`
+    kind, places, count, surveyed : as of `place_instrument`
     workspace, free, noise, seed, options : as of `select_poses`
     """
     best: Selection | None = None
     q = None
     for _ in range(3):
         instrument = place_instrument(
-            robot, kind, places, count, known=known, workspace=workspace, q=q, free=free, noise=noise, seed=seed
+            robot, kind, places, count, surveyed=surveyed, workspace=workspace, q=q, free=free, noise=noise, seed=seed
         )
         if best is not None and best.instrument and np.array_equal(best.instrument.places, instrument.places):
             break

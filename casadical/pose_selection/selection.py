@@ -29,8 +29,8 @@ from casadical.pose_selection.design_problem import DesignProblem, jacobian_of
 from casadical.pose_selection.experimental_design import inverse
 from casadical.pose_selection.information import (
     MM,
-    known_before,
     noise_covariance,
+    prior_information,
     scaled_jacobian,
 )
 from casadical.robot.robot import Robot
@@ -180,13 +180,13 @@ class Selection(DesignProblem, Shown):
             rows = self.instrument.rows(self.robot, self.names, self.m, self.noise)
             A = rows.reshape(-1, rows.shape[2])
             M = A.T @ A + self.instrument.before(A.shape[1], self.noise)
-            M += known_before(self.robot, self.names, self.prior, len(M))
+            M += prior_information(self.robot, self.names, self.prior, len(M))
             p, idle = len(self.names), np.flatnonzero(np.diag(M) == 0)  # sockets that no pose was chosen for
             M[idle, idle] = 1.0
             return inverse(M)[:p, :p]
         J = self.jacobian
         noise = np.concatenate([noise_covariance(self.robot, m, self.noise) for m in self._sets])
-        s2, P = np.trace(noise.mean(axis=0)) / 3, known_before(self.robot, self.names, self.prior)
+        s2, P = np.trace(noise.mean(axis=0)) / 3, prior_information(self.robot, self.names, self.prior)
         H = inverse(np.einsum("kip,kiq->pq", J, J) / s2 + P)
         return np.asarray(H @ (np.einsum("kip,kij,kjq->pq", J, noise, J, optimize=True) / s2**2 + P) @ H)
 

@@ -96,15 +96,15 @@ class Calibration(Result):
         Key("tables", "problem.tables"),
         Key("kinds", "_kinds"),
         Key("methods", lambda c: {method: c._method(method) for method in c.identifications}),
-        Key("compliance_tried", "identification.tried", if_known=True),
-        Key("hand_eye", if_known=True),
-        Key("hand_eye_nominal", if_known=True),
-        Key("arm_or_camera", if_known=True),
-        Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, if_known=True),
-        Key("trained_on", "networks.trained_on", if_known=True),
-        Key("networks", "networks.results", if_known=True),
-        Key("prior", "_prior", if_known=True),
-        Key("paper", "problem.paper", if_known=True),
+        Key("compliance_tried", "identification.tried", omit_none=True),
+        Key("hand_eye", omit_none=True),
+        Key("hand_eye_nominal", omit_none=True),
+        Key("arm_or_camera", omit_none=True),
+        Key("refit_poses", lambda c: sum(map(len, c.problem.whole)) if c.refitted else None, omit_none=True),
+        Key("trained_on", "networks.trained_on", omit_none=True),
+        Key("networks", "networks.results", omit_none=True),
+        Key("prior", "_prior", omit_none=True),
+        Key("paper", "problem.paper", omit_none=True),
     )
 
     problem: Problem
@@ -189,7 +189,7 @@ class Calibration(Result):
         problem, last, networks = self.problem, self.identification, self.networks
         parameters = [
             fit_quality(last),
-            *outcome.left_out_table(self.problem, self.identifications),
+            *outcome.outlier_table(self.problem, self.identifications),
             *error_tables(problem, self.accuracies, networks),
             *(network_tables(networks) if networks else []),
             *paper_tables(problem.paper, self.accuracies, networks),
@@ -253,7 +253,8 @@ class Calibration(Result):
         `sets` has for each set the errors after and before, and the held-out rows that are in none
         of them.
         """
-        out = {name: rows for name, (_, rows) in outcome.held_out_of(self.problem, self.identification).items()}
+        by_set = outcome.outliers_by_set(self.problem, self.identification)
+        out = {name: rows for name, (_, rows) in by_set.items()}
         groups = {name: [row for n in names for row in out[n]] for name, names in error_groups(out).items()}
         sets = {
             name: {
@@ -304,7 +305,7 @@ class Calibration(Result):
             said = [b.text for b in made if isinstance(b, Words) and b.text not in robot.notes]
             noted = replace(robot, notes=(*robot.notes, *said))
             comment = f"{origin}\n{result.verdict}"
-            texts |= robot_files(folder / f"{name}.robot.toml", noted, comment, known_alone=True)
+            texts |= robot_files(folder / f"{name}.robot.toml", noted, comment, reproducible=True)
             if problem.urdf:
                 texts[folder / f"{name}.robot.urdf"] = problem.calibrated_urdf(result.robot)
             texts[folder / f"{name}.parameters.csv"] = result.parameters.to_csv(index=False)
@@ -367,9 +368,9 @@ def calibrate(
     """
     tables = (tables,) if isinstance(tables, (str, Path)) else tuple(tables)
     if method is not None and method not in all_methods():
-        raise InputError(f"--method {method}: not known; allowed: {', '.join(all_methods())}")
+        raise InputError(f"--method {method}: unknown; allowed: {', '.join(all_methods())}")
     if loss is not None and loss not in ALL_LOSSES:
-        raise InputError(f"--loss {loss}: not known; allowed: {', '.join(ALL_LOSSES)}")
+        raise InputError(f"--loss {loss}: unknown; allowed: {', '.join(ALL_LOSSES)}")
     plain = None
     if not isinstance(problem, Problem):
         folder = problem

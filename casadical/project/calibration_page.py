@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.core.reporting.blocks import Block, Page, Section, Tile, Words, figures_named, mm
 from casadical.core.reporting.figure import Axis, Figure, Series
 from casadical.diagnosis.figures import where_figures
@@ -39,8 +39,8 @@ from casadical.project.outcome import (
     Accuracies,
     error_tables,
     judged_on,
-    left_out_table,
     network_tables,
+    outlier_table,
     paper_tables,
     report_blocks,
 )
@@ -73,7 +73,7 @@ def used_poses(problem: Problem, results: Identifications) -> dict[str, Measurem
     """
     inliers = iter(without_poses(problem.sets["identify"], {p for r in results.values() for p in r.outliers}))
     fitted = {name: next(inliers) for name, _ in problem.parts() if name.split("/")[0] == "identify"}
-    held_out = outcome.held_out_of(problem, list(results.values())[-1])
+    held_out = outcome.outliers_by_set(problem, list(results.values())[-1])
     return {name: fitted[name] if name in fitted else held_out[name][0] for name, _ in problem.parts()}
 
 
@@ -244,7 +244,7 @@ def calibration_page(
     figures : figures by name; camera : sentences on the camera, where one measured the poses
     """
     last = list(results.values())[-1]
-    errors = [*left_out_table(problem, results), *error_tables(problem, accuracies, networks)]
+    errors = [*outlier_table(problem, results), *error_tables(problem, accuracies, networks)]
     each = [figure for name, figure in figures.items() if name.startswith(("errors/", "distribution/report"))]
     kinds = ", ".join(sorted({m.kind for parts in problem.sets.values() for m in parts}))
     no_map = f"The data are of the kind {kinds}: they do not say where each point is, so there is no map."

@@ -30,7 +30,7 @@ from casadical.effects import Effect
 from casadical.effects.definition import DefinedEffect
 from casadical.effects.formula_effect import MOTION_SEAMS
 from casadical.effects.motion import Cause
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.identification.prior import Prior
 from casadical.measurements.logs.findings import found_in
 from casadical.measurements.logs.log import JointLog, joined
@@ -50,7 +50,7 @@ EffectChoice = Literal["standard", "extended"] | Sequence[str | Effect | type[Ef
 
 def all_effects() -> tuple[str, ...]:
     """Return the names of all effects that are on a list of candidate causes, sorted."""
-    return tuple(sorted(kind.name for kind in known_effects().values() if kind.on_list != "unknown"))
+    return tuple(sorted(kind.name for kind in effects_by_name().values() if kind.on_list != "unknown"))
 
 
 def effects_named(text: str | None) -> EffectChoice:

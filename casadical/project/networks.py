@@ -9,7 +9,7 @@ import numpy as np
 
 from casadical.compensator import Compensator
 from casadical.compensator.compensator import Progress
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import Array, Show, silent
 from casadical.core.reporting.plain import Key
 from casadical.identification.accuracy import Accuracy, residual_mm, summarise
@@ -32,12 +32,12 @@ class NetworkResult:
     derived: ClassVar[tuple[Key, ...]] = (
         Key("verdict"),
         Key("helps"),
-        Key("trainer", "compensator.trainer", if_known=True),
-        Key("settings", "compensator.settings", if_known=True),
-        Key("seed", "compensator.seed", if_known=True),
-        Key("chosen_by", "compensator.chosen_by", if_known=True),
-        Key("sets", lambda result: result.compensator and result.errors, if_known=True),
-        Key("as_trained", if_known=True),
+        Key("trainer", "compensator.trainer", omit_none=True),
+        Key("settings", "compensator.settings", omit_none=True),
+        Key("seed", "compensator.seed", omit_none=True),
+        Key("chosen_by", "compensator.chosen_by", omit_none=True),
+        Key("sets", lambda result: result.compensator and result.errors, omit_none=True),
+        Key("as_trained", omit_none=True),
     )
 
     method: str

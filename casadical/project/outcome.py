@@ -201,7 +201,7 @@ def _paper_rows(
             yield result.method, of_set, (e.mean_mm, e.max_mm, e.std_mm)
 
 
-def left_out_table(problem: Problem, identifications: Mapping[str, Identification]) -> list[Table]:
+def outlier_table(problem: Problem, identifications: Mapping[str, Identification]) -> list[Table]:
     """Return a table of all rows that are in no figure as outliers, with their errors [mm]; or [].
 
     identifications : by method; the last one judges held-out rows
@@ -223,10 +223,10 @@ def left_out_table(problem: Problem, identifications: Mapping[str, Identificatio
     return [Table(title, ("file", "row", "in column", *methods), cells, frozenset({1, *range(3, 3 + len(methods))}))]
 
 
-def held_out_of(problem: Problem, last: Identification) -> dict[str, tuple[Measurements, list[LeftOut]]]:
-    """Return set -> its poses without outliers, and these, for all sets that were not fitted.
+def outliers_by_set(problem: Problem, last: Identification) -> dict[str, tuple[Measurements, list[LeftOut]]]:
+    """Return set -> (its inlier poses, its outliers), for all sets that were not fitted.
 
-    With the loss `linear` every row counts.
+    With the loss `linear` every row is an inlier.
 
     last : identification by the last method, which judges them
     """
@@ -237,7 +237,8 @@ def held_out_of(problem: Problem, last: Identification) -> dict[str, tuple[Measu
 
 def held_out_outliers(problem: Problem, last: Identification) -> list[LeftOut]:
     """Return all outliers among poses that were not fitted, the one with the largest error first."""
-    return sorted((out for _, some in held_out_of(problem, last).values() for out in some), key=lambda out: -out.error)
+    outliers = (out for _, some in outliers_by_set(problem, last).values() for out in some)
+    return sorted(outliers, key=lambda out: -out.error)
 
 
 def chance_of(before: Accuracy, after: Accuracy) -> float:

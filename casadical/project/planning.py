@@ -82,13 +82,13 @@ class Places:
     count : number of places to choose
     candidates : candidate places in the measuring frame, shape (K, 3) [m]; None: the usual ones
         (see `usual_places`)
-    known : whether the places will be measured, too
+    surveyed : whether the places will be measured, too
     """
 
     kind: Literal["wires", "sockets"]
     count: int
     candidates: Array | None = None
-    known: bool = False
+    surveyed: bool = False
 
     def candidates_for(self, robot: Robot) -> Array:
         """Return the candidate places in the measuring frame, shape (K, 3) [m]."""
@@ -100,7 +100,7 @@ class Places:
         how : further arguments of `select_with_places`
         """
         places = self.candidates_for(robot)
-        return select_with_places(robot, kind=self.kind, places=places, count=self.count, known=self.known, **how)
+        return select_with_places(robot, kind=self.kind, places=places, count=self.count, surveyed=self.surveyed, **how)
 
 
 def read_places(path: Path) -> Array:
@@ -323,7 +323,7 @@ def plan(
             places.kind,
             places.candidates_for(robot),
             places.count,
-            known=places.known,
+            surveyed=places.surveyed,
             workspace=workspace,
             free=free,
             noise=noise,

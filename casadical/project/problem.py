@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 import pandas as pd
 
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import GRAVITY_COLUMNS
 from casadical.core.reporting.result import Shown
@@ -40,7 +40,7 @@ from casadical.project.problem_file import (
     table_like,
     tables_of,
 )
-from casadical.project.robot_columns import as_poses, refuse_nameless, understood, with_coupled, with_known_targets
+from casadical.project.robot_columns import as_poses, refuse_nameless, understood, with_coupled, with_target_positions
 from casadical.project.targets import recognised
 from casadical.robot.robot import Robot
 from casadical.robot.robot_file import read_robot
@@ -396,7 +396,7 @@ def read_campaign(
     m = replace(m, lost=lost)
     if not (readings_only or later):
         refuse_nameless(m, robot)
-    return _with_conditions(m if later else with_known_targets(m, robot), robot)
+    return _with_conditions(m if later else with_target_positions(m, robot), robot)
 
 
 def _poses(columns: Columns, joints: Sequence[str], data: DataTable, robot: Robot) -> Measurements:
@@ -447,7 +447,7 @@ def _read(folder: Path, data: DataTable, robot: Robot, sets: SetsTable) -> tuple
         raise InputError(f"{path}: point_from: has no effect on kind {m.kind!r}; take it out of problem.toml")
     refuse_nameless(m, robot)
     # Before the split: progress and the direction of approach follow from the order of all poses.
-    m = _with_conditions(with_known_targets(m, robot), robot).with_separations(_separations(data))
+    m = _with_conditions(with_target_positions(m, robot), robot).with_separations(_separations(data))
     if sets.column is None:
         return m, m.split(sets.sizes(), sets.seed)
     return m, _by_column(m, columns, sets.column)

@@ -22,7 +22,7 @@ from pydantic import (
     model_validator,
 )
 
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.core.basics import InputError, shown
 from casadical.core.parts import Sessions
 from casadical.core.reading import MAX_ITEMS, load_json, load_toml, missing, read_bytes
@@ -301,7 +301,7 @@ def all_methods() -> tuple[str, ...]:
     return (*BASE_METHODS, *network_methods())
 
 
-def _known_method(name: str) -> str:
+def _checked_method(name: str) -> str:
     """Return a method's name unchanged. Raises ValueError where there is no such method."""
     if name not in all_methods():
         raise ValueError(f"allowed: {', '.join(all_methods())}")
@@ -362,7 +362,7 @@ class ProblemFile(_Strict):
     robot: str = "robot.toml"
     campaign_robot: str | None = None
     urdf: UrdfTable | None = None
-    methods: list[Annotated[str, AfterValidator(_known_method)]] = Field(default=["KM", "SKCM"], min_length=1)
+    methods: list[Annotated[str, AfterValidator(_checked_method)]] = Field(default=["KM", "SKCM"], min_length=1)
     loss: AnyLoss = "auto"
     geometry_prior: bool = True
     paper: Paper | None = None

@@ -403,7 +403,7 @@ def placed_by(robot: Robot, m: Measurements) -> tuple[Robot, float]:
     return placed, float(np.median(position_errors(placed, m.positions_alone())))
 
 
-def with_known_targets(m: Measurements, robot: Robot) -> Measurements:
+def with_target_positions(m: Measurements, robot: Robot) -> Measurements:
     """Return the measurements, whose targets (column `tool`) must be targets of the robot file.
 
     Where the robot has a single target, a column `tool` that names one alone is removed, whatever

@@ -430,7 +430,7 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
     """
     placed = place_frames(free, m)
     if robot.targets:
-        yield _by_known(placed, np.array([*_points_of(robot).values()]), m)
+        yield _by_distances_to_points(placed, np.array([*_points_of(robot).values()]), m)
     seen = _in_last_link(placed, m)
     points = seen[:1]
     for _ in range(1, MAX_TARGETS if len(m) >= MIN_SEARCH_ROWS else 1):
@@ -440,7 +440,7 @@ def _starts(robot: Robot, free: Robot, m: Measurements) -> Iterator[Array]:
         yield np.argmin(np.linalg.norm(seen[:, None] - points, axis=2), axis=1)
 
 
-def _by_known(placed: Robot, points: Array, m: Measurements) -> Array:
+def _by_distances_to_points(placed: Robot, points: Array, m: Measurements) -> Array:
     """Return the index of the known point that was measured in each row, shape (n,).
 
     points : in the last link's frame, shape (K, 3) [m]

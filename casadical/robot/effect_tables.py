@@ -21,7 +21,7 @@ from casadical.core.basics import Array, InputError, errors_of
 from casadical.core.parts import Arm
 from casadical.core.reading import archive_of, foreign, load_toml, read_bytes
 from casadical.core.schema import Pair, TomlTable, check
-from casadical.core.statistics import known_digits
+from casadical.core.statistics import rounded_at
 from casadical.effects import Effect
 from casadical.effects.definition import Definition, DefinitionFile
 from casadical.effects.plugins import defined_in_files, find_effect, new_effects
@@ -32,7 +32,7 @@ from casadical.robot.robot import MAX_BLOCK_PARAMETERS, Covariance, Knowledge, R
 COVARIANCE_DIGITS = 12
 # Number of digits of a value that a file has from the first digit of its standard error on; further
 # ones depend on the rounding of the processor.
-KNOWN_DIGITS = 6
+REPRODUCIBLE_DIGITS = 6
 
 
 class Value(TomlTable):
@@ -166,7 +166,7 @@ class LearntTable(TomlTable):
         if not self.readings:
             return np.zeros((0, 2))
         if odd := [key for key in self.readings if key not in factors]:
-            raise InputError(f"learnt.readings.{odd[0]}: not a known key; allowed: {', '.join(factors)}")
+            raise InputError(f"learnt.readings.{odd[0]}: unknown key; allowed: {', '.join(factors)}")
         if missing := [key for key in factors if key not in self.readings]:
             raise InputError(f"learnt.readings.{missing[0]}: is missing")
         return np.array([np.multiply(self.readings[key], factor) for key, factor in factors.items()])
@@ -237,20 +237,20 @@ def text_of(
     effects: Sequence[Effect],
     knowledge: Knowledge | None,
     remaining: RemainingErrors | None = None,
-    known_alone: bool = False,
+    reproducible: bool = False,
     companion: str = "",
 ) -> Iterator[str]:
     """Yield the tables of effects and knowledge as lines of TOML.
 
     They are [[definition]], [[effect]], [learnt], [[covariance]] and [remaining], where they apply.
 
-    known_alone : as of `to_toml`; companion : name of the file of `large_covariances`; "" without it
+    reproducible : as of `to_toml`; companion : name of the file of `large_covariances`; "" without it
     """
     knowledge = knowledge or Knowledge()
     for definition in defined_in_files(effects):
         yield from ("", "[[definition]]", *_entries(definition.model_dump(exclude_defaults=True)))
     for effect in effects:
-        yield from _effect_lines(effect, robot.effect_values, knowledge.std_errors, known_alone)
+        yield from _effect_lines(effect, robot.effect_values, knowledge.std_errors, reproducible)
     if knowledge:
         yield from _learnt_lines(robot, knowledge)
     own = {p.name for e in effects for p in e.parameters()}
@@ -261,52 +261,52 @@ def text_of(
             if companion and len(block.names) > MAX_BLOCK_PARAMETERS:
                 yield f"file = {_text(companion)}"
                 continue
-            yield from ("lower = [", *(f"    {_text(row)}," for row in _triangle(block, known_alone)), "]")
+            yield from ("lower = [", *(f"    {_text(row)}," for row in _triangle(block, reproducible)), "]")
     if remaining:
-        rest = known_digits(remaining.rest, remaining.rest, KNOWN_DIGITS) if known_alone else remaining.rest
+        rest = rounded_at(remaining.rest, remaining.rest, REPRODUCIBLE_DIGITS) if reproducible else remaining.rest
         numbers = {"rest": rest, "poses": remaining.poses, "names": remaining.names}
         yield from ("", "[remaining]", *_entries(numbers), "factor = [")
         yield from (f"    {_text([float(f'{v:.{COVARIANCE_DIGITS}g}') for v in row])}," for row in remaining.factor)
         yield "]"
 
 
-def large_covariances(knowledge: Knowledge | None, known_alone: bool) -> bytes:
+def large_covariances(knowledge: Knowledge | None, reproducible: bool) -> bytes:
     """Return the covariances of more than `MAX_BLOCK_PARAMETERS` parameters as an NPZ file.
 
     Each is an array of the lower triangle row by row, named by its first parameter [SI]. It is empty
     where there is none.
 
-    known_alone : as of `to_toml`
+    reproducible : as of `to_toml`
     """
     blocks = [block for block in (knowledge or Knowledge()).covariance if len(block.names) > MAX_BLOCK_PARAMETERS]
     stream = io.BytesIO()
     if blocks:
-        np.savez(stream, **{block.names[0]: _rounded(block, known_alone) for block in blocks})  # type: ignore[arg-type]
+        np.savez(stream, **{block.names[0]: _rounded(block, reproducible) for block in blocks})  # type: ignore[arg-type]
     return stream.getvalue()
 
 
-def _rounded(block: Covariance, known_alone: bool) -> Array:
+def _rounded(block: Covariance, reproducible: bool) -> Array:
     """Return the lower triangle of a covariance as an NPZ file has it, shape (k (k + 1) / 2,) [SI].
 
-    known_alone : as of `to_toml`
+    reproducible : as of `to_toml`
     """
     sizes, digits = _sizes_and_digits(block)
     C, lower = block.matrix, np.tril_indices(len(block.names))
-    if known_alone and digits < COVARIANCE_DIGITS:
+    if reproducible and digits < COVARIANCE_DIGITS:
         unit = 10.0 ** (digits - np.floor(np.log10(np.where(sizes > 0, sizes, 1.0))))
         C = np.rint(C * unit) / unit
     return np.asarray(C[lower])
 
 
-def _triangle(block: Covariance, known_alone: bool) -> Iterator[list[float]]:
+def _triangle(block: Covariance, reproducible: bool) -> Iterator[list[float]]:
     """Yield the lower triangle of a covariance, row by row, rounded as a text has it.
 
-    known_alone : as of `to_toml`
+    reproducible : as of `to_toml`
     """
     sizes, digits = _sizes_and_digits(block)
     for i, row in enumerate(block.matrix):
-        if known_alone and digits < COVARIANCE_DIGITS:
-            yield [known_digits(v, s, digits) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
+        if reproducible and digits < COVARIANCE_DIGITS:
+            yield [rounded_at(v, s, digits) for v, s in zip(row[: i + 1], sizes[i], strict=False)]
         else:
             yield [float(f"{v:.{COVARIANCE_DIGITS}g}") for v in row[: i + 1]]
 
@@ -319,15 +319,15 @@ def _sizes_and_digits(block: Covariance) -> tuple[Array, int]:
     scale = np.sqrt(np.diag(block.matrix))
     sizes = np.outer(scale, scale)
     least = np.linalg.eigvalsh(block.matrix / np.where(sizes > 0, sizes, 1.0))[0]
-    return sizes, max(3 - math.floor(math.log10(max(least, 10.0**-COVARIANCE_DIGITS))), KNOWN_DIGITS)
+    return sizes, max(3 - math.floor(math.log10(max(least, 10.0**-COVARIANCE_DIGITS))), REPRODUCIBLE_DIGITS)
 
 
 def _effect_lines(
-    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], known_alone: bool
+    effect: Effect, values: Mapping[str, float], errors: Mapping[str, float], reproducible: bool
 ) -> Iterator[str]:
     """Yield the TOML lines of one effect's table with its values.
 
-    values, errors : parameter -> value and standard error [SI]; known_alone : as of `to_toml`
+    values, errors : parameter -> value and standard error [SI]; reproducible : as of `to_toml`
     """
     yield from ("", "[[effect]]", *_entries(effect.to_dict()), "[effect.values]")
     for name, (_, unit) in effect.sizes().items():
@@ -335,9 +335,9 @@ def _effect_lines(
         entry: dict[str, Any] = {"value": float(values.get(parameter, 0.0)), "unit": unit}
         if parameter in errors:
             entry["std_error"] = errors[parameter]
-        if known_alone:
+        if reproducible:
             size = errors.get(parameter, 0.0) or 1e-3 * entry["value"]
-            entry |= {k: known_digits(v, size, KNOWN_DIGITS) for k, v in entry.items() if k != "unit"}
+            entry |= {k: rounded_at(v, size, REPRODUCIBLE_DIGITS) for k, v in entry.items() if k != "unit"}
         yield f"{_key(name)} = {_text(entry)}"
 
 
@@ -345,7 +345,7 @@ def _learnt_lines(arm: Arm, knowledge: Knowledge) -> Iterator[str]:
     """Yield the lines of the table [learnt]."""
     yield from ("", "[learnt]", f"campaign = {_text(knowledge.campaign)}", f"poses = {knowledge.poses}")
     if knowledge.misfit > 1:
-        yield f"misfit = {known_digits(knowledge.misfit, knowledge.misfit, KNOWN_DIGITS)!r}"
+        yield f"misfit = {rounded_at(knowledge.misfit, knowledge.misfit, REPRODUCIBLE_DIGITS)!r}"
     if knowledge.robots:
         yield f"robots = {knowledge.robots}"
     if len(knowledge.readings):
@@ -425,14 +425,14 @@ def read_effects(path: str | Path, effects: Sequence[type[Effect]] = ()) -> Effe
     return Effects(chosen, values, file.robot, new_effects(file.definition))
 
 
-def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, known_alone: bool = False) -> str:
+def effects_toml(robot: Robot, effects: Sequence[Effect], comment: str = "", *, reproducible: bool = False) -> str:
     """Return some effects of a robot, with values and covariances, as the text of an effect file.
 
-    comment : text at the head of the file; known_alone : as of `to_toml`
+    comment : text at the head of the file; reproducible : as of `to_toml`
     """
     names = {p.name for e in effects for p in e.parameters()}
     knowledge = robot.knowledge.without(set(robot.parameters.names) - names) if robot.knowledge else None
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += [f"casadical = {FILE_VERSION}", f'written_by = "casadical {__version__}"']
     lines.append(f"robot = {tomlkit.item(robot.name).as_string()}")
-    return "\n".join([*lines, *text_of(robot, effects, knowledge, known_alone=known_alone), ""])
+    return "\n".join([*lines, *text_of(robot, effects, knowledge, reproducible=reproducible), ""])

@@ -15,7 +15,7 @@ from casadical.core.files import write_together
 from casadical.core.parts import WIDTHS, Body, BodyWidth, Coupling, Joint, Placement, Target
 from casadical.core.reading import load_toml
 from casadical.core.schema import check
-from casadical.core.statistics import known_digits
+from casadical.core.statistics import rounded_at
 from casadical.core.transforms import to_rpy
 from casadical.effects import Effect, Session
 from casadical.effects.plugins import defined_in_files, find_effect
@@ -109,7 +109,7 @@ def write_robot(robot: Robot, path: str | Path, comment: str = "", effects: Sequ
 
 
 def robot_files(
-    path: Path, robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, known_alone: bool = False
+    path: Path, robot: Robot, comment: str = "", effects: Sequence[type[Effect]] = (), *, reproducible: bool = False
 ) -> dict[Path, str | bytes]:
     """Return the content of the robot's file by its path, and of the file of its large covariances.
 
@@ -117,9 +117,9 @@ def robot_files(
 
     path : of the robot file; further arguments, and Raises InputError : as of `to_toml`
     """
-    covariances = large_covariances(_as_written(robot).knowledge, known_alone)
+    covariances = large_covariances(_as_written(robot).knowledge, reproducible)
     companion = path.with_name(path.name.removesuffix(".toml").removesuffix(".robot") + ".covariance.npz")
-    text = to_toml(robot, comment, effects, known_alone=known_alone, companion=companion.name if covariances else "")
+    text = to_toml(robot, comment, effects, reproducible=reproducible, companion=companion.name if covariances else "")
     return {path: text, **({companion: covariances} if covariances else {})}
 
 
@@ -128,7 +128,7 @@ def to_toml(
     comment: str = "",
     effects: Sequence[type[Effect]] = (),
     *,
-    known_alone: bool = False,
+    reproducible: bool = False,
     companion: str = "",
 ) -> str:
     """Return the robot as the text of a TOML file, at full precision.
@@ -137,7 +137,7 @@ def to_toml(
     are those of the first one. Without effects and knowledge the file is version 1.
 
     comment, effects, and Raises InputError : as of `write_robot`
-    known_alone : whether digits are left out that depend on a processor's rounding, so that a
+    reproducible : whether digits are left out that depend on a processor's rounding, so that a
         result is the same file everywhere
     companion : name of the file that has the large covariances; "": the text has them
     """
@@ -178,11 +178,11 @@ def to_toml(
         or None,
     }
     document.update(
-        {key: _without_rounding_digits(key, v) if known_alone else v for key, v in tables.items() if v is not None}
+        {key: _without_rounding_digits(key, v) if reproducible else v for key, v in tables.items() if v is not None}
     )
     text = tomlkit.dumps(document)
     if more:
-        lines = text_of(robot, robot.effects, robot.knowledge, robot.remaining, known_alone, companion)
+        lines = text_of(robot, robot.effects, robot.knowledge, robot.remaining, reproducible, companion)
         text = "\n".join([text.rstrip("\n"), *lines, ""])
     check(RobotFile, _with_tools_apart(tomllib.loads(text)), f"robot {shown(robot.name)!r} cannot be written")
     return text
@@ -214,7 +214,7 @@ def _without_rounding_digits(key: str, value: Any) -> Any:
     if not isinstance(value, float):
         return value
     if key.startswith("stiffness"):
-        return known_digits(value, value, 7)
+        return rounded_at(value, value, 7)
     # Unit suffix of a key -> decimals of its values that do not depend on a processor's rounding:
     # lengths [mm], angles [deg], accelerations [m/s^2].
     decimals_of_unit = {"_mm": 8, "_deg": 9, "_s2": 9}

@@ -317,7 +317,7 @@ def corners(runs: int) -> None:
         with TemporaryDirectory() as name:
             folder = Path(name)
             pd.DataFrame(columns).to_csv(folder / "corners.csv", index=False)
-            for path, text in robot_files(folder / "robot.toml", robot, "an arm", known_alone=True).items():
+            for path, text in robot_files(folder / "robot.toml", robot, "an arm", reproducible=True).items():
                 path.write_text(str(text))
             f = 1.006 * FOCAL_PX
             (folder / "problem.toml").write_text(

@@ -17,7 +17,7 @@ import numpy as np
 
 from casadical import Identification, identify, read_problem
 from casadical.compensator import Compensator, Layout, LevenbergMarquardt, Trainer
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.project.networks import Material, training_material
 from casadical.project.problem import Problem
 

@@ -182,7 +182,7 @@ def test_what_cannot_be_simulated_is_named(gantry: Path) -> None:
         ({"poses": 12}, "12 poses; a campaign of Gantry needs at least 20"),
         ({"n": 3}, "n is 3"),
         ({"noise_um": 0.0}, "noise_um is 0"),
-        ({"not_logged": ["wind"]}, "wind: not known; allowed: temperature, payload, approach, time"),
+        ({"not_logged": ["wind"]}, "wind: unknown; allowed: temperature, payload, approach, time"),
     ],
 )
 def test_bad_input_is_named(gantry: Path, given: dict, message: str) -> None:

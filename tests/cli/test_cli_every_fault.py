@@ -33,7 +33,7 @@ def test_every_file_is_told_of_at_once(tmp_path: Path, command: str) -> None:
         told = done.stderr.replace("'", "").replace(",", "")
         assert all(word in told for word in expected), done.stderr
         assert "methods[1] = 'KMX'" in done.stderr
-        assert "color = 3: not a known key" in done.stderr
+        assert "color = 3: unknown key" in done.stderr
         assert "joint[2].a_mm = '400': must be a valid number" in done.stderr
         assert len(done.stderr.splitlines()) < 60
 
@@ -63,5 +63,5 @@ def test_a_room_is_not_judged_as_a_robot(tmp_path: Path) -> None:
     (tmp_path / "room.toml").write_text("casadical = 1\n[[joint]]\nlower_deg = 1\n")
     done = run("plan", ROOT / "problems" / "planar" / "robot.toml", "--room", "room.toml", folder=tmp_path)
     assert done.returncode == 2
-    assert "joint[1].lower_deg = 1: not a known key; allowed here: number, limits_deg" in done.stderr
+    assert "joint[1].lower_deg = 1: unknown key; allowed here: number, limits_deg" in done.stderr
     assert done.stderr.count("lower_deg") == 1

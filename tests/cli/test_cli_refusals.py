@@ -16,7 +16,7 @@ REFUSED = [
     ("compare none/a.toml problems/planar", "none/a.toml: no such file"),
     ("verify problems/planar data/planar/planar.csv", "is a problem folder; give its results"),
     ("verify problems/planar", "which poses?"),
-    ("calibrate problems/planar --method BP", "--method BP: not known; allowed: KM, SKCM"),
+    ("calibrate problems/planar --method BP", "--method BP: unknown; allowed: KM, SKCM"),
     ("calibrate problems/planar --seed -1", "greater than or equal to 0"),
     ("calibrate problems/planar ./problems/planar", "one after the other"),
     ("calibrate problems/planar --metod KM", "--metod"),

@@ -18,7 +18,7 @@ from casadical.compensator import (
     save_compensator,
 )
 from casadical.compensator.report import BeforeAfter, Errors
-from casadical.compensator.trainers.known import known_trainers
+from casadical.compensator.trainers.registry import trainers_by_name
 from casadical.core.basics import InputError
 from problems import smooth
 
@@ -129,7 +129,7 @@ def test_errors_by_hand():
     assert errors == Errors(2, 3.0, 5.0, 8**0.5)
 
 
-@pytest.mark.parametrize("name", known_trainers())
+@pytest.mark.parametrize("name", trainers_by_name())
 def test_every_trainer_by_name(name):
     trainer = {"iwo": Iwo(IwoSettings(iterations=150)), "lm": QUICK, "iwo-lm": IwoThenLm(lm=QUICK)}.get(name, name)
     compensator = Compensator.fit(*smooth(40, 0), trainer=trainer, folds=2)

@@ -16,7 +16,7 @@ from casadical.core.basics import InputError
 from casadical.core.cache_folder import private_folder
 from casadical.core.mapped_function import call
 from casadical.core.parts import Arm, Coupling, FourBar, Joint, Placement
-from casadical.core.statistics import first_of_best, known_digits, ranked
+from casadical.core.statistics import first_of_best, ranked, rounded_at
 from casadical.core.sx_instructions import SxInstructions
 from casadical.core.transforms import from_rpy, to_rpy
 
@@ -114,11 +114,11 @@ def test_equal_values_are_ranked_in_their_order() -> None:
 
 
 def test_digits_that_rounding_decides_are_left_out() -> None:
-    assert known_digits(123.456789012345, 0.01, 6) == known_digits(123.456789012355, 0.01, 6) == 123.45678901
-    assert known_digits(-1e-12, 0.01, 6) == 0.0
-    assert str(known_digits(-1e-12, 0.01, 6)) == "0.0", "no sign is left"
-    assert known_digits(7.5, 0.0, 6) == 7.5
-    assert known_digits(1e-300, 1e-301, 2) == 1e-300
+    assert rounded_at(123.456789012345, 0.01, 6) == rounded_at(123.456789012355, 0.01, 6) == 123.45678901
+    assert rounded_at(-1e-12, 0.01, 6) == 0.0
+    assert str(rounded_at(-1e-12, 0.01, 6)) == "0.0", "no sign is left"
+    assert rounded_at(7.5, 0.0, 6) == 7.5
+    assert rounded_at(1e-300, 1e-301, 2) == 1e-300
 
 
 angle = st.floats(-np.pi, np.pi)

@@ -23,7 +23,7 @@ from casadical.diagnosis.motion.engine import Found
 from casadical.diagnosis.motion.result import diagnose_log
 from casadical.diagnosis.motion.signals import arm_of, motion_of
 from casadical.effects.motion import motion_effects
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.measurements.logs.findings import with_signs
 from casadical.measurements.logs.log import JointLog
 from casadical.project.diagnosis import own_causes, read_logs
@@ -436,7 +436,7 @@ Tooth = effect_class(Definition.model_validate({
 def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, monkeypatch):
     site = installed(tmp_path, "casadical.effects", "toy_tooth = toy_teeth:Tooth", PLUG_IN)
     monkeypatch.syspath_prepend(site)
-    known_effects.cache_clear()
+    effects_by_name.cache_clear()
     motion_effects.cache_clear()
     try:
         assert "toy_tooth" in motion_effects()
@@ -444,7 +444,7 @@ def test_a_cause_of_an_installed_plug_in_is_judged_beside_the_list(tmp_path, mon
     finally:
         sys.modules.pop("toy_teeth", None)
         monkeypatch.undo()
-        known_effects.cache_clear()
+        effects_by_name.cache_clear()
         motion_effects.cache_clear()
     assert found.outcome.rankings[0].order[0] == "toy_tooth@2"
     assert "toy_tooth" not in motion_effects()

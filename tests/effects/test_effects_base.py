@@ -8,14 +8,14 @@ from bench import FIRST, batches, campaign, moved_by, robot, with_columns
 
 from casadical.diagnosis.candidates import extended_candidates, standard_candidates
 from casadical.effects import Effect
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.identification.accuracy import predicted
 
-CLASSES = [kind for kind in known_effects().values() if kind.on_list != "unknown"]
+CLASSES = [kind for kind in effects_by_name().values() if kind.on_list != "unknown"]
 
 
 def test_every_candidate_has_sizes_also_of_effects_on_no_list() -> None:
-    for kind in known_effects().values():
+    for kind in effects_by_name().values():
         for effect in kind.candidates(robot("hh800")):
             assert all(size > 0 for size, _ in effect.sizes().values()), effect.label
 

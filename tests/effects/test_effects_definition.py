@@ -16,7 +16,7 @@ from casadical.diagnosis.candidates import candidates_of
 from casadical.diagnosis.linearisation import signatures
 from casadical.effects import Effect, JointScale, Law, ThermalGrowth, setting
 from casadical.effects.definition import LISTED_EFFECTS_FILE
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.export.mjcf.mjcf import counterparts
 from casadical.identification.accuracy import predicted
 from casadical.robot.effect_tables import read_effects
@@ -98,7 +98,7 @@ def test_the_list_of_the_package_is_a_file_like_any_other(tmp_path: Path) -> Non
     (tmp_path / "all.effect.toml").write_text(text)
     kinds = read_effects(tmp_path / "all.effect.toml").kinds
     for kind in kinds:
-        listed = known_effects()[kind.name.removeprefix("my_")]
+        listed = effects_by_name()[kind.name.removeprefix("my_")]
         assert [e.to_dict().get("settings") for e in kind.candidates(robot(NAME))] == [
             e.to_dict().get("settings") for e in listed.candidates(robot(NAME))
         ]
@@ -203,10 +203,10 @@ def test_a_target_looks_in_a_direction(looks: str, tmp_path: Path) -> None:
         ("[1.0, 1.5, 2.0]", '"near"', "only for the number of a joint"),
         ("[1.0, 1.5, 2.0]", "[1.0], steps = true", "needs a grid of two values or more"),
         ("default = 1.5, grid = [1.0, 1.5, 2.0]", 'default = "far"', "unknown name 'start'"),
-        ("about =", "abuot =", "not a known key (is about meant?)"),
+        ("about =", "abuot =", "unknown key (is about meant?)"),
         ("physics", 'counterpart = "magnet"\nphysics', "counterpart = 'magnet': allowed: gear ratio, foot"),
         ("signature", "# signature", "signature: is missing"),
-        ("[[definition]]", "[[effect]]", "not a known key"),
+        ("[[definition]]", "[[effect]]", "unknown key"),
     ],
 )
 def test_what_is_no_definition_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
@@ -242,5 +242,5 @@ def test_numbers_of_an_effect_of_ones_own_are_printed_in_the_unit_that_it_declar
     for kind in (defined(tmp_path), SoftStop):
         (give,) = kind(joint=2).parameters()
         assert (give.readable_unit, give.readable(2e-4)) == ("rad", 2e-4)
-    (half,) = known_effects()["gear_eccentricity"](joint=2).parameters()[:1]
+    (half,) = effects_by_name()["gear_eccentricity"](joint=2).parameters()[:1]
     assert half.readable_unit == "deg"

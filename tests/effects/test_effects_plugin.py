@@ -9,7 +9,7 @@ import pytest
 from bench import robot
 from plugin_site import installed, run, run_here
 
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 
 NAME = "ur10e"
 MODULE = '''
@@ -93,24 +93,24 @@ def test_a_plug_in_is_kept_in_a_robot_file_and_exported(site: Path, campaign: Pa
     done = run(site, campaign, kept, program=KEEP)
     assert (done.returncode, done.stderr) == (0, "")
     assert 'name = "toy_cable"' in kept.read_text()
-    refused = run_here(monkeypatch, known_effects, site, "export", "model", kept, "--out", model)
+    refused = run_here(monkeypatch, effects_by_name, site, "export", "model", kept, "--out", model)
     assert refused.returncode == 2
     assert "toy_cable@5: no counterpart in MuJoCo; lost without it: 0." in " ".join(refused.stderr.split())
     given = ("export", "model", kept, "--out", model, "--leave-out")
-    assert run_here(monkeypatch, known_effects, site, *given).returncode == 0
+    assert run_here(monkeypatch, effects_by_name, site, *given).returncode == 0
     given = ("export", "c", kept, "--nominal", f"problems/{NAME}/robot.toml", "--out", folder)
-    written = run_here(monkeypatch, known_effects, site, *given)
+    written = run_here(monkeypatch, effects_by_name, site, *given)
     assert (written.returncode, written.stderr) == (0, "")
     assert "LEFT OUT" not in written.stdout
     monkeypatch.undo()  # the folder is no longer on the path
-    gone = run_here(monkeypatch, known_effects, tmp_path, *given, "--overwrite")
+    gone = run_here(monkeypatch, effects_by_name, tmp_path, *given, "--overwrite")
     assert gone.returncode == 2
     assert "effect[1].no effect 'toy_cable' is installed" in " ".join(gone.stderr.split())
 
 
 def test_without_the_package_its_name_is_unknown(campaign: Path, tmp_path: Path, monkeypatch) -> None:
     words = ("diagnose", f"problems/{NAME}", campaign, "--effects", "toy_cable")
-    done = run_here(monkeypatch, known_effects, tmp_path, *words)
+    done = run_here(monkeypatch, effects_by_name, tmp_path, *words)
     assert done.returncode == 2
     assert "no effect 'toy_cable'" in done.stderr
 
@@ -126,7 +126,7 @@ def test_without_the_package_its_name_is_unknown(campaign: Path, tmp_path: Path,
 def test_a_faulty_plug_in_is_named(campaign: Path, tmp_path: Path, monkeypatch, module: str, message: str) -> None:
     bad = installed(tmp_path, "casadical.effects", "bad = bad_effects:Cable", module)
     words = ("diagnose", f"problems/{NAME}", campaign, "--effects", "backlash")
-    done = run_here(monkeypatch, known_effects, bad, *words)
+    done = run_here(monkeypatch, effects_by_name, bad, *words)
     assert done.returncode == 2
     assert "plug-in bad = 'bad_effects:Cable' of bad-effects" in done.stderr
     assert message in " ".join(done.stderr.split())

@@ -21,7 +21,7 @@ from casadical.effects import (
     TransmissionRipple,
 )
 from casadical.effects.base import RIGID_STIFFNESS, Counterparts, Drive
-from casadical.effects.plugins import known_effects
+from casadical.effects.plugins import effects_by_name
 from casadical.effects.registry import FrameSettling
 from casadical.effects.smooth import AnyOfOtherAngle
 from casadical.export.mjcf.mjcf import counterparts
@@ -47,7 +47,7 @@ SETTINGS = {
 
 @pytest.mark.parametrize("name", SETTINGS)
 def test_settings_that_a_file_does_not_give(name: str) -> None:
-    kind = known_effects()[name]
+    kind = effects_by_name()[name]
     joint = 2 if name not in ("frame_settling", "frame_step") else None
     effect = kind.from_dict({"name": name, **({"joint": joint} if joint else {})})
     assert {f.name: getattr(effect, f.name) for f in fields(effect) if f.name != "joint"} == SETTINGS[name]

@@ -142,7 +142,7 @@ def problem(folder: Path, focal: float = 0.0) -> tuple[Path, np.ndarray]:
     robot, q, T, X = stations(24)
     seen = pixels(T) + np.random.default_rng(3).normal(0, PIXEL, (24, 48, 2))
     table(q, seen, None).to_csv(folder / "corners.csv", index=False)
-    for path, text in robot_files(folder / "robot.toml", robot, "an arm", known_alone=True).items():
+    for path, text in robot_files(folder / "robot.toml", robot, "an arm", reproducible=True).items():
         path.write_text(text)
     lens = f"fx = {900 * (1 + focal)}, fy = {905 * (1 + focal)}, cx = 640.0, cy = 360.0"
     (folder / "problem.toml").write_text(

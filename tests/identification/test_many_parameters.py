@@ -56,7 +56,7 @@ def test_correlated_priors_are_those_of_the_normal_distribution(measured) -> Non
     names = found.names[-3:]
     width = np.array([found.start.parameters[n].prior for n in names])
     C = 1e-4 * np.outer(width, width) * (0.1 * np.eye(3) + 0.9)
-    problem = replace(found.problem, known=((names, C),))
+    problem = replace(found.problem, correlated=((names, C),))
     v = problem.solve().v
     residuals, J = problem.evaluate(v)
     r = residuals[0].ravel()

@@ -74,8 +74,8 @@ def test_the_covariance_is_that_of_both_campaigns(first, few):
     """As the formula for two Gaussian sources: never wider than the prior, and the block is kept whole."""
     found = identify(ARM, few, BASE, prior=first)
     _, prior = carry_over(ARM, first)
-    at = [found.names.index(name) for name in prior.known[0][0]]
-    ratio = np.linalg.eigvals(np.linalg.solve(prior.known[0][1], found.covariance[np.ix_(at, at)] / found.variance))
+    k = [found.names.index(name) for name in prior.covariances[0][0]]
+    ratio = np.linalg.eigvals(np.linalg.solve(prior.covariances[0][1], found.covariance[np.ix_(k, k)] / found.variance))
     assert ratio.real.max() < 1 + 1e-6
     again = found.robot.knowledge
     assert again.campaign == "first.csv, second.csv"
@@ -120,10 +120,10 @@ def test_another_robot_is_refused(first, few, change, message):
 
 def test_what_nothing_is_known_of_has_mean_zero_and_no_correlation():
     C = np.array([[4.0, 1.0, 2.0], [1.0, 9.0, 3.0], [2.0, 3.0, 16.0]])
-    prior = Prior(means=dict.fromkeys("abc", (0.5, 1.0)), known=((tuple("abc"), C),))
-    found = prior.with_nothing_known({"b": 7.0})
+    prior = Prior(means=dict.fromkeys("abc", (0.5, 1.0)), covariances=((tuple("abc"), C),))
+    found = prior.widened({"b": 7.0})
     assert found.means == {"a": (0.5, 1.0), "b": (0.0, 7.0), "c": (0.5, 1.0)}
-    ((names, block),) = found.known
+    ((names, block),) = found.covariances
     assert (names, block.tolist()) == (("a", "c"), [[4.0, 2.0], [2.0, 16.0]])
 
 

@@ -185,7 +185,7 @@ def test_one_orientation_leaves_the_tool_where_the_file_has_it() -> None:
     file = np.add(TOOL, [0.012, -0.012, 0.0105])
     plain = solve_placement(p, R, y, None, np.eye(4), file)[1]
     assert np.linalg.norm(plain - TOOL) > 0.2  # what least squares make of it
-    held = PlacementProblem([Readings(p, R, y)], np.eye(4), file, tool_known=False)
+    held = PlacementProblem([Readings(p, R, y)], np.eye(4), file, tool_fixed=False)
     start = FrameEstimate(*(solve_placement(p, R, y, file, np.eye(4), file)[0][:3, c] for c in (slice(3), 3)), file)
     assert not held.determined(start)
     found = held.best([start])
@@ -196,7 +196,7 @@ def test_one_orientation_leaves_the_tool_where_the_file_has_it() -> None:
 
 def test_many_orientations_free_the_tool_of_the_file() -> None:
     p, R, y = path(1.0)
-    held = PlacementProblem([Readings(p, R, y)], np.eye(4), np.zeros(3), tool_known=False)
+    held = PlacementProblem([Readings(p, R, y)], np.eye(4), np.zeros(3), tool_fixed=False)
     T, t = solve_placement(p, R, y, None, np.eye(4), np.zeros(3))
     assert held.determined(FrameEstimate(T[:3, :3], T[:3, 3], t))
     np.testing.assert_allclose(held.best([FrameEstimate(T[:3, :3], T[:3, 3], t)]).t, TOOL, atol=5e-3)

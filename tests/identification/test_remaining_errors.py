@@ -91,7 +91,7 @@ def test_too_few_poses_have_none(built) -> None:
         ("rest = ", "rest = -", r"remaining: rest = -.*; it must be a positive number"),
         ("    [", "    [1.0, ", r"remaining.factor: rows of \[.*\] numbers; all alike"),
         ('"a1"', '"a9"', r"remaining: no parameter 'a9'"),
-        ("rest = ", "times = 1.7\nrest = ", r"remaining.times = 1.7: not a known key"),
+        ("rest = ", "times = 1.7\nrest = ", r"remaining.times = 1.7: unknown key"),
     ],
 )
 def test_faults_of_the_file_are_named(calibrated, tmp_path, old, new, message) -> None:

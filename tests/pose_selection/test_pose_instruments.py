@@ -36,7 +36,7 @@ def plan(robot, instrument, n=40):
     "instrument",
     [
         Instrument("wires", ANCHORS),
-        Instrument("wires", ANCHORS, known=True),
+        Instrument("wires", ANCHORS, surveyed=True),
         Instrument("wires", ANCHORS[:1]),
         Instrument("sockets", SOCKETS),
     ],
@@ -59,7 +59,7 @@ def test_expected_standard_errors_are_those_that_an_identification_reports(robot
     ratio = found.standard_errors / np.sqrt(found.variance) / chosen.standard_errors
     np.testing.assert_allclose(ratio, 1.0, rtol=0.02)
     base = [name for name in chosen.names if name.startswith("base_")]
-    assert len(base) == (6 if instrument.known else 0)
+    assert len(base) == (6 if instrument.surveyed else 0)
 
 
 def test_the_forecast_is_that_of_the_poses_chosen(robot) -> None:
@@ -82,10 +82,10 @@ def test_of_many_places_no_exchange_of_one_makes_the_set_better() -> None:
     m = expected(arm, readings(arm, 12, 0), {}, "test")
 
     def variance(which) -> float:
-        rows = Instrument("wires", places[list(which)], known=True).rows(arm, names, m, noise).reshape(-1, 3)
+        rows = Instrument("wires", places[list(which)], surveyed=True).rows(arm, names, m, noise).reshape(-1, 3)
         return float(np.trace(np.linalg.inv(rows.T @ rows)))
 
-    best = best_places(arm, Instrument("wires", places, known=True), 3, names, m, noise, np.eye(3))
+    best = best_places(arm, Instrument("wires", places, surveyed=True), 3, names, m, noise, np.eye(3))
     others = [{*best} - {i} | {k} for i in best for k in range(60)]
     assert variance(best) <= 1.002 * min(variance(other) for other in others if len(other) == 3)
 

@@ -10,7 +10,7 @@ from marks import slow
 
 from casadical import calibrate
 from casadical.compensator import load_compensator
-from casadical.compensator.trainers.known import network_methods
+from casadical.compensator.trainers.registry import network_methods
 from casadical.identification import residual_mm
 from casadical.project.networks import Material, train_networks, training_material
 

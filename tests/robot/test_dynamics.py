@@ -192,7 +192,7 @@ def test_robot_file_keeps_inertias_and_drive(arm, tmp_path) -> None:
     [
         ("kp_Nm_per_rad = [1, 2]", "drive.kp_Nm_per_rad = [1, 2]: has 2 numbers; allowed: one, or one for each of 1"),
         ("kp = 3", "drive.kp = 3: write its unit too: kp_Nm_per_rad or kp_N_per_m"),
-        ("gear = 100", "drive.gear = 100: not a known key"),
+        ("gear = 100", "drive.gear = 100: unknown key"),
         ('encoder_side = "both"', "drive.encoder_side = 'both': must be 'motor' or 'joint'"),
         ("delay_s = -1", "drive.delay_s"),
     ],

@@ -109,8 +109,8 @@ def test_a_result_is_written_with_the_digits_that_are_known() -> None:
     joints = tuple(replace(j, a=float(moved(j.a)), theta=float(moved(j.theta))) for j in known.joints)
     other = replace(known, joints=joints, effect_values=values, knowledge=learned)
     assert to_toml(known) != to_toml(other)
-    text = to_toml(known, known_alone=True)
-    assert text == to_toml(other, known_alone=True)
+    text = to_toml(known, reproducible=True)
+    assert text == to_toml(other, reproducible=True)
     again = robot_from(tomllib.loads(text), "robot.toml")
     m = with_columns(campaign("hh800"), EFFECTS)[::5]
     np.testing.assert_allclose(predicted(again, m)[0], predicted(known, m)[0], rtol=0, atol=1e-9)
@@ -155,8 +155,8 @@ def test_a_large_covariance_lies_in_a_file_beside_the_robot(tmp_path: Path) -> N
     A = np.random.default_rng(0).normal(size=(len(names), len(names) + 5))
     C = 1e-9 * A @ A.T
     known = replace(robot("ur10e").with_effect(curve), knowledge=Knowledge((Covariance(names, C),), "one", 9))
-    for known_alone in (False, True):
-        write_together(robot_files(tmp_path / "arm.robot.toml", known, known_alone=known_alone))
+    for reproducible in (False, True):
+        write_together(robot_files(tmp_path / "arm.robot.toml", known, reproducible=reproducible))
         assert (tmp_path / "arm.robot.toml").stat().st_size < 40_000
         (block,) = read_robot(tmp_path / "arm.robot.toml").knowledge.covariance
         variances = np.einsum("ij,ij->i", A.T @ block.matrix, A.T), np.einsum("ij,ij->i", A.T @ C, A.T)

@@ -47,7 +47,7 @@ FAULTS = {
         ["joint[1].alpha_deg = -1.5708", "looks like radians", "alpha_rad"],
     ),
     "no unit": (row2("a = 0.3"), ["joint[2].a = 0.3", "a_mm or a_m"]),
-    "an angle's unit on a length": (row2("a_deg = 3"), ["joint[2].a_deg = 3", "not a known key", "a_mm"]),
+    "an angle's unit on a length": (row2("a_deg = 3"), ["joint[2].a_deg = 3", "unknown key", "a_mm"]),
     "two units": (row2("a_mm = 300\na_m = 0.3"), ["joint[2].a_m = 0.3", "given twice"]),
     "a slip of the pen": (row2("alhpa_deg = 9"), ["joint[2].alhpa_deg = 9", "is alpha_deg meant?", "theta_deg"]),
     "a version that is true": (("casadical = 1", "casadical = true"), ["casadical = true", "must be 1 or 2"]),

@@ -41,8 +41,8 @@ class Trainer(ABC):
     Examples
     --------
     >>> from casadical.compensator import JointBox, Layout, make_task
-    >>> from casadical.compensator.trainers.known import known_trainers
-    >>> trainer = known_trainers()["lm"].for_method()
+    >>> from casadical.compensator.trainers.registry import trainers_by_name
+    >>> trainer = trainers_by_name()["lm"].for_method()
     >>> trainer.name
     'lm'
     >>> task = make_task(Layout(2), JointBox((-3.0, -3.0), (3.0, 3.0)), poses.q, residual_mm)

@@ -22,14 +22,14 @@ class Key:
         for the attribute of the same name
     unit : unit into which an SI value is converted, a key of `PER_SI_UNIT`; "": none
     digits : number of digits after the decimal point; None: not rounded
-    if_known : whether the key is omitted where the value is None
+    omit_none : whether the key is omitted where the value is None
     """
 
     name: str = ""
     of: str | Callable[[Any], Any] = ""
     unit: str = ""
     digits: int | None = None
-    if_known: bool = False
+    omit_none: bool = False
 
 
 def written(name: str = "", unit: str = "", digits: int | None = None) -> dict[str, Key]:
@@ -93,7 +93,7 @@ def _by_keys(result: Any) -> dict[str, Any]:
             for attribute in of.split("."):
                 found = None if found is None else getattr(found, attribute)
         found = plain(found)
-        if found is not None or not key.if_known:
+        if found is not None or not key.omit_none:
             title = f"{key.name or name}_{key.unit}" if key.unit else key.name or name
             data[title] = _in_unit(found, PER_SI_UNIT.get(key.unit, 1), key.digits)
     return data

@@ -184,12 +184,12 @@ class Result(Shown):
     Showing a result computes nothing.
 
     report : file name of the template of its sentences, in the folder of the class's module
-    kept_as : name of the files in which it is saved, without the suffix
+    file_stem : name of the files in which it is saved, without the suffix
     derived : keys of its JSON that are not marked fields, see `plain`
     """
 
     report: ClassVar[str]
-    kept_as: ClassVar[str] = "result"
+    file_stem: ClassVar[str] = "result"
     derived: ClassVar[tuple[Key, ...]] = ()
 
     def blocks(self) -> Sequence[Block]:
@@ -222,7 +222,7 @@ class Result(Shown):
         """
         from casadical.core.files import json_text  # late: the simulators' physics show results but write none
 
-        place = Path(folder) / self.kept_as
+        place = Path(folder) / self.file_stem
         words = plain_text(self.blocks(), 100)
         return {place.with_suffix(".json"): json_text(self.to_json()), place.with_suffix(".txt"): words}
 

@@ -284,10 +284,10 @@ class Discovery(Result):
         refit, folder, name = self.refit(), Path(folder), name or self.case.m.source
         comment = "\n".join([f"Discovered by casadical from {name}.", *self.lines, refit.verdict])
         kinds = [type(e) for e in refit.robot.effects]
-        texts = robot_files(folder / "discovered.robot.toml", refit.robot, comment, kinds, known_alone=True)
+        texts = robot_files(folder / "discovered.robot.toml", refit.robot, comment, kinds, reproducible=True)
         if self.best_model == "law":
             laws = tuple(s.law for s in self.laws)
-            texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment, known_alone=True)
+            texts[folder / "law.effect.toml"] = effects_toml(refit.robot, laws, comment, reproducible=True)
         texts[folder / "discovery.json"] = json_text(self.to_json(name))
         texts[folder / "discovery.txt"] = plain_text(self.blocks(), 100)
         return texts

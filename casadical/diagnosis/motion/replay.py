@@ -48,7 +48,7 @@ class Replay(Result):
     against : comparisons with published parameters of files
     """
 
-    kept_as: ClassVar[str] = "replay"
+    file_stem: ClassVar[str] = "replay"
     report: ClassVar[str] = "replay.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (

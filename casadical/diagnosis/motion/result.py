@@ -12,7 +12,7 @@ from casadical.core.basics import Array, InputError, Show
 from casadical.core.reporting.blocks import Block, Table
 from casadical.core.reporting.plain import WRITTEN, Key
 from casadical.core.reporting.result import Result
-from casadical.core.statistics import first_of_best, known_digits
+from casadical.core.statistics import first_of_best, rounded_at
 from casadical.diagnosis.motion.engine import Found, LogProblem, Outcome, search
 from casadical.diagnosis.motion.floor import Stop, stops_of
 from casadical.diagnosis.motion.friction_laws import FrictionLaws, friction_laws
@@ -51,7 +51,7 @@ class LogDiagnosis(Result):
 
     line: ClassVar[str] = " {{ it.log.source }}: {{ it.verdict }}{% for f in it.faults %}, {{ f.name }}{% endfor %}"
 
-    kept_as: ClassVar[str] = "log_diagnosis"
+    file_stem: ClassVar[str] = "log_diagnosis"
     report: ClassVar[str] = "log.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (
@@ -163,7 +163,7 @@ class LogDiagnosis(Result):
         k = len(problem.mean) + int(np.searchsorted(np.sort(np.concatenate([own, *others])), own[0]))
         unit = UNDECLARED_PAYLOAD_SHARE * float(self.arm.inertial[::10].sum())
         mass, error = complete.fit.x[k] * unit, float(np.sqrt(np.linalg.inv(complete.fit.precision)[k, k])) * unit
-        return known_digits(float(mass), error, 4), known_digits(error, error, 4)
+        return rounded_at(float(mass), error, 4), rounded_at(error, error, 4)
 
     def blocks(self) -> list[Block]:
         """Return the report of the diagnosis as blocks of sentences and tables."""

@@ -199,7 +199,7 @@ class Export(Result):
     about : sentences on what it was made from and what it omits
     """
 
-    kept_as: ClassVar[str] = "export"
+    file_stem: ClassVar[str] = "export"
     report: ClassVar[str] = "export.j2"
 
     derived: ClassVar[tuple[Key, ...]] = (Key("verified"), Key("operations", "operations.count"))
@@ -277,7 +277,7 @@ def write_c(
             raise InputError(f"{value!r} is no sha256; {allowed}")
     for language in (chosen := tuple(CONTROLLER_LANGUAGES if languages is None else languages)):
         if language not in CONTROLLER_LANGUAGES:
-            raise InputError(f"language {language!r} is not known; allowed: {', '.join(CONTROLLER_LANGUAGES)}")
+            raise InputError(f"language {language!r} is unknown; allowed: {', '.join(CONTROLLER_LANGUAGES)}")
     folder = Path(folder)
     program = tape_program(product, real, name, model_sha256, data_sha256)
     texts: dict[str, str] = {}

@@ -70,7 +70,7 @@ class Sources:
 
     def __post_init__(self) -> None:
         if self.tool not in get_args(Tool):
-            raise InputError(f"--tool {self.tool}: not known; allowed: {', '.join(get_args(Tool))}")
+            raise InputError(f"--tool {self.tool}: unknown; allowed: {', '.join(get_args(Tool))}")
 
 
 def export_c(
@@ -102,7 +102,7 @@ def export_c(
     Raises InputError.
     """
     if real not in ("float", "double"):
-        raise InputError(f"--real {real}: not known; allowed: float, double")
+        raise InputError(f"--real {real}: unknown; allowed: float, double")
     product: Product
     if what == "command":
         command = command_of(sources, steps, orientation=wants_pose(correct))
@@ -110,7 +110,7 @@ def export_c(
     elif what in ("network", "curves"):
         product = (network_of if what == "network" else curves_of)(sources)
     else:
-        raise InputError(f"--what {what}: not known; allowed: network, command, curves")
+        raise InputError(f"--what {what}: unknown; allowed: network, command, curves")
     robot = robot_of(sources.robot)
     files = {"robot": sources.robot, "nominal": sources.nominal, "compensator": sources.compensator}
     hashes = {
@@ -451,7 +451,7 @@ def prefix_of(name: str) -> str:
 def wants_pose(word: str) -> bool:
     """Return whether the option --correct is "pose". Raises InputError if it is no known word."""
     if word not in ("position", "pose"):
-        raise InputError(f"--correct {word}: not known; allowed: position, pose")
+        raise InputError(f"--correct {word}: unknown; allowed: position, pose")
     return word == "pose"
 
 

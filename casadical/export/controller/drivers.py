@@ -29,7 +29,7 @@ def driver_file(sources: Sources, form: str, checksum: str = "") -> tuple[str, t
     the form.
     """
     if form not in DRIVER_FORMS:
-        raise InputError(f"--to {form}: not known; allowed: {', '.join(DRIVER_FORMS)}")
+        raise InputError(f"--to {form}: unknown; allowed: {', '.join(DRIVER_FORMS)}")
     full = robot_of(sources.robot)
     if full.loops:
         raise InputError(f"{full.name}: a four-bar has no place in a driver's kinematics; export c has one")

@@ -14,20 +14,20 @@ from casadical.measurements.kinds.base import Arrays, MeasurementKind, PoseExpre
 class OfPoints(MeasurementKind):
     """Base class of kinds whose poses refer to unknown points by their labels.
 
-    known : name of the array that gives the points, if there is one; then none is unknown
+    point_array : name of the array that gives the points; "" if the kind has none
     alone : name of the one point where there are no labels
     """
 
-    known: ClassVar[str] = ""
+    point_array: ClassVar[str] = ""
     alone: ClassVar[str] = ""
 
     def at_rest(self, arrays: Arrays) -> bool:
         """Return whether the points are given, so that the base is identifiable."""
-        return self.known in arrays
+        return self.point_array in arrays
 
     def point_names(self, arrays: Arrays) -> Sequence[str]:
         """Return the label of each pose's unknown point; empty if the points are given."""
-        return () if self.known in arrays else list(self._labels(arrays))
+        return () if self.point_array in arrays else list(self._labels(arrays))
 
     def point_starts(self, arrays: Arrays, p: Array) -> Array:
         """Return an initial estimate of each pose's unknown point, shape (n, 3) [m].
@@ -57,7 +57,7 @@ class Contact(OfPoints):
     """Contact of the measured point with points that are identified too, by their labels.
 
     The reported error is the distance from the mean of all poses at the same point, because the
-    true points are not known.
+    true points are unknown.
     """
 
     name = "contact"

@@ -28,7 +28,7 @@ class Distance(OfPoints):
     signs: ClassVar[tuple[str, ...]] = ("distance_mm?",)
     arrays: ClassVar[tuple[str, ...]] = ("distance",)
     lengths = 1
-    known = "target"
+    point_array = "target"
     alone = "far end"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:

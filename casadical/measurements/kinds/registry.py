@@ -40,7 +40,7 @@ def find_kind(name: str, source: str = "measurements") -> MeasurementKind:
     source : where the name stands, for the message
     """
     if name not in kinds():
-        raise InputError(f"{source}: kind {name!r} is not known; allowed: {', '.join(kinds())}")
+        raise InputError(f"{source}: kind {name!r} is unknown; allowed: {', '.join(kinds())}")
     return kinds()[name]
 
 

@@ -159,7 +159,7 @@ class Dial(Plane):
     fill = ("reading_mm",)
     has_scale = True
     lever = 10.0
-    known = "axis"
+    point_array = "axis"
     alone = "dial"
 
     def read(self, columns: Columns, q: Array) -> dict[str, Array]:

@@ -213,8 +213,8 @@ def _joint(words: Sequence[str], names: Sequence[str]) -> tuple[str, list[str]]:
             return name, [*words[:at], *words[at + len(part) :]]
     # Words without a meaning of their own in a heading.
     filler_words = WORDS["filler"] | WORDS["measured"] | WORDS["joint"] | WORDS["log_filler"]
-    known = filler_words | _COMMANDED | frozenset().union(*_QUANTITIES.values())
-    remaining = [word for word in words if word not in known]
+    understood = filler_words | _COMMANDED | frozenset().union(*_QUANTITIES.values())
+    remaining = [word for word in words if word not in understood]
     return " ".join(str(int(w)) if is_number(w) else w for w in remaining), [w for w in words if w not in remaining]
 
 

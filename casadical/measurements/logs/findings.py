@@ -300,7 +300,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
             continue
         column = log.position[:, k]
         top = int(np.nanargmax(np.abs(column)))
-        largest, known = abs(float(column[top])), f"{log.source}: row {log.row[top]}, position of {name}"
+        largest, place = abs(float(column[top])), f"{log.source}: row {log.row[top]}, position of {name}"
         beyond = largest > MAX_TURNS * 2 * np.pi
         if robot and not beyond:
             lower, upper = (float(ends[k]) for ends in robot.limits)
@@ -310,7 +310,7 @@ def refuse_other_units(log: JointLog, robot: Arm | None) -> None:
                 largest > 2 * reach + range_margin_rad and largest > np.pi and bool(inside[np.isfinite(column)].all())
             )
         if beyond:
-            raise InputError(f"{known}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
+            raise InputError(f"{place}: {largest:.6g} rad; such angles are degrees: name the columns q{k + 1}_deg")
         _refuse_change(log, k)
         if log.command is not None and np.nanstd(column) > MIN_MOVEMENT and np.nanstd(log.command[:, k]) > MIN_MOVEMENT:
             ratio = float(np.nanstd(log.command[:, k]) / np.nanstd(column))

@@ -147,10 +147,10 @@ def stations_of_bag(path: Path) -> RawTable:
     ]
     # Universal Robots' drivers send joints in the order of the alphabet; others number them.
     numbers = [UR_JOINTS.index(n) + 1 if n in UR_JOINTS else int(*re.findall(r"\d+$", n)) for n in states.names]
-    known = sorted(numbers) == list(range(1, len(numbers) + 1))
-    names = [f"q{k}_rad" if known else f"{name} [rad]" for k, name in zip(numbers, states.names, strict=True)]
+    valid = sorted(numbers) == list(range(1, len(numbers) + 1))
+    names = [f"q{k}_rad" if valid else f"{name} [rad]" for k, name in zip(numbers, states.names, strict=True)]
     table = pd.DataFrame(rows, columns=[*names, "x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"])
-    table = table[[f"q{k + 1}_rad" for k in range(len(names))] + list(table.columns[len(names) :])] if known else table
+    table = table[[f"q{k + 1}_rad" for k in range(len(names))] + list(table.columns[len(names) :])] if valid else table
     said = (
         f"{path.name}: {len(groups)} stations at which the joints of {states.topic} rested, with {int(still.sum())} "
         f"poses of {' '.join(key)}, their mean at each."

@@ -198,7 +198,7 @@ def repeats_of(robot: Robot, sets: Sequence[Measurements]) -> tuple[float, float
 def budget_of(
     robot: Robot,
     held_out: Sequence[Measurements],
-    known: Conditions,
+    given: Conditions,
     repeats: tuple[float, float] = (0.0, 0.0),
     groups: Sequence[str] = ("base",),
 ) -> Budget:
@@ -206,7 +206,7 @@ def budget_of(
 
     robot : robot that is judged
     held_out : measured positions that the calibration has not used
-    known : stated uncertainties
+    given : standard uncertainties that the user states [SI]
     repeats : standard deviation [m] and degrees of freedom, as of `repeats_of`
     groups : groups of parameters that are fitted to these poses first, as far as the robot has them
     Raises InputError: fewer than `MIN_HELD_OUT_POSES` poses, or no positions.
@@ -230,13 +230,13 @@ def budget_of(
     fit_correction = (3 * n + t) / max(3 * n - k, 1)
     whole, mean = fit_correction * float(np.std(e**2, ddof=1)) / np.sqrt(n), fit_correction * float(np.mean(e**2))
     spread = float(np.mean(((p - p.mean(axis=0)) ** 2).sum(axis=1)))
-    (s, freedom), noise = repeats, known.noise
-    # Degrees of freedom of a stated noise, which is taken as known to 25 % (JCGM 100:2008, G.4.2).
+    (s, freedom), noise = repeats, given.noise
+    # Degrees of freedom of a stated noise, which is taken as certain to 25 % (JCGM 100:2008, G.4.2).
     stated_noise_freedom = 8.0
     if freedom:  # the scatter of repeats includes the instrument's noise
         noise = 0.0
     else:
-        s, freedom = known.repeatability, stated_noise_freedom
+        s, freedom = given.repeatability, stated_noise_freedom
     by_noise = [3 * v**2 for v in (noise, s)]
     random = sum(by_noise) / 3
     # The part of the variance of mean(e^2) that is due to noise; the rest is due to the space.
@@ -245,10 +245,10 @@ def budget_of(
         Contribution(
             "instrument",
             "B",
-            -by_noise[0] + known.scale**2 * spread,
-            float(np.hypot(by_noise[0] * np.sqrt(2 / stated_noise_freedom), np.sqrt(2) * known.scale**2 * spread)),
+            -by_noise[0] + given.scale**2 * spread,
+            float(np.hypot(by_noise[0] * np.sqrt(2 / stated_noise_freedom), np.sqrt(2) * given.scale**2 * spread)),
             stated_noise_freedom if by_noise[0] else INFINITE_FREEDOM,
-            known.noise > 0 or known.scale > 0,
+            given.noise > 0 or given.scale > 0,
         ),
         Contribution(
             "repeatability",
@@ -261,25 +261,25 @@ def budget_of(
         Contribution("model", "B", 0.0, _interpolation_uncertainty(robot, sets)),
         Contribution("frames", "A", mean - mean / fit_correction, mean / 3 * np.sqrt(2 * k) / n, 3.0 * n - k),
         Contribution(
-            "temperature", "B", known.growth**2 * spread, np.sqrt(2) * known.growth**2 * spread, stated=known.growth > 0
+            "temperature", "B", given.growth**2 * spread, np.sqrt(2) * given.growth**2 * spread, stated=given.growth > 0
         ),
         Contribution("sampling", "A", 0.0, float(np.sqrt(max(whole**2 - own_part, 0.0))), n - 1.0),
     )
     return Budget(e, lines)
 
 
-def covariance_root(known: Knowledge, names: Sequence[str]) -> Array:
+def covariance_root(knowledge: Knowledge, names: Sequence[str]) -> Array:
     """Return F, shape (k, k) [SI], with F F' the covariance of parameters in a robot file.
 
-    known : covariance blocks and misfit, as the robot file states them from its calibration
+    knowledge : covariance blocks and misfit, as the robot file states them from its calibration
     names : parameters, in the order of rows and columns
     """
     root = np.zeros((len(names), len(names)))
-    for block in known.covariance:
+    for block in knowledge.covariance:
         own = block.only(names)
         at = [names.index(n) for n in own.names]
         values, V = np.linalg.eigh(own.matrix)
-        root[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * known.misfit)
+        root[np.ix_(at, at)] = V * np.sqrt(np.maximum(values, 0.0) * knowledge.misfit)
     return root
 
 

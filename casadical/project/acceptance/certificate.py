@@ -88,7 +88,7 @@ class Details(TomlTable):
     decision: DecisionTable = Field(default_factory=DecisionTable)
 
     @property
-    def known(self) -> Conditions:
+    def stated_uncertainties(self) -> Conditions:
         """Return the stated standard uncertainties for the budget [SI], zero where not stated.
 
         The temperature range is the half-width of a rectangular distribution. Raises InputError for
@@ -385,7 +385,7 @@ def certificate(
     for m in sets:
         check_against(calibrated.robot, m)
     every = [m for parts in calibrated.sets.values() for m in parts]
-    budget = partial(budget_of, held_out=sets, known=said.known, repeats=repeats_of(robot, every))
+    budget = partial(budget_of, held_out=sets, given=said.stated_uncertainties, repeats=repeats_of(robot, every))
     nominal = budget(calibrated.robot, groups=("base", "tool"))
     own = budget(robot)
     p = np.concatenate([m.position for m in sets if m.position is not None])

@@ -88,7 +88,7 @@ def precheck(
             findings.insert(0, slip_finding(slips, problem.robot, standard, sets[0]))
     findings += set_findings(problem)
     findings += limits_findings(problem.robot)
-    known_noise, source = _noise(noise, sets)
+    noise_m, source = _noise(noise, sets)
     show("accuracy to expect")
     trusted = [m[np.flatnonzero(~facts.far_off(problem.robot, m)[0])] for m in sets] if usable else []
     start = place_sessions(problem.robot, trusted or sets)
@@ -98,7 +98,7 @@ def precheck(
     outlooks, faults = _outlooks(problem.methods if usable else (), start, trusted, noise)
     findings += faults
     for view in outlooks:
-        findings += outlook_findings(view, problem.robot, known_noise)
+        findings += outlook_findings(view, problem.robot, noise_m)
     first = sets[0]
     return Precheck(
         folder,
@@ -106,7 +106,7 @@ def precheck(
         problem.title,
         problem.robot.name,
         tuple((name, sum(len(m) for m in parts)) for name, parts in problem.sets.items()),
-        known_noise,
+        noise_m,
         source,
         facts.coverage(problem.robot, first),
         facts.margin(problem.robot, first),
@@ -217,8 +217,8 @@ def _data_findings(
             reading_findings, better = _reading_findings(robot, m)
             findings += reading_findings
             readings |= {m.source: better} if better else {}
-        known_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
-        findings += data_findings(robot, m, table or m, known_readings=known_readings)
+        repeated_readings = any(np.array_equal(m.q, before.q) for before in sets[:k])  # of another wire
+        findings += data_findings(robot, m, table or m, repeated_readings=repeated_readings)
     return findings, single, readings
 
 

@@ -93,15 +93,15 @@ def slip_finding(slips: Slips, robot: Robot, standard: bool, m: Measurements) ->
     return Finding("error", "units", f"{text}{mirrored}. casadical check --repair writes the first")
 
 
-def data_findings(robot: Robot, m: Measurements, table: Measurements, *, known_readings: bool) -> list[Finding]:
+def data_findings(robot: Robot, m: Measurements, table: Measurements, *, repeated_readings: bool) -> list[Finding]:
     """Return the findings on one table that is fitted.
 
     m : the fitted poses
     table : the whole table, with held-out poses, where there is only one
-    known_readings : whether an earlier table had the same readings, so that findings on them are
+    repeated_readings : whether an earlier table had the same readings, so that findings on them are
         left out
     """
-    findings = [] if known_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
+    findings = [] if repeated_readings else [*_coverage_findings(robot, m), *_margin_findings(robot, m)]
     if computed(robot, m):
         text = f"{m.source}: the positions are the nominal robot's own to the last digit: computed, not measured?"
         findings.append(Finding("warning", "data", text))
@@ -183,7 +183,7 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
         text = f"{source}: column {beyond[0]!r} has no effect: this robot has {robot.n} joints"
         findings.append(Finding("warning", "columns", text))
     # Columns that the model or an effect may need, besides readings and observations.
-    known_columns = (
+    understood_columns = (
         "payload_kg",
         "temperature_degC",
         "time_s",
@@ -195,10 +195,10 @@ def _unknown_columns(robot: Robot, conditions: Sequence[str], source: str) -> li
         "other_pose",
     )
     for name in conditions:
-        near = [candidate for candidate in known_columns if candidate.startswith(f"{name}_")]
+        near = [candidate for candidate in understood_columns if candidate.startswith(f"{name}_")]
         # At 0.84 a height is not taken for a weight (0.83), but temperature_C for temperature_degC.
-        near = near or difflib.get_close_matches(name.casefold(), known_columns, 1, 0.84)
-        if name not in known_columns and near and not name.startswith(("warmth_", "approach")):
+        near = near or difflib.get_close_matches(name.casefold(), understood_columns, 1, 0.84)
+        if name not in understood_columns and near and not name.startswith(("warmth_", "approach")):
             text = f"{source}: column {name!r} is no name that anything asks for; is {near[0]!r} meant?"
             findings.append(Finding("warning", "columns", text))
     return findings

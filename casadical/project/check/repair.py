@@ -41,8 +41,8 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     tables: Any = problem["measurements"]
     table = tables[0]
     raw = read_table(folder / str(table["file"]))
-    known = _known_columns(folder, table, robot)
-    columns = {**known, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **known})}
+    present = _table_columns(folder, table, robot)
+    columns = {**present, **repaired_columns(fit, robot, {**{n: Source(n) for n in raw.header}, **present})}
     texts: dict[Path, str] = {}
     other, counted, repaired_robot = other_lengths(fit, robot), _counted(fit, robot), robot
     place = folder / str(problem.get("robot", "robot.toml"))
@@ -62,13 +62,13 @@ def repaired_files(folder: Path, fit: Fit, robot: Robot) -> dict[Path, str]:
     meaning = understood(raw, repaired_robot, others, table.get("kind"))
     again = {ours: source for ours, source in meaning.sources.items() if re.fullmatch(ORIENTATION, ours)}
     columns = columns if meaning.questions or not again else {**others, **again}
-    if columns != known:
+    if columns != present:
         table["columns"] = _columns_table(columns)
         texts[path] = tomlkit.dumps(problem)
     return texts
 
 
-def _known_columns(folder: Path, table: Any, robot: Robot) -> dict[str, Source]:
+def _table_columns(folder: Path, table: Any, robot: Robot) -> dict[str, Source]:
     """Return the columns of a table of problem.toml, declared or inferred, by our name."""
     raw = read_table(folder / str(table["file"]))
     given = {str(ours): Source.read(theirs) for ours, theirs in dict(table.get("columns", {})).items()}
@@ -109,10 +109,10 @@ def _counted(fit: Fit, robot: Robot) -> dict[int, dict[str, Any]]:
     return made
 
 
-def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dict[str, Source]:
+def repaired_columns(fit: Fit, robot: Robot, present: Mapping[str, Source]) -> dict[str, Source]:
     """Return casadical's column name -> its new source, for the columns that the repair changes.
 
-    known : casadical's column name -> its present source, for all columns
+    present : casadical's column name -> its present source, for all columns
     Raises InputError where a column is missing, or is a sum of columns already.
     """
     h = fit.hypothesis
@@ -120,19 +120,19 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     # A joint that follows others needs no column; its reading is in the unit of the model then.
     names = [
         f"q{i}_{robot.units[i - 1]}"
-        if joint.coupling and not any(f"q{i}{unit}" in known for unit in units)
-        else _column_present(known, f"q{i}", units)
+        if joint.coupling and not any(f"q{i}{unit}" in present for unit in units)
+        else _column_present(present, f"q{i}", units)
         for i, joint in enumerate(robot.joints, 1)
     ]
     si = {"deg": np.pi / 180, "rad": 1.0, "mm": 1e-3, "m": 1.0}
     unit = [si[name.rsplit("_", 1)[1]] for name in names]
     columns: dict[str, Source] = {}
     for i, name in enumerate(names):
-        if name not in known and h.source[i] == i:
+        if name not in present and h.source[i] == i:
             continue
-        if names[h.source[i]] not in known:
+        if names[h.source[i]] not in present:
             raise InputError(f"column {names[h.source[i]]} is missing; the repair cannot be written")
-        made = source = known[names[h.source[i]]]
+        made = source = present[names[h.source[i]]]
         factor = h.factor[i] * unit[h.source[i]] / unit[i]
         if factor != 1.0:
             source = _without_sum(source)
@@ -142,11 +142,11 @@ def repaired_columns(fit: Fit, robot: Robot, known: Mapping[str, Source]) -> dic
     for c, scale in zip("xyz", scales, strict=True):
         if scale == 1.0 and not (c == "y" and fit.mirrored):
             continue
-        name = _column_present(known, c, ("_mm", "_m"))
-        source, sign = _without_sum(known[name]), -1.0 if c == "y" and fit.mirrored else 1.0
+        name = _column_present(present, c, ("_mm", "_m"))
+        source, sign = _without_sum(present[name]), -1.0 if c == "y" and fit.mirrored else 1.0
         times = sign * scale * source.times
         columns[name] = Source(source.name, _round(times), sign * scale * source.plus, {}, source.rows)
-    return {name: made for name, made in columns.items() if made != known.get(name)}
+    return {name: made for name, made in columns.items() if made != present.get(name)}
 
 
 def _round(value: float) -> float:
@@ -154,13 +154,13 @@ def _round(value: float) -> float:
     return float(f"{value:.10g}")
 
 
-def _column_present(known: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
+def _column_present(present: Mapping[str, Source], stem: str, units: tuple[str, ...]) -> str:
     """Return the name of a column, stem and unit, under which it has a source, or raise InputError.
 
-    known : casadical's column name -> its source; units : suffixes that are tried in order
+    present : casadical's column name -> its source; units : suffixes that are tried in order
     """
     for unit in units:
-        if stem + unit in known:
+        if stem + unit in present:
             return stem + unit
     raise InputError(f"column {stem} is missing; the repair cannot be written")
 
@@ -258,8 +258,8 @@ def _files_with_better_readings(found: Precheck) -> dict[Path, str]:
     for table in listed:
         if better := found.readings.get(Path(str(table["file"])).name):
             joints = re.compile(r"q\d+_(deg|rad|mm|m)")
-            known = _known_columns(found.folder, table, found.nominal)
-            others = {ours: source for ours, source in known.items() if not joints.fullmatch(ours)}
+            present = _table_columns(found.folder, table, found.nominal)
+            others = {ours: source for ours, source in present.items() if not joints.fullmatch(ours)}
             table["columns"] = _columns_table({**better, **others})
     return {path: tomlkit.dumps(problem)}
 

@@ -98,8 +98,8 @@ class Precheck(Result):
             return (next_step("to calibrate", "calibrate", self.folder, *self.tables, "--out", "results"),)
         if all(f.topic == "too few poses" for f in self.of_level("error")):
             return (self.more,) if self.more else ()
-        known = self.wrong_names or (self.targets and self.targets.which is not None)
-        if not self.tables and (known or (self.slips and self.slips.explains)):
+        repairable = self.wrong_names or (self.targets and self.targets.which is not None)
+        if not self.tables and (repairable or (self.slips and self.slips.explains)):
             return (next_step("to write the best repair and see what it changes", "check", self.folder, "--repair"),)
         return (next_step("when this is corrected", "check", self.folder, *self.tables),)
 

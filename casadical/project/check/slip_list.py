@@ -203,7 +203,7 @@ def meant_length(value: float, departure: float) -> float:
 Misses = Callable[[Measurements], tuple[Array, Array]]
 
 
-def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, known: Sequence[str]) -> str:
+def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limit: float, labels: Sequence[str]) -> str:
     """Return a sentence on the single slips that make the k-th reading plausible if undone.
 
     Where there are none, the sentence states other causes.
@@ -211,9 +211,9 @@ def slips_of_reading(robot: Robot, m: Measurements, k: int, misses: Misses, limi
     robot : robot as the other readings determine it
     misses : function of readings that predicts them by the other readings, see `Misses`
     limit : largest squared Mahalanobis distance of a plausible reading
-    known : labels of points that the other readings refer to
+    labels : labels of points that the other readings refer to
     """
-    listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, known), *_of_joints(robot, m, k)]
+    listed: list[tuple[str, dict[str, Any]]] = [*_of_observed(m, k), *_of_names(m, k, labels), *_of_joints(robot, m, k)]
     found = misses(_with_changes(m, k, [changed for _, changed in listed]))[1]
     if "orientation" in m.arrays:
         words = "its position is plausible, its orientation is not: the target turned, or its angles are others"
@@ -281,13 +281,13 @@ def _of_observed(m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]
         yield f"its orientation is the inverse: of {other}", {turn: R.T}
 
 
-def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
+def _of_names(m: Measurements, k: int, others: Sequence[str]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Yield possible slips of names in the k-th reading, each in words and as its undoing.
 
     They are another target, session, touched point or anchor; the undoing is name -> corrected
     value.
 
-    known : labels of points that other readings refer to
+    others : labels of points that other readings refer to
     """
     for kind, word in (("tool_", "target"), ("session_", "session")):
         names = [name for name in m.conditions if name.startswith(kind)]
@@ -299,7 +299,7 @@ def _of_names(m: Measurements, k: int, known: Sequence[str]) -> Iterator[tuple[s
         for end in ends[np.linalg.norm(ends - m.target[k], axis=1) > 4e-3]:
             yield f"its distance is to {', '.join(f'{1e3 * c:.0f}' for c in end)} mm", {"target": end}
     elif labels := list(find_kind(m.kind).point_names(m.arrays)):
-        yield from ((f"it is of {name}, not of {labels[k]}", {"label": name}) for name in known if name != labels[k])
+        yield from ((f"it is of {name}, not of {labels[k]}", {"label": name}) for name in others if name != labels[k])
 
 
 def _of_joints(robot: Robot, m: Measurements, k: int) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -38,7 +38,7 @@ from casadical.project.live.view import MIN_READINGS_FOR_QUANTILE, with_words
 from casadical.project.planning import poses_ahead
 from casadical.project.problem import read_campaign, read_problem_robot
 from casadical.project.problem_file import DataTable, problem_file
-from casadical.project.robot_columns import refuse_nameless, understood, with_known_targets
+from casadical.project.robot_columns import refuse_nameless, understood, with_target_positions
 
 # Name of the table of all readings in the problem folder; it is rewritten from the journal.
 TABLE_FILE = "measured.csv"
@@ -290,7 +290,7 @@ class LiveSession:
         self._write()
         m = read_campaign(self.folder, self.folder / TABLE_FILE, self.robot, later=True, words=True)
         refuse_nameless(m, self.robot)
-        m = with_known_targets(m, self.robot)
+        m = with_target_positions(m, self.robot)
         # Raises InputError for a session with too few poses, which then waits for more.
         with_sessions(self.robot, [m])
         return m
@@ -389,7 +389,7 @@ class LiveSession:
         if self.plan is None:
             self.plan, self._of_plan = poses_ahead(self.robot, self.folder, self.room, self.target)
 
-    def _poses_left(self) -> Array:
+    def _remaining_poses(self) -> Array:
         """Return the planned poses that have no reading yet, shape (k, joints) [rad or m].
 
         Doubtful readings do not count. A pose to repeat comes first.
@@ -408,7 +408,7 @@ class LiveSession:
         self.look_ahead()
         assert self.plan is not None
         with self.lock:
-            remaining = self._poses_left()
+            remaining = self._remaining_poses()
             return np.asarray(remaining[0] if len(remaining) else self.plan[len(self.course.readings) % len(self.plan)])
 
     def doubted(self) -> bool:
@@ -550,8 +550,8 @@ class LiveSession:
         Poses [deg or mm] begin with the next one, whose move command is `program`.
         """
         poses, remaining = (
-            [self._joints(q) for q in (self.next_pose(), *self._poses_left()[1:])],
-            len(self._poses_left()),
+            [self._joints(q) for q in (self.next_pose(), *self._remaining_poses()[1:])],
+            len(self._remaining_poses()),
         )
         words = f"{remaining} planned poses are left" if remaining else "all planned poses are measured"
         program = self._move(poses[0]) if self._move else ""

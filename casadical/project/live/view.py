@@ -90,18 +90,18 @@ def outlook(state: Mapping[str, Any]) -> list[str]:
 
 
 def _off(reading: Mapping[str, Any]) -> str:
-    """Return a reading's distance from its prediction as text [mm]; empty where it is not known."""
+    """Return a reading's distance from its prediction as text [mm]; empty where there is none."""
     return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
 
 
-def _figures(known: Mapping[str, float | None]) -> list[tuple[str, str]]:
-    """Return (name, value) of the expected errors as texts [mm]; a dash where one is not known.
+def _figures(estimate: Mapping[str, float | None]) -> list[tuple[str, str]]:
+    """Return (name, value) of the expected errors as texts [mm]; a dash where one is not estimate.
 
-    known : the key `known` of a session's data
+    estimate : the key `known` of a session's data
     """
     named = {
-        "mean, left out one by one": known["left_out_mean_mm"],
-        "95 % below, to promise": known["promise_mm"],
-        "robot, whole ranges": known["expected_mm"],
+        "mean, left out one by one": estimate["left_out_mean_mm"],
+        "95 % below, to promise": estimate["promise_mm"],
+        "robot, whole ranges": estimate["expected_mm"],
     }
     return [(name, "\u2013" if v is None else f"{v:.{3 if v < 10 else 0}f} mm") for name, v in named.items()]

@@ -57,7 +57,7 @@ def robot_text(path: Path, name: str, convention: str) -> str:
     Raises InputError that names file, row and column.
     """
     if convention not in ("modified", "standard"):
-        raise InputError(f"--convention {convention}: not known; allowed: modified, standard")
+        raise InputError(f"--convention {convention}: unknown; allowed: modified, standard")
     if path.suffix.lower() in (".yaml", ".yml"):
         return _ur_text(path, name)
     table = read_table(path)
@@ -191,22 +191,22 @@ _LENGTH_STEMS = ("a", "d")
 _ANGLE_STEMS = ("alpha", "theta", "lower", "upper")
 
 
-def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
+def with_our_names(table: RawTable, allowed: Collection[str]) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Return the table under casadical's names and units, and clauses on recognised columns.
 
-    known : casadical's names of all allowed columns
+    allowed : casadical's names of all allowed columns
     Raises InputError for a column that is not recognised, or two of one meaning.
     """
     frame = table.frame
-    stems = {name: _stem(name) for name in table.header if name not in known}
+    stems = {name: _stem(name) for name in table.header if name not in allowed}
     unknown = [name for name, stem in stems.items() if not stem]
     if unknown:
         several = "is" if len(unknown) == 1 else "are"
         names = ", ".join(map(repr, unknown))
-        raise InputError(f"{table.path.name}: column {names} {several} not known; allowed: {', '.join(known)}")
+        raise InputError(f"{table.path.name}: column {names} {several} unknown; allowed: {', '.join(allowed)}")
     below = dict(zip(table.header, table.form.units, strict=False))
     units = {name: words_of(name)[1] or below.get(name, "") for name in stems}
-    made: dict[str, pd.Series] = {name: frame[name] for name in table.header if name in known}
+    made: dict[str, pd.Series] = {name: frame[name] for name in table.header if name in allowed}
     said = []
     for name, stem in stems.items():
         unit = units[name] or _assumed_unit(frame, stems, units, stem)
@@ -214,7 +214,7 @@ def with_our_names(table: RawTable, known: Collection[str]) -> tuple[pd.DataFram
         ours = {"stiffness": "stiffness_Nm_per_rad", "mass": "mass_kg"}.get(stem, stem)
         if stem in _LENGTH_STEMS + _ANGLE_STEMS or stem.startswith("com"):
             ours = f"{stem}_{base or 'mm'}"
-        if ours not in known:
+        if ours not in allowed:
             raise InputError(f"{table.path.name}: column {name!r}: unit {unit!r} does not fit {stem}")
         if ours in made:
             raise InputError(f"{table.path.name}: column {name!r} is a second column of {ours}; remove one")

@@ -30,7 +30,7 @@ class Marked:
         Key("count", lambda marked: len(marked.rows)),
         Key("first", "rows.row"),
         Key("angle", "turn", "deg", 1),
-        Key("gone", "nothing", if_known=True),
+        Key("gone", "nothing", omit_none=True),
         Key("none", "nothing"),
     )
 

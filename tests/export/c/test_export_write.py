@@ -109,7 +109,7 @@ def test_wrong_arguments_are_refused_with_what_is_allowed(tmp_path, network):
         with pytest.raises(InputError, match="cannot prefix"):
             write_c(network, tmp_path, name=name)
     for words, message in (
-        ({"languages": ["rows"]}, "language 'rows' is not known; allowed: c, structured_text"),
+        ({"languages": ["rows"]}, "language 'rows' is unknown; allowed: c, structured_text"),
         ({"real": "half"}, "'float' or 'double'"),
         ({"model_sha256": "abc"}, "no sha256"),
     ):

@@ -115,7 +115,7 @@ def test_bags_that_cannot_be_used(tmp_path) -> None:
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta" / "metadata.yaml").write_text("rosbag2_bagfile_information: 5")
     for path in (tmp_path / "odd.db3", tmp_path / "meta"):
-        with pytest.raises(InputError, match="not a readable bag: damaged, or of a form that is not known; record it"):
+        with pytest.raises(InputError, match="not a readable bag: damaged, or of an unknown form; record it"):
             read_log(path)
     with pytest.raises(InputError, match="no such file"):
         read_log(tmp_path / "none.db3")

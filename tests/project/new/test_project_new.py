@@ -95,7 +95,7 @@ def test_a_dh_table_may_have_headings_of_other_languages(language: str, tmp_path
 @pytest.mark.parametrize(
     ("headings", "message"),
     [
-        ("a_mm,alpha_deg,d_mm,colour", "column 'colour' is not known; allowed: joint, a_mm"),
+        ("a_mm,alpha_deg,d_mm,colour", "column 'colour' is unknown; allowed: joint, a_mm"),
         ("a_mm,Gliedlänge [mm],d_mm,alpha_deg", "column 'Gliedlänge [mm]' is a second column of a_mm"),
         ("a_mm,twist [mm],d_mm,theta_deg", "column 'twist [mm]': unit 'mm' does not fit alpha"),
     ],

@@ -359,7 +359,7 @@ def test_dh_rows_in_json_are_those_of_the_csv(tmp_path: Path) -> None:
     csv, js = (tomllib.loads(robot_text(tmp_path / name, "arm", "modified")) for name in ("dh.csv", "dh.json"))
     assert js["joint"] == csv["joint"]
     saved_text(tmp_path / "net.json", {"layers": [{"w": [[1, 2, 3, 4], [5, 6, 7, 8]], "b": [1, 2, 3, 4]}]})
-    with pytest.raises(InputError, match=re.escape("'w[0,0]', 'w[0,1]', 'b[0]' are not known")):
+    with pytest.raises(InputError, match=re.escape("'w[0,0]', 'w[0,1]', 'b[0]' are unknown")):
         robot_text(tmp_path / "net.json", "arm", "modified")
 
 

@@ -80,7 +80,7 @@ class CorrectedProgram(Result):
     texts : contents of the files that are to be written, by path
     """
 
-    kept_as: ClassVar[str] = "correction"
+    file_stem: ClassVar[str] = "correction"
     derived: ClassVar[tuple[Key, ...]] = (
         Key("language", "program.language.name"),
         Key("targets", lambda made: len(made.results)),

@@ -10,7 +10,7 @@ from casadical.core.basics import InputError
 _TRAINERS = (Backprop, Iwo, LevenbergMarquardt, IwoThenLm, Taught)
 
 
-def known_trainers() -> Mapping[str, type[Trainer]]:
+def trainers_by_name() -> Mapping[str, type[Trainer]]:
     """Return the class of every trainer by its short name, such as "lm"."""
     return {kind.name: kind for kind in _TRAINERS}
 
@@ -27,6 +27,6 @@ def trainer_named(trainer: Trainer | str) -> Trainer:
     """
     if isinstance(trainer, Trainer):
         return trainer
-    if trainer not in known_trainers():
-        raise InputError(f"there is no trainer {trainer!r}; there are {', '.join(known_trainers())}")
-    return known_trainers()[trainer]()
+    if trainer not in trainers_by_name():
+        raise InputError(f"there is no trainer {trainer!r}; there are {', '.join(trainers_by_name())}")
+    return trainers_by_name()[trainer]()
