@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, fields, make_dataclass
 from functools import cache, lru_cache, partial
 from pathlib import Path
@@ -24,16 +24,16 @@ from casadical.core.reading import MAX_ITEMS, load_toml
 from casadical.core.schema import FaultError, TomlTable, Triple, check
 from casadical.core.transforms import Symbolic
 from casadical.effects.base import Context, Counterparts, Effect
-from casadical.effects.formula import Formula, parse
+from casadical.effects.formula import ARGUMENT_COUNTS, Formula, parse
 from casadical.effects.formula_effect import (
     DEFAULT_TARGET_DIRECTION,
-    NUMBERED_NAME,
     SEAMS,
     STATION_SEAMS,
     FormulaEffect,
     check_formula,
     check_values,
     columns_of,
+    is_variable,
 )
 from casadical.effects.settings import MAX_SETTING_COUNT, NEAR_JOINTS, setting
 
@@ -409,7 +409,7 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
 
     module : name of the module of the class. Raises InputError that names the faulty key.
     """
-    _refuse_names(d)
+    _refuse_names(d, () if module.startswith("casadical.") else ARGUMENT_COUNTS)
     kind = _class_of(d.model_dump_json(), module, "".join(word.title() for word in d.name.split("_")))
     settings = {key: s.value for key, s in d.settings.items()}
     numbers = {key: value for key, value in settings.items() if isinstance(value, int | float)}
@@ -424,11 +424,12 @@ def effect_class(d: Definition, module: str = "effect file") -> type[DefinedEffe
     return kind
 
 
-def _refuse_names(d: Definition) -> None:
+def _refuse_names(d: Definition, functions: Collection[str]) -> None:
     """Check that no name in a definition is unknown, reserved or used twice. Raises InputError.
 
     Names are those of insertion points, the counterpart, placeholders, settings and parameters.
     Also checked are the sizes and the number of combinations of settings.
+    functions : names that no setting or parameter may have; those of the package may: `sin`, `step`
     """
     for seam in d.formulas:
         if seam not in SEAMS or seam == "joints":
@@ -448,8 +449,8 @@ def _refuse_names(d: Definition) -> None:
             raise InputError(f"sizes.{name}: one sigma of {size!r}; must be above 0, and 1000 at most")
     taken = {"t", "r", "joint", *(d.settings.keys() & d.sizes.keys())}
     for name in (*d.settings, *d.sizes):
-        if NUMBERED_NAME.fullmatch(name):
-            raise InputError(f"{name}: is a variable of formulas; give the parameter or setting another name")
+        if what := "function" * (name in functions) or "variable" * any(is_variable(name, s) for s in d.formulas):
+            raise InputError(f"{name}: is a {what} of formulas; give the parameter or setting another name")
         if name in taken or not _NAME_PATTERN.fullmatch(_PLACEHOLDER.sub("1", name)):
             raise InputError(f"{name}: a name of small letters, digits and _ of its own is needed, not t, r or joint")
     for text in _templates(d):

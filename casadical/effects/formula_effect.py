@@ -288,21 +288,9 @@ def check_formula(text: str, seam: str, own: Collection[str]) -> Formula:
     formula = parse(text, frozenset(own))
     if formula.components != SEAMS[seam].components:
         raise InputError(f"formula {text!r}: seam {seam!r} needs {SEAMS[seam].components} of its components")
-    # r is the instrument's range [m], azimuth its direction about the vertical [rad], incidence the
-    # cosine between beam and target.
-    there = {
-        *own,
-        *(("r", "azimuth", "incidence") if seam in (*STATION_SEAMS, "distance") else ()),
-        *([HEAD_NAME] if seam in STATION_SEAMS else ()),
-    }
-    there |= set(_POINT_NAMES if seam in (*STATION_SEAMS, "distance", "point") else ())
-    if seam in MOTION_SEAMS:
-        allowed = ", ".join([*own, *sorted(MOTION_NAMES), "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"])
-        refuse_unknown(
-            formula, lambda name: name in there | MOTION_NAMES or bool(MOTION_NAME_OF_JOINT.fullmatch(name)), allowed
-        )
-        return formula
-    refuse_unknown(formula, lambda name: name in there or _known(name, seam), f"{', '.join(own)}, {ALLOWED_NAMES}")
+    of_joints = "q1 (and v, speed, slip, load, tau, heat, rest) of joint 1"
+    allowed = (*own, *((*sorted(MOTION_NAMES), of_joints) if seam in MOTION_SEAMS else (ALLOWED_NAMES,)))
+    refuse_unknown(formula, lambda name: name in own or is_variable(name, seam), ", ".join(allowed))
     return formula
 
 
@@ -354,9 +342,20 @@ def _range_of(name: str) -> Interval:
     )
 
 
-def _known(name: str, seam: str) -> bool:
-    """Return whether a formula at an insertion point may use a name of a pose or of a column."""
-    if seam == "joints" and JOINT_NAME.fullmatch(name):
+def is_variable(name: str, seam: str) -> bool:
+    """Return whether a formula at an insertion point may use a name of a signal, a pose or a column.
+
+    Measurements have a range r [m], an azimuth of the beam [rad] and the cosine of its incidence.
+    """
+    if seam in MOTION_SEAMS:
+        return name in MOTION_NAMES or bool(MOTION_NAME_OF_JOINT.fullmatch(name))
+    measured = seam in (*STATION_SEAMS, "distance")
+    if (
+        (measured and name in ("r", "azimuth", "incidence"))
+        or (name in _POINT_NAMES and (measured or seam == "point"))
+        or (name == HEAD_NAME and seam in STATION_SEAMS)
+        or (seam == "joints" and JOINT_NAME.fullmatch(name))
+    ):
         return True
     if seam.startswith("payload") and not name.startswith("q") and not COLUMN_NAME.fullmatch(name):
         return False
