@@ -432,7 +432,8 @@ def simulate(days: list[dict]) -> list[dict]:
     if arm == "ur10e":
         nominal = model_of(arm, *[{"spread": None, "payload": 0.0}] * n)
         forward = rigid(nominal, u.reshape(len(u), -1)).reshape(u.shape)
-    p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in P_ARRAYS}
+    numbers = set.intersection(*map(set, days)) - {"spread", "arm", "kind", "also"}
+    p = {k: np.stack([np.broadcast_to(d[k], 6) for d in days]) for k in numbers}
     q, v, z, gust = u[0].copy(), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros(n)
     load, ends = np.abs(forward[0]), np.stack([ends_of(d["seed"]) for d in days])
     rngs, rows = [np.random.default_rng([d["seed"], 2]) for d in days], np.empty((total * 4 // ROW, n, 18))
@@ -464,9 +465,6 @@ def simulate(days: list[dict]) -> list[dict]:
         q, v = data.qpos.reshape(n, 6).copy(), data.qvel.reshape(n, 6).copy()
         load += 0.05 * (np.abs(data.qfrc_bias.reshape(n, 6)) - load)
     return [table(rows[:, i], commands[i], ends[i]) for i in range(n)]
-
-
-P_ARRAYS = "kp kd limit kt dry asymmetry viscous load static stribeck bristle ripple ripple_n ripple_at warm cold cold_s".split()
 
 
 def bristles(
