@@ -61,7 +61,7 @@ def subject_of(robot: Robot, poses: Measurements | None = None) -> tuple[Subject
         assumed.append(f"the arm warms by {Warmup().rise_K:g} K")
     if robot.effects:
         robot = robot.with_only(())
-        assumed.append("the effects of its file are left out: campaigns hide effects of their own")
+        assumed.append("the effects of its file are ignored: campaigns hide effects of their own")
     if robot.targets:
         robot = replace(robot, targets=(), tool_name="")
         assumed.append("of its several measured points the first is measured")

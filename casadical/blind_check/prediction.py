@@ -81,7 +81,7 @@ def predict(
 ) -> Path:
     """Answer every campaign of a folder that `make` wrote, and return the file of answers.
 
-    Answers that are in the file already are kept. A campaign that cannot be answered has a line
+    Answers that are in the file already stay there. A campaign that cannot be answered has a line
     that says why; it is tried again by the next call.
 
     folder : campaigns that `make` wrote

@@ -139,7 +139,7 @@ class Subject:
     def built(self, seed: int) -> Plant:
         """Return the robot as built, with building errors drawn from a seed.
 
-        Unless `level` is set, gravity is kept in the base frame while the base tilts.
+        Unless `level` is set, gravity stays the same in the base frame while the base tilts.
         """
         plant = perturb(self.nominal, seed, building=self.building)
         if self.level:

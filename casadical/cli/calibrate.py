@@ -12,7 +12,7 @@ from casadical.cli.terminal import (
     EXIT_WORSE,
     html,
     importing,
-    keep,
+    save,
     suggest,
     tell,
     with_json,
@@ -73,7 +73,7 @@ def check(
                 checks[-1] = precheck(folder, noise, show=show)
         tell(console, *checks[-1].blocks() if details else checks[-1].brief())
         console.print()
-    keep(with_json({}, json_file, [f.to_json() for f in checks]), console)
+    save(with_json({}, json_file, [f.to_json() for f in checks]), console)
     if quiet:
         for f in checks:
             for finding in f.of_level("error"):
@@ -167,7 +167,7 @@ def calibrate(
     if report_file:
         with working(quiet, "writing the report"):
             texts[report_file] = html([c.page() for c in done])
-    keep(texts, console)
+    save(texts, console)
     for source, tables in given.values() if len(given) == 1 else ():
         tell(console, done[0].next_command(source, tables, written=bool(out)))
     if len(given) > 1:

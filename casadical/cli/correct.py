@@ -6,7 +6,7 @@ from typing import Annotated
 from typer import Argument, Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import keep, print_result, suggest, suggest_later, with_json, wrapped
+from casadical.cli.terminal import print_result, save, suggest, suggest_later, with_json, wrapped
 
 Frames = Annotated[
     list[str] | None,
@@ -90,7 +90,7 @@ def correct(
 
     Every target gets a status; one whose status is not OK keeps its numbers and is listed. A folder has
     the options of its export; with a robot file, give --nominal and the other options of `casadical export c`.
-    A program in a controller's language gets a report beside it, FILE.correction.csv; every other byte stays.
+    A program in a controller's language gets a report next to it, FILE.correction.csv; every other byte stays.
     Nothing is written while poses are not reached: then the controller's frames differ from those of the robot file.
 
     Example: casadical correct results/SKCM.robot.toml program.csv --nominal robot.toml --out corrected.csv
@@ -136,7 +136,7 @@ def correct(
     )
     console = wrapped(quiet)
     print_result(console, made.blocks(), details)
-    keep(with_json(made.texts, json_file, made.to_json()), console)
+    save(with_json(made.texts, json_file, made.to_json()), console)
     if model.is_file():
         suggest_later(console, model)
     else:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from typer import Context, Option
 
 from casadical.cli import options as o
-from casadical.cli.terminal import DIAGNOSIS, html, importing, keep, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import DIAGNOSIS, html, importing, save, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 from casadical.core.reporting.result import shortened
 
@@ -40,7 +40,7 @@ def diagnose(
         None,
         "--against",
         metavar="FILE",
-        help="With joint logs: drive parameters to replay beside the fit, and to judge one by one: "
+        help="With joint logs: drive parameters to replay in addition to the fit, and to judge one by one: "
         "an MJCF with actuators, a robot file with [drive], or a CSV table (joint, kp, friction, "
         "damping, armature, delay). Can be given several times.",
     ),
@@ -160,7 +160,7 @@ def diagnose(
 
         with working(quiet, "writing the report"):
             texts[report_file] = html([a.page([*replay_blocks(a.diagnosis)]) for a in answers])
-    keep(
+    save(
         with_json(texts, json_file, [answer.to_json() for answer in answers] if json_file else []),
         console,
     )
@@ -231,7 +231,7 @@ def _diagnose_logs(
         )
     more = {"replay": replay.to_json()} if replay else {}
     figures = [answer.to_json() | more] if json_file else []
-    keep(with_json(texts, json_file, figures), console)
+    save(with_json(texts, json_file, figures), console)
     robot = next((path for path in texts if path.name == "diagnosed.robot.toml"), None)
     if robot:
         suggest(

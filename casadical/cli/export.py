@@ -6,9 +6,9 @@ from typer import Argument, Context, Option
 
 from casadical.cli import options as o
 from casadical.cli.terminal import (
-    keep,
     print_result,
     print_written,
+    save,
     suggest,
     suggest_later,
     with_json,
@@ -73,7 +73,7 @@ def export_c(
     json_file: o.Json = None,
     quiet: o.Quiet = False,
 ) -> None:
-    """Write guarded C99 for a controller; it is compiled and compared with its reference before it is kept.
+    """Write guarded C99 for a controller; it is compiled and compared with its reference before it is stored.
 
     Precondition: the controller's own absolute-accuracy option is off.
 
@@ -162,7 +162,7 @@ def export_model(
         metavar="NAMES",
         help="Names of the arm's joints in YOURS.xml, from the base to the tool, by commas.",
     ),
-    springs: bool = Option(False, "--springs", help="With --into: a spring beside each compliant joint, NAME_spring."),
+    springs: bool = Option(False, "--springs", help="With --into: a spring next to each compliant joint, NAME_spring."),
     checksum: str = Option(
         "",
         "--hash",
@@ -205,7 +205,7 @@ def export_model(
         )
     console = wrapped(quiet)
     print_result(console, made.blocks(), details)
-    keep(
+    save(
         with_json({out: made.text}, json_file, {"file": str(out), **made.to_json()}),
         console,
         {out: made.about},

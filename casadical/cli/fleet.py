@@ -6,7 +6,7 @@ from pathlib import Path
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Details, Json, Quiet, Report
-from casadical.cli.terminal import EXIT_NOT_VALID, html, keep, print_result, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import EXIT_NOT_VALID, html, print_result, save, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import shown
 
 
@@ -59,7 +59,7 @@ def compare(
     texts: dict[Path, str] = {}
     if report_file:
         texts[report_file] = html([comparison.page(campaigns)])
-    keep(with_json(texts, json_file, comparison.to_json()), console)
+    save(with_json(texts, json_file, comparison.to_json()), console)
     if not comparison.next:
         suggest(console, "when it was measured again", *sys.argv[1:], "LATER.csv")
     if comparison.changed or comparison.unexplained:
@@ -132,6 +132,6 @@ def fleet(
             console.print(words, style="yellow", soft_wrap=True)
     if report_file:
         texts[report_file] = html([robots.page()])
-    keep(with_json(texts, json_file, robots.to_json()), console)
+    save(with_json(texts, json_file, robots.to_json()), console)
     if not robots.next:
         suggest(console, "when robots were measured again", *sys.argv[1:])

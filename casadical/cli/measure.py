@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from typer import Argument, Context, Option
 
 from casadical.cli.options import Json, Quiet, Room, refuse_of_others
-from casadical.cli.terminal import keep, plain, suggest, tell, with_json
+from casadical.cli.terminal import plain, save, suggest, tell, with_json
 from casadical.core.basics import InputError, shown
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def measure(
     folder: Path = Argument(
         ...,
         metavar="ARM",
-        help="Problem folder, as casadical new makes it; the readings are kept there.",
+        help="Problem folder, as casadical new makes it; the readings are stored there.",
     ),
     follow: str | None = Option(
         None,
@@ -68,7 +68,7 @@ def measure(
     """Follow a calibration while it is measured, each reading judged before the next pose is driven.
 
     Says of each reading whether it is plausible and, if not, which slip it looks like; what is
-    known of the robot by now; the next pose. Readings are kept in ARM (measured.jsonl,
+    known of the robot by now; the next pose. Readings are stored in ARM (measured.jsonl,
     measured.csv) as they come: it goes on where it was.
 
     Serves a page for a browser or a phone and prints its address (needs the extra live); with
@@ -122,7 +122,7 @@ def measure(
             from casadical.project.live.server import serve
 
             serve(session, source, console.print, host=host, port=port, pause=pause)
-        keep(with_json({}, json_file, session.state()), console)
+        save(with_json({}, json_file, session.state()), console)
     if finish:
         console.print(finished(session))
         suggest(console, "to learn the cause of the remaining error", "diagnose", folder)

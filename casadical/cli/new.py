@@ -72,7 +72,7 @@ def new(
 ) -> None:
     """Write a commented problem folder that runs: from a URDF, a DH table, or as an example.
 
-    What was understood of the measured poses is printed as a table and kept as `columns` in
+    What was understood of the measured poses is printed as a table and stored as `columns` in
     problem.toml. What the table does not tell is asked.
 
     Example: casadical new arm --dh dh.csv --data messung.csv

@@ -27,7 +27,7 @@ DriveFile = Annotated[
         "--drive",
         metavar="FILE.toml",
         help="With joint logs: what is known of the drives, a table [drive]; default: that of the "
-        "robot file, or drive.toml beside it.",
+        "robot file, or drive.toml next to it.",
     ),
 ]
 

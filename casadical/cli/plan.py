@@ -14,8 +14,8 @@ from casadical.cli import options as o
 from casadical.cli.terminal import (
     PLAN,
     TABLE_WIDTH_WITHOUT_TERMINAL,
-    keep,
     print_result,
+    save,
     suggest,
     tell,
     with_json,
@@ -68,7 +68,7 @@ def plan(
     out: Path | None = Option(
         None,
         metavar="FILE.csv",
-        help="The poses in order, expected figures beside it; default: plan.csv.",
+        help="The poses in order, expected figures next to it; default: plan.csv.",
     ),
     effects: str | None = Option(
         None,
@@ -236,7 +236,7 @@ def _poses(
     with working(quiet, "choosing poses", steps=PLAN) as show:
         planned = chosen(show=show)
     print_result(console, [*planned.blocks(), Words(planned_with(problem, measured, prior), "note")], details)
-    keep(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
+    save(with_json(planned.files(to) if to else {}, json_file, planned.to_json()), console)
     if to:
         tables = (*([measured] if measured else []), to)
         suggest(
@@ -263,7 +263,7 @@ def _iso9283(problem: Path, cube_mm: float | None, out: Path, room: Path | None,
     with working(quiet, "poses of the standard"):
         words, table = iso9283_plan(problem, cube_mm, room, seed)
     tell(console, *words)
-    keep({out: table.to_csv(index=False)}, console)
+    save({out: table.to_csv(index=False)}, console)
     suggest(console, "when it was measured", "verify", "RESULTS", out, "--iso9283")
 
 
@@ -290,7 +290,7 @@ def _touches(
         "of the calibration, put x_mm, y_mm, z_mm into a copy whose name has the day "
         "(2026-03-14.csv), and have the copies verified."
     )
-    keep({out: table.to_csv(index=False)}, console)
+    save({out: table.to_csv(index=False)}, console)
     suggest(console, "when they were touched", "verify", robot, "DAY.csv", "--touches")
 
 
@@ -307,7 +307,7 @@ def _camera(
 ) -> None:
     """Choose n stations at which a camera sees its board, and write their table to `out`.
 
-    room : file of a workspace; view, noise_mm : of the camera, where only a robot is known
+    room : file of a workspace; view, noise_mm : of the camera, where only a robot is given
     """
     from casadical.pose_selection.camera_stations import camera_stations, read_view, simulated_stations
     from casadical.pose_selection.workspace import read_workspace
@@ -324,7 +324,7 @@ def _camera(
         workspace = read_workspace(room, found.robot) if room else None
         planned = camera_stations(found, n, workspace, seed, seen)
     tell(console, *planned.blocks())
-    keep(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
+    save(with_json({out: planned.table.to_csv(index=False)}, json_file, planned.to_json()), console)
     suggest(console, "when the poses of the board stand beside these readings", "calibrate", problem, out)
 
 
@@ -346,23 +346,23 @@ def _isolability(
         title = Words(f"{campaign.title}, {sum(map(len, campaign.sets))} poses", "title")
         tell(console, title, *shows.blocks())
         console.print()
-    keep(with_json({}, json_file, answers), console)
+    save(with_json({}, json_file, answers), console)
     suggest(console, "for poses that distinguish effects", "plan", problem, "-n", 60)
 
 
-def _places(wires: int | None, sockets: int | None, candidates: Path | None, known: bool) -> Places | None:
+def _places(wires: int | None, sockets: int | None, candidates: Path | None, surveyed: bool) -> Places | None:
     """Return the wires or sockets to plan for in place of positions; None without these options.
 
-    wires, sockets : their number; candidates : table of candidate places; known : whether the
-        places will be measured. Raises InputError where the options contradict each other.
+    wires, sockets : their number; candidates : table of candidate places; surveyed : whether
+        the places will be measured. Raises InputError where the options contradict each other.
     """
     from casadical.project.planning import Places, read_places
 
     if wires and sockets:
         raise InputError("--wires and --sockets: give one of them; each is a plan of its own")
     if not (wires or sockets):
-        if candidates is not None or known:
+        if candidates is not None or surveyed:
             raise InputError("--places and --known-places are of --wires N or --sockets N; give one of these, too")
         return None
     where = read_places(candidates) if candidates else None
-    return Places("wires", wires, where, known) if wires else Places("sockets", sockets or 1, where, known)
+    return Places("wires", wires, where, surveyed) if wires else Places("sockets", sockets or 1, where, surveyed)

@@ -48,7 +48,7 @@ app = Typer(
 withheld_app = Typer(
     cls=RobotFirst,
     no_args_is_help=True,
-    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are kept in a key. "
+    help="Blind check of the diagnosis on campaigns of another physics engine, whose hidden effects are in a key. "
     "`casadical withheld ROBOT.toml` checks a robot of your own.",
 )
 export_app = Typer(
@@ -71,7 +71,7 @@ def _root(
         Option("--version", callback=_version, is_eager=True, help="Print the version and stop."),
     ] = False,
 ) -> None:
-    pass
+    """Define the options of `casadical` without a command."""
 
 
 for command in (

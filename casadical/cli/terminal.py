@@ -36,7 +36,7 @@ EXIT_BAD_INPUT = 2
 EXIT_NO_CONVERGENCE = 3
 # Exit code where held-out poses are worse than before the calibration.
 EXIT_WORSE = 4
-# Exit code where a robot is no longer valid or has changed, where touches leave that undecided, or
+# Exit code where a robot is no longer valid or has changed, where touches do not decide that, or
 # where campaigns differ in a way that is unexplained.
 EXIT_NOT_VALID = 5
 # Exit code for a bug in casadical.
@@ -119,7 +119,7 @@ def with_json(
     }
 
 
-def keep(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
+def save(texts: Mapping[Path, Any], console: Console, about: Mapping[Path, str] | None = None) -> None:
     """Write files, all or none, and print their names.
 
     texts : path -> content; about : path -> words that are printed after its name
@@ -258,7 +258,7 @@ def share(text: str, steps: Steps) -> float:
         done, count = int(counted[1]), int(counted[2])
         iteration = _ITERATION.search(text)
         # A counted item is complete (a campaign), or has just begun (a solve with iterations).
-        # A solve counts as half done after 8 iterations: their number is not known beforehand.
+        # A solve counts as half done after 8 iterations: their number is unknown beforehand.
         begun = int(iteration[1]) / (int(iteration[1]) + 8.0) if iteration else 0.0
         inner = (done - 1 + begun) / count if iteration or named is not None else done / count
         return first + (last - first) * min(inner, 1.0)

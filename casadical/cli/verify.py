@@ -12,9 +12,9 @@ from casadical.cli.terminal import (
     DIAGNOSIS,
     EXIT_NOT_VALID,
     html,
-    keep,
     plain,
     print_result,
+    save,
     suggest,
     tell,
     with_json,
@@ -60,7 +60,7 @@ def verify(
         min=0.0,
         metavar="MM",
         help="Promised rms position error as the instrument reads it, its noise included; "
-        "default: of the held-out poses, from result.json or diagnosis.json beside the "
+        "default: of the held-out poses, from result.json or diagnosis.json next to the "
         "robot file.",
     ),
     mujoco: bool = Option(
@@ -157,7 +157,7 @@ def verify(
             verification.iso9283(robot, tables) if iso9283 else verification.verify(robot, tables, promised_mm)
         )
     print_result(console, checked.blocks(), details)
-    keep(with_json({}, json_file, checked.to_json()), console)
+    save(with_json({}, json_file, checked.to_json()), console)
     if iso9283:
         folder = robot if robot.is_dir() else robot.parent
         suggest(console, "to put it into a certificate", "certificate", folder, "--iso9283", tables[0])
@@ -192,7 +192,7 @@ def _touched(
         console.print(f"{update} is not written: {touches.why_not_updated}")
     if report:
         texts[report] = html([touches.page()])
-    keep(with_json(texts, json_file, touches.to_json()), console)
+    save(with_json(texts, json_file, touches.to_json()), console)
     if touches.verdict != "valid":
         raise Exit(EXIT_NOT_VALID)
 
@@ -226,7 +226,7 @@ def _replay(
         answers.append({"campaign": campaign.name, **replayed.to_json()})
         if out:
             texts |= {out / f"{campaign.name}.{k}.xml": s.export.text for k, s in enumerate(replayed.stages)}
-    keep(with_json(texts, json_file, answers), console)
+    save(with_json(texts, json_file, answers), console)
     of_campaign = ("--campaign", tables[0]) if tables else ()
     suggest(
         console,
@@ -279,7 +279,7 @@ def certificate(
     if not out and not json_file:
         console.print("the whole budget: --out FILE.pdf or --json FILE", style="dim")
     texts: dict[Path, str | bytes] = {out: made.pdf()} if out else {}
-    keep(with_json(texts, json_file, made.to_json()), console)
+    save(with_json(texts, json_file, made.to_json()), console)
     if out is None:
         suggest(console, "to have it as two pages", *sys.argv[1:], "--out", "certificate.pdf")
     else:

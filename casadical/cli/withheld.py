@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Exit, Option, echo
 
 from casadical.cli.options import Json, Quiet
-from casadical.cli.terminal import keep, print_written, suggest, tell, with_json, working, wrapped
+from casadical.cli.terminal import print_written, save, suggest, tell, with_json, working, wrapped
 from casadical.core.basics import InputError, Show
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def withheld_robot(
         )
     console = wrapped(quiet)
     tell(console, *checked.blocks())
-    keep(with_json({}, json_file, checked.to_json()), console)
+    save(with_json({}, json_file, checked.to_json()), console)
     if poses.isdigit():
         suggest(console, "to choose these poses", "plan", robot, "-n", poses)
     else:
@@ -86,7 +86,7 @@ def withheld_make(
     out: Path = Option(..., "--out", metavar="DIR", help="Folder for the campaigns."),
     key: Path | None = Option(None, metavar="DIR", help="Folder for the key, apart; default: DIR with -key behind it."),
     n: int = Option(60, "--n", "-n", min=4, max=10_000, help="Number of campaigns."),
-    seed: int | None = Option(None, min=0, help="Of everything drawn; default: a random one, kept in the key."),
+    seed: int | None = Option(None, min=0, help="Of everything drawn; default: a random one, stored in the key."),
     poses: str = Option("40,100,200", metavar="N,N", help="Poses of a campaign, one of these."),
     project: Path = Option(Path(), metavar="DIR", help="Folder with problems/ and data/."),
     workers: Workers = None,
@@ -150,7 +150,7 @@ def withheld_predict(
 ) -> None:
     """Diagnose every campaign from the files in DIR only.
 
-    Answers that are in the file already are kept: a run that was cut goes on where it ended.
+    Answers that are in the file already stay there: a run that was cut goes on where it ended.
 
     Example: casadical withheld predict check
 
@@ -167,7 +167,7 @@ def withheld_predict(
             path = predict(folder, out, executor=executor, show=show)
     except KeyboardInterrupt:
         echo(
-            "casadical: interrupted; the answers so far are kept, the same command goes on from there",
+            "casadical: interrupted; the answers so far are stored, the same command goes on from there",
             err=True,
         )
         raise Exit(exit_interrupted) from None
@@ -183,7 +183,7 @@ def withheld_predict(
         usual if usual.is_dir() else "KEYDIR",
         path,
     )
-    keep(with_json({}, json_file, {"answers": str(path), "by": "diagnosis"}), console)
+    save(with_json({}, json_file, {"answers": str(path), "by": "diagnosis"}), console)
 
 
 def withheld_score(
@@ -206,4 +206,4 @@ def withheld_score(
     console = wrapped(quiet)
     # Wide tables are for files and wide windows; they are never folded.
     wrapped(quiet, max(console.width, 240)).print(terminal(scored.blocks()), soft_wrap=True)
-    keep(with_json({}, json_file, scored.to_json()), console)
+    save(with_json({}, json_file, scored.to_json()), console)

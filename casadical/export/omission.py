@@ -101,7 +101,7 @@ def geometry_alone(calibration: "Calibration") -> dict[str, float | int | str]:
 
 
 # Sentence on an effect whose condition has no range in the robot file; its name follows.
-_UNKNOWN_LOSS = "what would be lost is not known, for the robot file gives no range of"
+_UNKNOWN_LOSS = "what would be lost is unknown, for the robot file gives no range of"
 
 
 def _without_range(robot: Robot, effects: Iterable[Effect]) -> str:

@@ -78,7 +78,7 @@ def compare_files(
     usable = [e for e in estimates if isinstance(e, Estimate)]
     errors = [(path, e) for path, e in zip(files, estimates, strict=True) if isinstance(e, CasadicalError)]
     if errors and len(files) == 2:
-        raise _with_what_few_poses_tell(*errors[0], arm)
+        raise _with_hint_for_few_poses(*errors[0], arm)
     faults = [f"{shown(path)} is left out: {error}" for path, error in errors]
     if len(usable) < 2:
         where = (
@@ -97,8 +97,8 @@ def compare_files(
     return replace(compared, name=name_of(files, begun or robot), sources=own)
 
 
-def _with_what_few_poses_tell(path: Path, error: CasadicalError, robot: str | Path | None) -> CasadicalError:
-    """Return the error of a table that is too small to be compared, with what it can tell.
+def _with_hint_for_few_poses(path: Path, error: CasadicalError, robot: str | Path | None) -> CasadicalError:
+    """Return a table's error, with the robot's accuracy if poses are too few for a comparison.
 
     robot : problem folder or robot file by which the table is understood
     """
@@ -167,7 +167,7 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
     The latter is returned if the campaigns are in the current folder or inside the problem folder.
 
     paths : campaigns
-    robot : problem folder or robot file, if it is known
+    robot : problem folder or robot file; None: unknown
     """
     folder = Path(os.path.commonpath([(p if p.is_dir() else p.parent).resolve() for p in paths]))
     folder = folder.parent if folder.name == CAMPAIGNS_FOLDER else folder
@@ -178,12 +178,12 @@ def name_of(paths: Sequence[Path], robot: str | Path | None = None) -> str:
     return problem.name if folder == Path.cwd() or folder.is_relative_to(problem) else folder.name
 
 
-def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot | None = None) -> Estimate:
+def campaign_estimate(path: Path, robot: str | Path | None = None, other: Robot | None = None) -> Estimate:
     """Return the estimate of one campaign. Raises CasadicalError.
 
     path : robot file, folder of results, problem folder or table
     robot : problem folder or robot file with whose robot and columns a table is read
-    known : robot of another campaign, whose targets (points on the tool) replace those of `robot`
+    other : robot of another campaign, whose targets (points on the tool) replace those of `robot`
     """
     if not path.exists():
         raise missing(path, "file or folder")
@@ -203,8 +203,8 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
     if robot is None:
         raise InputError(f"{shown(path)}: a table needs --robot, the problem folder by which it is understood")
     arm = read_campaign_robot(robot)
-    if known and known.targets:
-        arm = replace(arm, tool=known.tool, tool_name=known.tool_name, targets=known.targets)
+    if other and other.targets:
+        arm = replace(arm, tool=other.tool, tool_name=other.tool_name, targets=other.targets)
     m = read_campaign(robot, path, arm, later=True)
     arm, sets, notes = with_targets_of_rows(tool_as_measured(arm, Path(robot), [m]), [m])
     estimated = estimate((arm, sets), label, day)
@@ -212,7 +212,7 @@ def campaign_estimate(path: Path, robot: str | Path | None = None, known: Robot 
 
 
 def _estimate_of_file(path: Path, label: str, day: float | None) -> Estimate:
-    """Return the estimate of a robot file, with the error of held-out poses that is beside it."""
+    """Return the estimate of a robot file, and the error of held-out poses in its folder."""
     found = estimate_of_file(read_robot(path), label, day)
     with suppress(InputError):
         rms, poses = promised_rms(path)
@@ -262,9 +262,9 @@ def day_of(path: Path) -> float | None:
 def in_order(given: Sequence[Estimate], *, begun: bool = False) -> tuple[list[Estimate], list[str]]:
     """Return the campaigns in the order of time, without copies, and sentences on what is unusual.
 
-    If the day of any is not known, they stay in the given order and all days are dropped.
+    If the day of any is unknown, they stay in the given order and all days are dropped.
 
-    begun : whether the first one is known to be the earliest; it then stays first without a day
+    begun : whether the first one is certainly the earliest; it then stays first without a day
     """
 
     def same(a: Estimate, b: Estimate) -> bool:

@@ -109,7 +109,7 @@ class Change:
 
     @property
     def main(self) -> int:
-        """Index of the parameter in `amounts` with the greatest ratio of change to standard error.
+        """Return the index in `amounts` of the greatest ratio of change to standard error.
 
         For a season only the sine terms count.
         """
@@ -189,17 +189,15 @@ class Comparison(Result):
         fitted = [(c, c.sigma, c.freedom) for c in self.campaigns if c.sigma is not None and c.freedom is not None]
         said = []
         # End of a sentence on unusual residuals.
-        no_known_cause = (
-            "no cause that is known here explains it: another instrument, wrong rows, or an error that the model lacks"
-        )
+        unexplained = "no listed cause explains it: another instrument, wrong rows, or an error that the model lacks"
         for k, (c, sigma, freedom) in enumerate(fitted):
             others = [(s, f) for _, s, f in fitted[:k] + fitted[k + 1 :]]
             # A calibrated robot's residual sigma of a coordinate is a smaller share of its reach.
             if sigma > 0.003 * c.robot.reach:
                 share = f"{100 * sigma / c.robot.reach:.2g} % of the reach, which is no calibrated robot's error"
-                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {no_known_cause}")
+                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, {share}; {unexplained}")
             elif usual := exceeded_residual((sigma, freedom), others, FALSE_ALARM_PROBABILITY / len(fitted)):
-                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {no_known_cause}")
+                said.append(f"{c.label} leaves {mm(sigma)} mm per coordinate, the others {mm(usual)}; {unexplained}")
             elif freedom < MIN_FREEDOM and not others:
                 said.append(
                     f"{c.label} has {c.poses} poses, too few to compare with a robot file; give the problem "
@@ -209,7 +207,7 @@ class Comparison(Result):
 
     @property
     def dated(self) -> bool:
-        """Return whether the day of every campaign is known; if not, campaigns are numbered from 1."""
+        """Return whether every campaign has a date; if not, campaigns are numbered from 1."""
         return all(c.date for c in self.campaigns)
 
     @property
@@ -233,7 +231,7 @@ class Comparison(Result):
         for c, at in zip(self.campaigns, _places(self), strict=True):
             sigma = "" if c.sigma is None else mm(c.sigma)
             lines.append((c.label, str(at), str(c.poses), sigma, f"{c.misfit:.2f}", "; ".join(c.notes)))
-        head = ("campaign", "day" if self.dated else "number", "poses", "left [mm]", "misfit", "")
+        head = ("campaign", "day" if self.dated else "number", "poses", "residual [mm]", "misfit", "")
         campaigns = Table("Campaigns", head, lines, frozenset({2, 3, 4}))
         return self._report_blocks(tables=[campaigns, seen], tables_of=_tables_of, **named)
 

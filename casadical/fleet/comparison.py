@@ -84,7 +84,7 @@ def compare(
     def model_before(c: Candidate) -> evidence.Model:
         """Return the model given the accepted changes, less those of the last campaign alone in c.
 
-        Changes that only the last campaign shows are left out if they share a parameter with c.
+        Changes that only the last campaign shows are excluded if they share a parameter with c.
         """
         others = [a for a in accepted if a.courses[:-1].any() or not {*a.candidate.names} & {*c.names}]
         return _model_given(information, others)
@@ -224,7 +224,7 @@ def _most_probable_change(
     dated: bool,
     accepted: Sequence[_Accepted],
 ) -> _Accepted:
-    """Return the most probable additional change, given known ones.
+    """Return the most probable change in addition to accepted ones.
 
     times, dated : as of `changes_in`
     """

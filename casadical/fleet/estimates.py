@@ -47,24 +47,24 @@ class Estimate(Shown):
     spread : prior standard deviations of the parameters, shape (k,), in units of scale; those of
         the harmonics are estimated from the residuals
     label : name of the campaign
-    day : day of the measurement, since 1970 [d]; None: not known
+    day : day of the measurement, since 1970 [d]; None: unknown
     poses : number of poses that were used
     sigma : residual standard deviation of a coordinate [m]; None for a robot file
     misfit : factor on the noise variance, at least 1, for residuals that are correlated between
         similar poses
-    notes : sentences on what was assumed or left out
+    notes : sentences on assumptions and excluded rows
     readings : lower and upper end of the range of each joint that holds nine of ten poses, for a
-        robot file of all poses, shape (joints, 2) [rad or m]; None: not known
+        robot file of all poses, shape (joints, 2) [rad or m]; None: unknown
     fit : fit by which noise is pooled over campaigns; None for a robot file, and for more than
         1000 poses
     freedom : degrees of freedom of sigma; None for a robot file
     held_out : of a robot file, the standard deviation of a coordinate of the held-out poses [m] and
-        their number; None where it is not known, and for measurements
+        their number; None where it is unknown, and for measurements
     """
 
     line: ClassVar[str] = (
         " {{ it.label | repr }}: {{ it.names | length }} parameters from {{ it.poses }} poses"
-        "{% if it.sigma is not none %}, {{ (1e3 * it.sigma) | f('.3g') }} mm per coordinate left{% endif %}"
+        "{% if it.sigma is not none %}, {{ (1e3 * it.sigma) | f('.3g') }} mm per coordinate of residual{% endif %}"
     )
 
     robot: Robot
@@ -86,7 +86,7 @@ class Estimate(Shown):
 
     @property
     def date(self) -> str:
-        """Return the day as an ISO date; empty if it is not known."""
+        """Return the day as an ISO date; empty if it is unknown."""
         return date_text(self.day)
 
     @property
@@ -147,8 +147,8 @@ def estimate(
             rows = ", ".join(map(str, m.lost))
             noted.append(f"{m.source}: row{'s' * (len(m.lost) > 1)} {rows} not used, a reading or a position is empty")
         noted += [*([m.copies_in_words] if m.copies else []), *clock_faults(m)]
-    # A campaign of more than 1000 poses determines its own noise, so its fit is not kept for
-    # pooling.
+    # A campaign of more than 1000 poses determines its own noise, so its fit is not stored
+    # for pooling.
     return Estimate(
         fit.robot,
         fit.doubts.names,
@@ -169,7 +169,7 @@ def estimate(
 
 
 def _outliers(found: Identification) -> Iterator[str]:
-    """Yield a sentence on the poses that an identification left out as outliers, if any."""
+    """Yield a sentence on the poses that an identification excluded as outliers, if any."""
     out = found.left_out
     if not out:
         return
@@ -223,7 +223,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
         places = [names.index(n) for n in own.names]
         C[np.ix_(places, places)] = own.matrix
     C = knowledge.misfit * C / np.outer(scale, scale)
-    # Some parameters, such as estimated masses, are known by their priors alone. The noise variance
+    # Priors alone determine some parameters, such as estimated masses. The noise variance
     # [mm^2] is that with which poses like the drawn ones give the file's covariance: with the prior
     # precision P, C (J'J / variance + P) is the identity, whose trace is the number of parameters.
     normal, precision = J[:, at].T @ J[:, at], doubts.sigma[at] ** -2.0
@@ -233,7 +233,7 @@ def estimate_of_file(robot: Robot, label: str = "", day: float | None = None) ->
     B = np.zeros((len(at), len(doubts.names)))
     B[:, at], B[:, rest] = np.eye(len(at)), A
     H = B.T @ scaled_inverse(C) @ B
-    note = f"poses are not known: drawn from {drawn}"
+    note = f"poses are unknown: drawn from {drawn}"
     return Estimate(
         wide,
         doubts.names,

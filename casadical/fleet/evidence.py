@@ -95,7 +95,7 @@ class Candidate:
 def shared_names(robot: Robot, names: Sequence[str], *, same_tool: bool, same_frame: bool) -> tuple[str, ...]:
     """Return those of some parameters that are compared between campaigns, in the given order.
 
-    Harmonics above `MAX_COMPARED_HARMONIC` are left out; each campaign fits its own.
+    Harmonics above `MAX_COMPARED_HARMONIC` are excluded; each campaign fits its own.
 
     names : parameters that all campaigns have
     same_tool, same_frame : whether the parameters of the tool and of the base are compared
@@ -243,12 +243,12 @@ class SharedInformation:
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """Posterior of theta and the amplitudes of known changes, before an additional change.
+    """Posterior of theta and the amplitudes of accepted changes, before an additional change.
 
-    Its variables are u = (theta, the m amplitudes of the known changes), in units of scale.
+    Its variables are u = (theta, the m amplitudes of the accepted changes), in units of scale.
 
     shared : information of the n campaigns on the p parameters
-    columns : directions of the known changes times their factors in each campaign, shape (n, p, m)
+    columns : directions of these changes times their factors in each campaign, shape (n, p, m)
     root : R of the posterior covariance R'R of u, shape (p + m, p + m)
     turned : R times the score of u, shape (p + m,)
     """
@@ -275,7 +275,7 @@ class Model:
 
 
 def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
-    """Return the posterior of theta and the amplitudes of known changes, given all campaigns.
+    """Return the posterior of theta and the amplitudes of accepted changes, given all campaigns.
 
     columns : directions of the changes times their factors in each campaign, shape (n, p, m)
     sizes : prior standard deviations of the amplitudes, shape (m,)
@@ -292,7 +292,7 @@ def solve(shared: SharedInformation, columns: Array, sizes: Array) -> Model:
 def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array, Array]:
     """Return information and score of an additional change's amplitudes, for each of c courses.
 
-    Theta and the amplitudes of known changes are marginalised. The shapes are (c, km, km) and
+    Theta and the amplitudes of accepted changes are marginalised. The shapes are (c, km, km) and
     (c, km); amplitudes of the first factor come first.
 
     E : directions of the change in the parameters, shape (p, m)
@@ -308,7 +308,7 @@ def marginal_information(model: Model, E: Array, courses: Array) -> tuple[Array,
     HEu = np.concatenate([HE, model.columns.transpose(0, 2, 1) @ HE], axis=1)
     C = (flat @ HEu.reshape(n, -1)).reshape(c, k, -1, m).transpose(0, 2, 1, 3).reshape(c, -1, k * m)
     b = (flat @ (information.score @ E)).reshape(c, k * m)
-    # A change along known ones is a small difference of large numbers: squares of the root keep
+    # A change along accepted ones is a small difference of large numbers: squares of the root keep
     # twice the digits of products with the inverse.
     C = model.root @ C
     return H - C.transpose(0, 2, 1) @ C, b - model.turned @ C

@@ -86,7 +86,7 @@ class Common:
 
     @property
     def faults(self) -> tuple[tuple[str, float, float], ...]:
-        """(name, mean deviation, standard error) of parameters in which the drawing is wrong.
+        """Return (name, mean deviation, standard error) of parameters wrong in the drawing.
 
         The figures are in units of the scale.
         """
@@ -109,7 +109,7 @@ class Common:
 
     @property
     def rows(self) -> list[tuple[Any, ...]]:
-        """(name, mean, standard error, spread, unit) of each parameter, as of `readable`."""
+        """Return (name, mean, standard error, spread, unit) of each parameter, as of `readable`."""
         every = zip(self.names, self.mean, self.std_error, self.spread, strict=True)
         return [(name, *self.readable(name, *figures)) for name, *figures in every]
 
@@ -212,7 +212,7 @@ def population_of(
     C = np.zeros((len(spread), len(spread)))
     _, group = np.unique(np.arange(len(spread)) if groups is None else groups, return_inverse=True)
     at = _packed_places(len(spread)) if at is None else at
-    # Number of robots whose information matrices are inverted and held in memory at a time.
+    # Number of robots whose information matrices are inverted and in memory at a time.
     robots_per_block = 25
     # Weight, as a number of robots, of the mean variance of a parameter's group (see
     # `_spread_group`) in the estimate of that parameter's own variance between robots.

@@ -39,7 +39,7 @@ class Fleet(Result):
     notes : sentences on what was assumed of the robots
     drawings : nominal robots of the types whose files can be read, by type
     computed : number of robots that were computed in this run, while the others come from the
-        store; None: not known
+        store; None: unknown
 
     Examples
     --------

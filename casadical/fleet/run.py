@@ -116,7 +116,7 @@ def _without_copies(
     Of robots with equal files the one that the store already has is returned.
 
     robots : problem folders by name
-    known : rows of the store, indexed by the robot's name
+    stored_rows : rows of the store, indexed by the robot's name
     """
     prints: dict[str, str] = {}
     for name, folder in robots.items():
@@ -145,7 +145,7 @@ def _to_compute(
     renamed if the store has its files under a name that is no longer given.
 
     robots : problem folders by name; prints : fingerprint of each robot
-    known : rows of the store, indexed by the robot's name
+    stored_rows : rows of the store, indexed by the robot's name
     with_diagnosis : whether a row without a diagnosis counts as not computed
     """
     pending: list[str] = []

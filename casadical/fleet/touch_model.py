@@ -1,7 +1,7 @@
 """Gaussian model of a calibrated robot's errors and changes, updated by a few touched points a day.
 
 The robot file gives predicted positions of the touched points. Their measured deviations are
-y = J x + r + J d + noise: x are the errors that the calibration left, with the second moment of the
+y = J x + r + J d + noise: x are the errors after the calibration, with the second moment of the
 file's [remaining] (or its covariance); r is an unexplained error that is the same at every visit of
 a pose, with the file's mean square less the noise or, for planned touches far out, with all of it;
 then follow daily differences, growth with a logged temperature, and changes d since some day, each
@@ -62,7 +62,7 @@ class Draws:
     since : first day that shows the change, counted from 1, 0 for no change, shape (n,)
     d : deviations of the parameters by the change until the last day, shape (n, p), in units of
         scale
-    x : deviations that the calibration left plus those of the last day alone, shape (n, p), in
+    x : deviations after the calibration plus those of the last day alone, shape (n, p), in
         units of scale
     extra : rms displacement of the last day's poses by a change that no parameter explains,
         shape (n,) [mm]
@@ -123,13 +123,13 @@ class TouchModel:
     days : touched positions of each day in the measuring frame of the calibration, the last day is
         the one that is judged; they have `rows` coordinates together
     names : parameters that may change, p of them
-    factor : root F of the second moment F F' of the errors that the calibration left, shape (p, r),
+    factor : root F of the second moment F F' of the errors after the calibration, shape (p, r),
         in units of scale
     rest : rms distance between model and measurement that no parameter explains [mm]
     weights : relative frequency of each kind of change
-    noise : standard deviation of a touched coordinate [mm]; None: not known
-    reference : temperature of the calibration [degC]; None: not known
-    dates : dates of the days, since 1970 [d]; None for one that is not known
+    noise : standard deviation of a touched coordinate [mm]; None: unknown
+    reference : temperature of the calibration [degC]; None: unknown
+    dates : dates of the days, since 1970 [d]; None for an unknown one
     """
 
     robot: Robot
@@ -149,7 +149,7 @@ class TouchModel:
         The remaining errors are those of the file's [remaining], else of its covariance and noise.
 
         days : one table per day, in the order of time
-        noise : standard deviation of a touched coordinate [m]; None: not known
+        noise : standard deviation of a touched coordinate [m]; None: unknown
         more : further fields of the model, by name
         Raises InputError: the file has no [remaining], and no covariance or no noise is given.
         """
@@ -165,7 +165,7 @@ class TouchModel:
         else:
             raise InputError(
                 f"{robot.name}: its file does not say how far it may be off ([remaining], or a "
-                "covariance beside --noise-mm); write it with `casadical calibrate --out` from 30 "
+                "covariance, with --noise-mm); write it with `casadical calibrate --out` from 30 "
                 "positions or more"
             )
         temperatures = robot.knowledge.conditions.get(TEMPERATURE) if robot.knowledge else None
@@ -229,7 +229,7 @@ class TouchModel:
     def warming(self) -> Array:
         """Return the temperature above that of the calibration at each coordinate, shape (rows,) [K].
 
-        If that is not known, it is above the first logged day's; it is zero on a day without one.
+        If that is unknown, it is above the first logged day's; it is zero on a day without one.
         """
         T = self.temperatures
         finite = T[np.isfinite(T)]
@@ -242,8 +242,8 @@ class TouchModel:
     def _times(self) -> tuple[Array, bool]:
         """Return the times of the calibration and of each day, (days + 1,) [years], and whether dated.
 
-        The calibration is assumed to be a month before the first day. If any date is not known, so
-        is each day before the next one.
+        The calibration is assumed to be a month before the first day. If any date is unknown, each
+        day is a month before the next one.
         """
         if not self.dates or any(day is None for day in self.dates):
             return np.arange(len(self.days) + 1) / CAMPAIGNS_PER_YEAR, False
@@ -276,7 +276,7 @@ class TouchModel:
 
     @cached_property
     def likelihood_terms(self) -> list[tuple[float, Array, Array, Array]]:
-        """Likelihood terms of the deviations y without a change, for each level of noise.
+        """Return the likelihood terms of the deviations y without a change, by level of noise.
 
         A level is a pair of noise variance and unexplained variance. Its terms are the log
         likelihood without its constant, the inverse covariance of y, (rows, rows) [1/mm^2], the
@@ -409,9 +409,9 @@ class TouchModel:
 
     @cached_property
     def task(self) -> Array:
-        """Position Jacobian at random poses in the learnt joint ranges, shape (n, 3, p).
+        """Return the position Jacobian at random poses in the learnt joint ranges, shape (n, 3, p).
 
-        It is in mm per unit of scale; of `TASK_POSES` poses those are kept that the robot can take.
+        It is in mm per unit of scale; of `TASK_POSES` poses those that the robot can take are used.
         """
         J = residuals_and_jacobian(self.robot, [unmeasured(readings_of(self.robot, TASK_POSES))], self.names)[1]
         return np.asarray(J[np.isfinite(J).all(axis=(1, 2))])

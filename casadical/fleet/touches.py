@@ -89,7 +89,7 @@ class Touches(Result):
 
     @cached_property
     def errors(self) -> Array:
-        """Posterior samples of today's rms error over the task's poses, shape (draws,) [m].
+        """Return posterior samples of today's rms error over the task's poses, shape (draws,) [m].
 
         It includes the unexplained error of the file, as a measurement would show it.
         """
@@ -98,7 +98,7 @@ class Touches(Result):
 
     @cached_property
     def change(self) -> Array:
-        """Posterior samples of the rms change since the calibration, shape (draws,) [m].
+        """Return posterior samples of the rms change since the calibration, shape (draws,) [m].
 
         It is the displacement over the task's poses.
         """
@@ -135,7 +135,7 @@ class Touches(Result):
 
     @cached_property
     def gain(self) -> tuple[float, float, float]:
-        """(before, after, probability): effect of correcting the robot by the mean deviation.
+        """Return (before, after, probability): the effect of a correction by the mean deviation.
 
         The first two are the rms change since the calibration without and with the correction [m];
         the third is the probability that the correction makes the change smaller.
@@ -154,7 +154,7 @@ class Touches(Result):
 
     @cached_property
     def moved(self) -> list[tuple[str, float, float, str]]:
-        """(name, amount, std error, unit) of each parameter of the most probable change.
+        """Return (name, amount, std error, unit) of each parameter of the most probable change.
 
         The most significant one is first; for the change "lengths" one row holds the common growth
         [um/m]. It is empty for no change or an unknown one.
@@ -198,9 +198,7 @@ class Touches(Result):
     def why_not_updated(self) -> str:
         """Return a sentence why the robot is not corrected, with the change before and after."""
         before, after, sure = self.gain
-        remaining = (
-            f"of a change of {mm(before)} mm {mm(after)} mm would be left, less with a probability of {sure:.2f}"
-        )
+        remaining = f"of a change of {mm(before)} mm {mm(after)} mm would remain, less with a probability of {sure:.2f}"
         return f"{remaining}; leaving it is as good"
 
     def updated_text(self) -> str:
@@ -268,7 +266,7 @@ class Touches(Result):
 
     @property
     def outcomes(self) -> dict[str, float]:
-        """Posterior probability of each change, by its label, and of no change, by "nothing".
+        """Return the posterior probability of each change, by label, and of none, "nothing".
 
         They are fractions of the posterior samples and add up to one; changes without a sample are
         missing.
@@ -420,7 +418,7 @@ def plan_touches(
     touched: Measurements | None = None,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Return the poses that determine usual changes (joint zeros, tool, foot) best.
+    """Return the poses that determine usual changes (joint zeros, tool, base) best.
 
     robot : file as `calibrate --out` writes it, or its folder
     n : number of touches
@@ -463,7 +461,7 @@ def judge_touches(
         history; of more than 30 the last 30 are used
     tolerance_mm : largest rms error over the joint ranges on which the robot was learnt [mm]; None:
         twice what the file states
-    noise_mm : standard deviation of a touched coordinate [mm]; None: not known
+    noise_mm : standard deviation of a touched coordinate [mm]; None: unknown
     fleet : JSON file of `casadical fleet --json`, from which frequencies of changes are learnt;
         None: those of `CHANGE_FREQUENCY`
     seed : random seed of the posterior samples

@@ -57,7 +57,7 @@ def test_what_a_rigid_file_leaves_is_the_springs_and_effects_together() -> None:
     assert first.startswith("compliance of joints ")
     assert "joint_scale@1, frame_drift: without them the point is off by " in first
     assert f"{1e3 * mean:.4f} mm on average" in first
-    assert "what would be lost is not known, for the robot file gives no range of warmth_600s" in second
+    assert "what would be lost is unknown, for the robot file gives no range of warmth_600s" in second
     assert rigid_omissions(stiff) == ()
 
 
@@ -90,7 +90,7 @@ def test_effects_are_refused_by_name_with_what_is_lost() -> None:
 def test_loss_with_an_unknown_temperature_is_not_made_up() -> None:
     r = with_values("ur10e", ThermalGrowth(None, 0.0), thermal_growth__alpha=12e-6)
     (line,) = left_out(r, [Omission("thermal_growth", "no sensor")], "C", leave_out=True)
-    assert line.endswith("what would be lost is not known, for the robot file gives no range of warmth_0s")
+    assert line.endswith("what would be lost is unknown, for the robot file gives no range of warmth_0s")
     r = replace(r, knowledge=Knowledge(conditions={"warmth_0s": (-5.0, 5.0)}))
     (line,) = left_out(r, [Omission("thermal_growth", "no sensor")], "C", leave_out=True)
     assert "mm on average" in line

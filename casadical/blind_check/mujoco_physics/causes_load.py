@@ -89,8 +89,8 @@ def gravity_compensator(mechanism: Mechanism, plant: Plant, *, size: float, lean
     shoulder, arm = plant.centres[1], plant.centres[2] - plant.centres[1]
     lever = 0.2 * float(np.linalg.norm(arm))
     back = np.cross(plant.axes[1], [0.0, 0.0, 1.0])
-    foot = shoulder + post * lever * (np.cos(lean) * np.array([0, 0, 1.0]) + np.sin(lean) * back)
-    mechanism = mark(mechanism, plant, 1, "post", foot)
+    anchor = shoulder + post * lever * (np.cos(lean) * np.array([0, 0, 1.0]) + np.sin(lean) * back)
+    mechanism = mark(mechanism, plant, 1, "post", anchor)
     mechanism = mark(mechanism, plant, 2, "lug", shoulder + 0.2 * arm)
     rest = 0.8 * (post - 1) * lever
     angle = np.linspace(0, np.pi, 181)

@@ -46,7 +46,7 @@ def mechanism(plant: Plant) -> Mechanism:
 def start(plant: Plant, angles: Array) -> dict[str, float]:
     """Return joint coordinates by joint name at which the search for the equilibrium starts.
 
-    The small joints of effects are left out; they start at zero.
+    The small joints of effects are omitted; they start at zero.
 
     angles : coordinates of the motors, shape (joints,) [rad or m]
     """

@@ -123,7 +123,7 @@ class _Step:
 class _PositionFirst(_Step):
     """Least-squares step that corrects the position, then the orientation.
 
-    turned : number of directions about which the joints can rotate the tool at a kept position
+    turned : number of directions about which the joints can rotate the tool at a fixed position
     """
 
     def __init__(self, n: int, m: int, damping: float, reached: int, turned: int) -> None:

@@ -132,10 +132,10 @@ class Command:
     limits : limits of the correction, and thresholds of its statuses
     steps : number of least-squares steps, 1 to 10. The robot is evaluated again after them:
         NOT_CONVERGED means that the remaining error exceeds the tolerance there. One more step
-        follows where the last one left a third or less of its error
+        follows where the last one reduced the error to a third or less
     units : "rad" or "m" of each joint's reading; default: all rad
     freedom : number of directions in which the joints move the tool, and number about which they
-        rotate it at a kept position. Where a pose has fewer than six in all, the position has
+        rotate it at a fixed position. Where a pose has fewer than six in all, the position has
         priority, and the orientation is corrected as far as the joints allow
     notes : sentences for the reader of the header
     Raises InputError: functions of other shapes, or a number of steps that is not allowed.

@@ -85,7 +85,9 @@ class Plan:
         self._end("copy")
 
     def _share(self, tape: Tape, place: dict[int, int], forward: dict[int, int] | None = None) -> None:
-        """Give operations the places of equal ones in `forward`, or record those of `forward`.
+        """Reuse results of the tape `forward` for equal operations of another tape.
+
+        For `forward` itself, the places of its results are recorded.
 
         place : places of the tape's nodes, to which shared ones are added
         forward : for the tape `forward` itself, places of its nodes, which are recorded; else None

@@ -139,7 +139,7 @@ def export_c(
         if what == "command" or label != "nominal":
             lines.append(f"{label}: {files[label]}, sha256 {digest}")
     if sources.compensator and getattr(product, "network", product) is None:
-        lines.append("the compensator was refused when it was trained: it corrects nothing and is left out")
+        lines.append("the compensator was refused when it was trained: it corrects nothing and is omitted")
     if what == "curves":
         lines.append("the joints' error curves alone: a joint read as q stands at q + dq, so command q - dq(q)")
     if isinstance(product, Command):
@@ -379,7 +379,7 @@ def _with_payload(robot: Robot, payload_kg: float | None) -> Robot:
     if robot.payload is None:
         raise InputError(
             f"--payload {payload_kg:g}: robot {robot.name!r} declares no payload, so its mass "
-            "centre is not known; add [payload] with mass_kg and com_mm to the robot file"
+            "centre is unknown; add [payload] with mass_kg and com_mm to the robot file"
         )
     return replace(robot, payload=Body(payload_kg, robot.payload.com))
 
@@ -449,7 +449,7 @@ def prefix_of(name: str) -> str:
 
 
 def wants_pose(word: str) -> bool:
-    """Return whether the option --correct is "pose". Raises InputError if it is no known word."""
+    """Return whether the option --correct is "pose". Raises InputError for another word."""
     if word not in ("position", "pose"):
         raise InputError(f"--correct {word}: unknown; allowed: position, pose")
     return word == "pose"

@@ -200,7 +200,7 @@ class Postures:
 
     @cached_property
     def why_not(self) -> str:
-        """Why postures (arm configurations) are undefined for this robot; "" if they are not."""
+        """Return why postures (arm configurations) are undefined for this robot, else ""."""
         if self.nominal.n != 6 or len(self.nominal.revolute) != 6:
             return f"a configuration is defined for six turning joints; this robot has {len(self.nominal.revolute)}"
         q = np.random.default_rng(0).uniform(*self._box, (20, 6))

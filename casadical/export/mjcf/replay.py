@@ -255,7 +255,7 @@ def replay_blocks(d: Diagnosis) -> Iterator[Block]:
 def _shown(replayed: Replay) -> tuple[ReplayedModel, ...]:
     """Return the models that are shown.
 
-    The last one is left out if MuJoCo has a counterpart of none of its causes.
+    The last one is omitted if MuJoCo has a counterpart of none of its causes.
     """
     last = replayed.stages[-1]
     causes = replayed.diagnosis.effects() if replayed.diagnosis else ()

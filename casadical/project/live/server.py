@@ -117,7 +117,7 @@ class LivePage:
                     if numbers:
                         await self._plan()
             except Exception as error:  # a bug must not end what keeps the readings
-                self.session.said.append(f"this is a bug in casadical, and the readings are kept: {error!r}")
+                self.session.said.append(f"this is a bug in casadical, and the readings are stored: {error!r}")
                 self._tell()
             await asyncio.sleep(self.pause)
 
@@ -259,7 +259,7 @@ def _command(body: bytes) -> dict[str, Any]:
     """
     try:
         asked = json.loads(body)
-        json.dumps(asked, ensure_ascii=False).encode()  # lone surrogates could not be kept in a file
+        json.dumps(asked, ensure_ascii=False).encode()  # no file can hold lone surrogates
     except (RecursionError, ValueError):
         asked = None
     if not isinstance(asked, dict):
@@ -312,6 +312,7 @@ def serve(
         """HTTP of one connection, which is closed if no request comes within `REQUEST_TIMEOUT_S`."""
 
         def connection_made(self, transport: asyncio.Transport) -> None:
+            """Close a connection above `MAX_CONNECTIONS`, and check later that a request came."""
             super().connection_made(transport)
             if len(self.connections) > MAX_CONNECTIONS:
                 transport.close()

@@ -199,7 +199,7 @@ class LiveSession:
         with self.lock:
             self._known(number)
             if not why.strip():
-                raise InputError("give the reason why the reading is struck out; it is kept with it")
+                raise InputError("give the reason why the reading is struck out; it is stored with it")
             self._add("strike", id=number, why=" ".join(why.split()))
             self._judge()
 
@@ -283,7 +283,7 @@ class LiveSession:
                 self._judge_readings(self.m, new[0] if len(new) == 1 else 0)
 
     def _table(self) -> Measurements:
-        """Return the measurements of all readings that are not left out, after writing the table.
+        """Return the measurements of all readings that are not excluded, after writing the table.
 
         Raises InputError where they cannot be read.
         """
@@ -302,7 +302,7 @@ class LiveSession:
     def _table_without_unreadable(self, new: Sequence[int], why: str) -> Measurements | None:
         """Return the measurements without new readings that make the table unreadable, or None.
 
-        Each reading left out gets its reason in `_unreadable`, and the table file is written again.
+        Each excluded reading gets its reason in `_unreadable`, and the table file is written again.
         None where the table cannot be read without all new readings either; `unread` then says why.
         Older readings that waited for more may have become readable; they are tried first.
 
@@ -320,7 +320,7 @@ class LiveSession:
                 whole = whole if lost else self._without_folder(error).splitlines()[0]
         self._unreadable = before
         self._unreadable |= dict.fromkeys(new, "")
-        for n in (0, *new):  # all of them left out, then added one after the other
+        for n in (0, *new):  # all of them excluded, then added one after the other
             self._unreadable.pop(n, None)
             try:
                 table = self._table()
@@ -441,7 +441,7 @@ class LiveSession:
     # Output
 
     def _write(self) -> None:
-        """Write the table of readings, and problem.toml where it or its left-out rows change."""
+        """Write the table of readings, and problem.toml where it or its excluded rows change."""
         course = self.course
         rows: list[Sequence[str]] = [course.header, *([course.units] if course.units else [])]
         write_whole(self.folder / TABLE_FILE, csv_text([*rows, *(r.cells for r in course.readings)]))
@@ -553,7 +553,7 @@ class LiveSession:
             [self._joints(q) for q in (self.next_pose(), *self._remaining_poses()[1:])],
             len(self._remaining_poses()),
         )
-        words = f"{remaining} planned poses are left" if remaining else "all planned poses are measured"
+        words = f"{remaining} planned poses remain" if remaining else "all planned poses are measured"
         program = self._move(poses[0]) if self._move else ""
         return {"poses": poses, "program": program, "to_go": remaining, "words": f"{words}; {self._of_plan}"}
 

@@ -326,5 +326,5 @@ def _without_odd_lines(path: Path, data: bytes) -> tuple[bytes, list[str]]:
         except InputError as error:
             readable.append(b"\n")
             why = str(error).removeprefix(f"{path}: ")
-            said.append(f"{shown(path)}, line {number}: is left aside ({why}); correct it there, or type the reading")
+            said.append(f"{shown(path)}, line {number}: is ignored ({why}); correct it there, or type the reading")
     return b"".join(readable), said

@@ -90,12 +90,12 @@ def outlook(state: Mapping[str, Any]) -> list[str]:
 
 
 def _off(reading: Mapping[str, Any]) -> str:
-    """Return a reading's distance from its prediction as text [mm]; empty where there is none."""
+    """Return a reading's distance from its prediction as text [mm]; empty where it is unknown."""
     return "" if reading["off_mm"] is None else f"{reading['off_mm']:.3f} mm off what the others predict"
 
 
 def _figures(estimate: Mapping[str, float | None]) -> list[tuple[str, str]]:
-    """Return (name, value) of the expected errors as texts [mm]; a dash where one is not estimate.
+    """Return (name, value) of the expected errors as texts [mm]; a dash for an unknown one.
 
     estimate : the key `known` of a session's data
     """

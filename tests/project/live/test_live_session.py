@@ -300,7 +300,7 @@ def test_the_plan_goes_on_where_a_reading_counts_and_a_pose_may_be_repeated(smal
         count = len(session.plan)
         told = session.state()["next"]
         assert (told["to_go"], len(told["poses"])) == (count - 6, count - 6)
-        assert told["words"].startswith(f"{count - 6} planned poses are left; {count} are planned, of which 0.0")
+        assert told["words"].startswith(f"{count - 6} planned poses remain; {count} are planned, of which 0.0")
         pose = session.next_pose()
         cells = [*(pose / list(session.robot.reading_units.values())), 1.0, 2.0, 3.0]  # no place of this robot
         take(session, [*session.robot.reading_units, "x_mm", "y_mm", "z_mm"], [repr(float(v)) for v in cells])

@@ -110,7 +110,7 @@ static @name@_status @name@_chord(const @name@_real x[@NAME@_JOINTS], @name@_rea
             moved[i] = dq[i] + moved[i];
         }
         clamped = clamped | (@name@_limited(moved, @NAME@_DELTA_LIMIT) << 1U);
-        /* the look at what the last step left gives one more, where that one left a third or less */
+        /* the evaluation after the last step gives one more, where that one reduced the error to a third or less */
         for (i = 0U; i < @NAME@_JOINTS; i++)
         {
             dq[i] = ((step < @steps@U) || ((@9@ * moved[@i_error@]) <= before)) ? moved[i] : dq[i];

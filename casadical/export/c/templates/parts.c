@@ -266,7 +266,7 @@ static uint32_t @name@_test_step(void)
 }
 
 ==== sincos.c
-/* sine and cosine of |x| <= 1024 rad: x is reduced by multiples of pi/2 held in two parts */
+/* sine and cosine of |x| <= 1024 rad: x is reduced by multiples of pi/2 stored in two parts */
 static void @name@_sincos(const @real@ x, @real@ pair[2])
 {
     const @real@ nearest = (x * @two_over_pi@) + @1024.5@; /* positive, so that conversion rounds down */

@@ -16,7 +16,7 @@ typedef struct
 /*
  * The joint correction dq, in the units of q: sent q + dq, the real tool is where the nominal model has it at q@freedom@.
  * @steps@ least-squares steps with the Jacobian at q, damped by lambda^2 = @damping2@ m^2/rad^2. Then the model is looked
- * at again: the status says what is left, and a further step is taken where the last one left a third or less.
+ * at again: the status says what remains, and a further step is taken where the last one reduced it to a third or less.
  * |dq[i]| never exceeds @NAME@_DELTA_LIMIT. Zeros and NOT_FINITE for an input that is not finite.
  */
 @name@_status @name@_correct(const @name@_real q[@NAME@_JOINTS], @name@_real dq[@NAME@_JOINTS]);

@@ -250,7 +250,7 @@ def _obstacle(target: Target, cell: Cell) -> tuple[str, str]:
     if cell.sources is None:
         return "NEEDS_ROBOT_FILE", ""
     if target.tool is None or target.base is None:
-        return "NO_TOOL", f"its {'tool' if target.tool is None else 'base'} is not known ({target.about})"
+        return "NO_TOOL", f"its {'tool' if target.tool is None else 'base'} is unknown ({target.about})"
     return ("EXTERNAL_AXIS" if target.external and not cell.external_still else Status.OK.name), ""
 
 

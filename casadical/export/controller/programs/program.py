@@ -40,8 +40,8 @@ from casadical.export.controller.programs.urscript import UrScript
 PROGRAM_LANGUAGES: tuple[type[ProgramLanguage], ...] = (Krl, Rapid, UrScript, Fanuc, CsvTable)
 # Reason, in words, why a target with this status is not corrected; for joints and for poses.
 _REFUSAL_MEANINGS = STATUS_MEANINGS | {
-    "LEFT": "left as it is",
-    "NO_TOOL": "its tool or base is not known: give --tcp or --base",
+    "LEFT": "unchanged",
+    "NO_TOOL": "its tool or base is unknown: give --tcp or --base",
     "NO_CONFIGURATION": "the program does not say with which arm configuration; with --nearest it is the one "
     "nearest to the target before it",
     "UNREACHABLE": "the nominal robot does not reach it in the configuration that the program says",
@@ -251,7 +251,7 @@ def _row(r: c.CorrectedTarget) -> list[str]:
 
 
 def _figures(fine: Sequence[c.CorrectedTarget]) -> dict[str, Array]:
-    """Return the known figures of corrected targets by name, each (k,) or (k, 2) [mm, deg].
+    """Return the computed figures of corrected targets by name, each (k,) or (k, 2) [mm, deg].
 
     They are moved_mm, off_mm and off_deg of `CorrectedTarget`.
     """
@@ -276,7 +276,7 @@ def _moved(fine: Sequence[c.CorrectedTarget], units: Sequence[str]) -> list[Tabl
         title = "the real tool off the nominal one, by the model, with the numbers as written"
         off = {"before [mm]": before, "after [um]": 1e3 * after}
         made.append(_table(title, "off by", {**off, "before [mdeg]": turned[0], "after [mdeg]": turned[1]}))
-    return made[::-1]  # what is left first
+    return made[::-1]  # remaining deviation first
 
 
 def _table(title: str, what: str, rows: Mapping[str, Array]) -> Table:
@@ -300,7 +300,7 @@ def assumptions(corrected: CorrectedProgram, cell: c.Cell) -> list[str]:
                 lines.append(f"the controller's {what} is the robot file's {of}")
     if any(r.target.joints and (r.target.tool is None or cell.sources is None) for r in results if r.fine):
         tool_words = "the tool of the export" if cell.sources is None else "the tool of the robot file"
-        lines.append(f"where joint targets have no known tool, {tool_words} is held")
+        lines.append(f"where the tool of joint targets is unknown, {tool_words} is assumed")
     return lines
 
 

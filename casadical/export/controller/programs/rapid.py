@@ -186,7 +186,7 @@ class _Module:
         length = float(np.linalg.norm(made.si[3:]))
         if not abs(length - 1) <= 1e-2:
             made = made.leave(f"its quaternion has the length {length:.4g}; it must be 1")
-        return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are known")
+        return made if cfx in range(8) else made.leave(f"its cfx is {cfx:g}; 0 to 7 are defined")
 
     def placed(self, target: Target, name: str) -> Target:
         """Return a target with its tool and base frames, or with the reason why it stays unchanged.
