@@ -90,7 +90,7 @@ def noise_alone(e: Evidence, share: Array, count: int, rng: np.random.Generator)
 
 
 def _groups(case: Case, white: Array) -> list[Group]:
-    """Return the decomposed columns of every variant of every candidate.
+    """Return for each variant of each candidate its columns, prior and Gram matrix's eigenpairs.
 
     The prior of a candidate is divided equally among its variants.
     white : columns of all candidates, whitened and orthogonal to the base model, shape (rows,

@@ -60,7 +60,7 @@ class _Search:
     expanded: set[frozenset[str]] = field(default_factory=set)
 
     def take(self, found: _Set) -> _Set:
-        """Return a ranked set after adding it and all sets with one more cause to the state."""
+        """Record a ranked set and all sets with one more cause, and return the former."""
         self.expanded.add(frozenset(found.chosen))
         for labels, label, mass in found.more():
             if mass > self.mass.get(labels, -np.inf) + TIE_TOLERANCE:
@@ -68,7 +68,7 @@ class _Search:
         return found
 
     def expand(self, sets: Sequence[frozenset[str]]) -> list[_Set]:
-        """Return the sets of these labels with their rankings, and add them to the state."""
+        """Rank an additional cause given each set of these labels; record and return the sets."""
         chosen = []
         for before, label in (self.reached[labels] for labels in sets):
             chosen.append({**before.chosen, label: self.variants[label][before.ranking.variant[label]]})

@@ -56,7 +56,7 @@ def cause_rows(d: Diagnosis) -> list[CauseRow]:
                 "; ".join([shown, *(f"{which}: {sizes}" for which, sizes in wires_at_fault(d, c).items())]),
                 f"{c.label}; may be {mechanical}" if mechanical else c.label,
                 f"{mm(d.gap.without_outliers)} -> {mm(after)}" if c.effects else f"{mm(d.gap.before)} with them",
-                f"{low:.0f} to {high:.0f} %" if c.effects else "left out",
+                f"{low:.0f} to {high:.0f} %" if c.effects else "excluded",
                 tuple(parameters),
             )
         )
@@ -122,7 +122,7 @@ def mm(metres: float) -> str:
 
 
 # Titles of the columns of `layer_rows`.
-LAYER_COLUMNS = ("layer", "mean", "95 %", "time left out", "without noise")
+LAYER_COLUMNS = ("layer", "mean", "95 %", "time excluded", "without noise")
 
 
 def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
@@ -130,7 +130,7 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
 
     name : the base model, the added cause, or the noise, in words
     mean_mm, low_mm, high_mm : mean error on held-out poses with a 95 % interval over poses
-    blocks_mm : the same with fifths of the time held out; model_mm : rms without noise
+    blocks_mm : the same with fifths of the time excluded; model_mm : rms without noise
     The last dict is the error of noise alone.
     floor : that error [m]; None: that of the diagnosis
     """
@@ -139,7 +139,7 @@ def layers(d: Diagnosis, floor: float | None = None) -> list[dict[str, Any]]:
     whole, r = any(c.effect == "outliers" for c in d.causes), d.replicates
     taken: list[dict[str, Any]] = [{"name": "as calibrated, outliers in", "mean_mm": 1e3 * d.gap.before}] * whole
     for k, row in enumerate(d.course.to_dict("records")):
-        name = str(row["model"]) if k else "outliers left out" if whole else "as calibrated"
+        name = str(row["model"]) if k else "outliers excluded" if whole else "as calibrated"
         figures = {key: float(row[key]) for key in ("low_mm", "high_mm", "blocks_mm", "model_mm")}
         taken.append({"name": name, "mean_mm": float(row["gap_mm"]), **figures})
     noise = f"noise of {r.poses} repeated poses" if r.enough else "noise as the fit has it"

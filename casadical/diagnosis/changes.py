@@ -37,10 +37,10 @@ def changes(case: Case, prior: Prior) -> tuple[tuple[Change, ...], Prior]:
     factor: dict[tuple[str, int | None], float] = {}
     done: set[tuple[str, int | None]] = set()
     while True:
-        as_known = _log_evidence(case, fit, noise.sigma, prior)
+        as_before = _log_evidence(case, fit, noise.sigma, prior)
         for key, wide in parts.items():
             if key not in done:
-                factor[key] = _log_evidence(case, fit, noise.sigma, prior.widened(wide)) - as_known
+                factor[key] = _log_evidence(case, fit, noise.sigma, prior.widened(wide)) - as_before
         untested = [key for key in parts if key not in done]
         first = best_of(untested, factor.__getitem__, logs=True) if untested else None
         if first is None or probability_of_change(factor[first]) < SETTINGS.min_change:
@@ -87,8 +87,8 @@ def _log_evidence(case: Case, fit: Fit, sigma: float, prior: Prior) -> float:
         precision[np.ix_(at, at)] = np.linalg.inv(scaled) / np.outer(unit, unit)
         log_det -= float(np.linalg.slogdet(scaled)[1]) + 2 * float(np.log(unit).sum())
     square = float(fit.y @ fit.y + mean @ precision @ mean)
-    left = joined(fit.sums.H + precision, fit.sums.g + precision @ mean, square, 0.5 * log_det)
+    sums = joined(fit.sums.H + precision, fit.sums.g + precision @ mean, square, 0.5 * log_det)
     grid = case.evidence.sigmas / sigma
     return float(
-        np.logaddexp.reduce(left.log_norm - case.evidence.count * np.log(grid) - 0.5 * left.square / grid**2, axis=None)
+        np.logaddexp.reduce(sums.log_norm - case.evidence.count * np.log(grid) - 0.5 * sums.square / grid**2, axis=None)
     )

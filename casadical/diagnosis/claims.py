@@ -20,9 +20,9 @@ def named(state: State, end: End, seed: int) -> tuple[State, End]:
     A cause is certain if its probability against every alternative and none reaches
     `Settings.min_claim` and the gap on held-out poses shrinks with it. A cause with two or three
     labels that the data do not distinguish is certain if they reach the same probability together.
-    One detected cause that is not certain is kept, as the first one, if it has more evidence than
-    each certain one and, together with the causes that cannot be distinguished from it, at least
-    the probability `Settings.min_doubtful`. All other causes that are not certain are removed.
+    One detected cause that is not certain remains, as the first one, if it has more evidence than
+    each certain one and, together with the causes that cannot be distinguished from it, at
+    least the probability `Settings.min_doubtful`. All others that are not certain are removed.
     end : why the search ended before this; seed : of the partitions into held-out poses
     """
     if not state.steps:

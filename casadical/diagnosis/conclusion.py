@@ -75,7 +75,7 @@ def conclude(
     causes = [replace(c, confidence=c.confidence * (0.5 if s else 1.0)) for c, s in zip(causes, scatters, strict=True)]
     joint = joint_of_outliers(case, columns, noise)
     before_all, outliers = (before, ()) if joint else _outliers_as_cause(case, before, error, distance, seed)
-    # Noise leaves no more than all that is left, though its size is estimated on a grid.
+    # Noise causes no more than the whole remaining error, though its size is estimated on a grid.
     gap = Gap(float(before_all.mean()), float(after.mean()), min(floor, float(after.mean())), float(before.mean()))
     causes += outliers
     causes = [causes[k] for k in ranked([c.shrink for c in causes])]

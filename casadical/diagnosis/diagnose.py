@@ -227,7 +227,7 @@ class _Question:
             if ratios is None:
                 break
             self.show("the sets' noise differs from that of the base model: searched again")
-            # Outliers stay those given the causes: to the noise without a step, every pose beside it
+            # Outliers stay those given the causes: to the noise without a step, every pose near it
             # is a gross error of the base model.
             again = self.case(ratios).with_inliers(found.case.inliers)
             found = self.searched(case := self.with_unchanged_prior(again, unchanged))

@@ -53,7 +53,7 @@ class NoisePrior:
     repeats : standard deviation over repeated poses, of instrument and joints together [m]
     freedom : degrees of freedom of `repeats`, zero without repeated poses
     lever : standard deviation of a coordinate by joints that repeat to 1 rad, rms over the poses
-        [m]; zero: nothing is known of how well joints repeat
+        [m]; zero: unknown
     """
 
     declared: float = 0.0
@@ -229,9 +229,9 @@ class BaseParameters:
     still: Array
 
     def with_all_combinations(self, e: Evidence, poses: Array) -> tuple[Evidence, Array]:
-        """Return the model with all P combinations, for use at other poses, and their units (P, P).
+        """Return a model for other poses, with all P base combinations, and these as columns.
 
-        poses : indices of the poses of e among those of J
+        Combinations, (P, P) [SI], that move no pose are included. poses : indices of e's poses in J
         """
         still = self.J[poses] @ self.still
         k = self.units.shape[1]
@@ -241,7 +241,7 @@ class BaseParameters:
         return replace(e, J=J, delta0=delta0, prior=prior), np.concatenate([self.units, self.still], axis=1)
 
     def _mean(self, units: Array) -> Array:
-        """Return the prior mean of combinations given by the columns of `units`, shape (k,).
+        """Return the prior mean of k combinations of base parameters, the columns of `units`, (k,).
 
         The columns are orthogonal after division by the parameters' prior standard deviations.
         """

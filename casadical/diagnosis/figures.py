@@ -49,9 +49,7 @@ def diagnosis_figures(d: Diagnosis, more: Details | None = None) -> Iterator[Fig
     more = more or Details()
     floor = floor_of(d, more)
     yield gap_course(d, more.networks or (), floor)
-    hint = (
-        "Every pose is judged by a fit to others; outliers are left out. Click a name in the legend to show or hide it."
-    )
+    hint = "Poses are judged by fits to others, without outliers. Click a name in the legend to show or hide it."
     yield errors_by_pose(d.held_out, caption=hint, floor=floor)
     caption = (
         "Turn it with the mouse; point at the dot that ends a vector for its error. Each line runs from the measured "
@@ -205,7 +203,7 @@ def gap_course(d: Diagnosis, networks: Sequence[NetworkGap] = (), floor: float |
         marks=notes,
         right=76,
         caption="The gap, here and everywhere in this report: mean distance of measured from computed positions over "
-        f"poses that the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers left out, with a 95 % "
+        f"poses that the fit did not see (in fifths, {SETTINGS.partitions} partitions), outliers excluded, with a 95 % "
         "interval over poses. Noise alone: what a perfect model would leave, simulated through the same fit.",
     )
 
@@ -247,7 +245,7 @@ def curve_figure(curves: JointCurves) -> Figure:
         y=Axis("error [urad]"),
         caption="With the base model, all other causes and the curves of the other joints in the model. Shaded: angles "
         "near which there are readings; elsewhere the curve is not measured, and the band is that of its prior. Shares "
-        "are of the log evidence that is lost when a joint's curve is left out.",
+        "are of the log evidence that is lost without a joint's curve.",
         shared="xy",
         height=150 * -(-len(panels) // 2) + TITLE_HEIGHT_PX + LEGEND_HEIGHT_PX,
         panels=panels,

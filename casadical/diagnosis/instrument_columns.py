@@ -19,10 +19,10 @@ from casadical.measurements.kinds.registry import find_kind
 from casadical.measurements.measurements import Measurements
 
 
-def with_far_ends(
+def with_anchor_columns(
     m: Measurements, sets: Sequence[Measurements], where: Mapping[str, Array], stops: Stops
 ) -> Measurements:
-    """Return the combined table with columns of the distance instruments, if there are any.
+    """Return the combined table with columns of distance instruments (wires), if there are any.
 
     far_x_m, far_y_m, far_z_m are the anchor in the measuring frame [m], given or estimated by the
     base fit; wire1 is 1 where the first such instrument was read, else 0, and so on. Each distinct
@@ -32,19 +32,19 @@ def with_far_ends(
     where : estimate of each unknown point in the measuring frame, by name, shape (3,) [m]
     """
     rows = len(stops.of)
-    far, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
+    anchor, wire, count = np.zeros((rows, 3)), np.zeros(rows, dtype=np.int64), 0
     for k, (part, at) in enumerate(zip(sets, row_slices(sets), strict=True)):
         if part.kind != Distance.name or part.distance is None:
             continue
         names = [f"{k}/{name}" for name in find_kind(part.kind).point_names(part.arrays)]
-        far[at] = part.target if part.target is not None else np.array([where[name] for name in names])
-        _, which = np.unique(far[at], axis=0, return_inverse=True)
+        anchor[at] = part.target if part.target is not None else np.array([where[name] for name in names])
+        _, which = np.unique(anchor[at], axis=0, return_inverse=True)
         wire[at] = 1 + count + which.ravel()
         count = int(wire[at].max())
     if not 0 < count <= MAX_DISTANCE_INSTRUMENTS:
         return m
     of_row = {f: (wire == k).astype(float) for k, f in enumerate(INSTRUMENT_FLAG_COLUMNS, 1)} | dict(
-        zip(ANCHOR_COLUMNS, far.T, strict=True)
+        zip(ANCHOR_COLUMNS, anchor.T, strict=True)
     )
     return _with_row_columns(m, of_row, stops)
 

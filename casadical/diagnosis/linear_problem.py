@@ -16,7 +16,7 @@ from casadical.core.statistics import robust_std
 from casadical.diagnosis.candidates import Candidate, choose
 from casadical.diagnosis.cross_validation import fit_of
 from casadical.diagnosis.evidence import RHO_GRID, SIGMA_GRID_M, WIDE_SIGMA_GRID_M, BaseParameters, Evidence, NoisePrior
-from casadical.diagnosis.instrument_columns import with_camera_columns, with_far_ends
+from casadical.diagnosis.instrument_columns import with_anchor_columns, with_camera_columns
 from casadical.diagnosis.linearisation import EffectColumns
 from casadical.diagnosis.noise_evidence import WHITE_FORM, Form, prewhitened
 from casadical.diagnosis.noise_floor import replicates
@@ -275,9 +275,9 @@ class Case:
             )
             more.evidence.with_updated_cache(self.evidence, lost, gained)
             if self.form.ar_coefficient:
-                known, judged = self.judged, more.judged
+                before, judged = self.judged, more.judged
                 judged.with_updated_cache(
-                    known, known.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))
+                    before, before.at(_changed_rows(self, more)), judged.at(_changed_rows(more, self))
                 )
         return more
 
@@ -336,16 +336,16 @@ class Case:
         assert isinstance(self.whole.E, EffectColumns)
         return self.whole.E.sizes[columns]
 
-    def with_events(self, count: int, known: Collection[str]) -> Case:
-        """Return the case in which each kind of event has some candidates that are not known yet.
+    def with_events(self, count: int, claimed: Collection[str]) -> Case:
+        """Return the case in which each kind of event (slip, jump) has some further candidates.
 
         What slipped once may slip again: a later event has the columns of the first.
-        count : least number of these candidates; known : labels of the causes in the model
+        count : least number of these candidates; claimed : labels of the causes in the model
         """
         case, first = self, [c for c in self.candidates if getattr(c.variants[0][0], "event", 0) == 1]
         for c in first:
             own = [k for k in self.candidates if (k.name, k.joint) == (c.name, c.joint)]
-            for number in range(len(own) + 1, count + 1 + sum(k.label in known for k in own)):
+            for number in range(len(own) + 1, count + 1 + sum(k.label in claimed for k in own)):
                 later = {e: cast(Any, replace)(e, event=number) for v in c.variants for e in v}
                 columns = {**case.columns, **{new: self.columns[old] for old, new in later.items()}}
                 more = Candidate(next(iter(later.values())).label, c.name, c.joint, tuple((e,) for e in later.values()))
@@ -424,7 +424,7 @@ def make_case(
     robot, sets = identification.given, identification.measurements
     stops = stops_in(sets)
     m = combined_table(sets, robot, stops)
-    m = with_camera_columns(with_far_ends(m, sets, identification.unknown_points, stops), sets, stops)
+    m = with_camera_columns(with_anchor_columns(m, sets, identification.unknown_points, stops), sets, stops)
     # A payload that was not logged is the declared one at all poses, as in the model.
     if robot.payload and "payload_kg" not in m.conditions:
         m = replace(m, conditions={**m.conditions, "payload_kg": np.full(len(m), robot.payload.mass)})
@@ -522,7 +522,7 @@ def unsure_tables(seen: Observations) -> tuple[Array, ...]:
     rising = np.argsort(counts, kind="stable")[: len(masks) - (not declared)]
     # Tables with a smaller fraction of all numbers have too little influence.
     least = 0.1 * int(seen.measured.sum())
-    # The noise ratio of tables with 100 numbers is known to 7 %.
+    # The noise ratio of tables with 100 numbers is certain to 7 %.
     return tuple(masks[k] for k in rising if least <= counts[k] < 100)[:2]
 
 
@@ -536,11 +536,11 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
     if seen.plain:
         return None
     fit, ratios = fit_of(case.evidence, columns, noise), seen.ratios
-    left, pull = (
+    squares, leverage = (
         fit.whitened_residual.reshape(case.evidence.r.shape) ** 2,
         fit.leverage(np.arange(len(case.evidence.r))),
     )
-    freedom = seen.measured[case.inliers] - np.diagonal(pull, axis1=1, axis2=2)
+    freedom = seen.measured[case.inliers] - np.diagonal(leverage, axis1=1, axis2=2)
     place, sigmas = np.cumsum(case.inliers) - 1, []
     each = zip(seen.sets, ratios.sigmas, seen.layout.poses, seen.layout.places, strict=True)
     for m, (length, angle), poses, places in each:
@@ -548,7 +548,7 @@ def updated_ratios(case: Case, columns: Array, noise: Noise) -> Ratios | None:
         poses, places = place[poses[own]], places[own]
         parts = (places[:, : kind.lengths], places[:, kind.lengths :])
         factors = [
-            float(np.sqrt(left[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
+            float(np.sqrt(squares[poses, part].sum() / max(float(freedom[poses, part].sum()), 1.0))) or 1.0
             for part in parts
         ]
         sigmas.append((length if m.sigma else length * factors[0], angle if m.sigma_angle else angle * factors[1]))

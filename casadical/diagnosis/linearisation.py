@@ -26,7 +26,7 @@ from casadical.measurements.measurements import Measurements
 from casadical.robot.model import constants_of
 from casadical.robot.robot import Robot
 
-# Number of seam variables of the measured point, x, y and z; they are the last ones of an end.
+# Number of variables, x, y and z, by which effects displace a measured point: the last of a pose.
 POINT_VARIABLES = 3
 # Character between a condition's name and the index of an additional reading at the same pose.
 READING_MARK = "#"
@@ -96,7 +96,7 @@ class Linearisation:
         return self.factors(plan(self.model, tuple(effects))).columns_at(self.S)
 
     def factors(self, parts: Sequence[Part], sizes: Array | None = None) -> Factors:
-        """Return the derivatives of each seam variable by the effects' parameters.
+        """Return the derivatives of the seam variables, where effects enter, by their parameters.
 
         parts : formulas and effects as `plan` returns them
         sizes : units of the parameters, shape (columns,) [SI]; None: SI units
@@ -127,7 +127,7 @@ class Linearisation:
         return Factors(tuple(blocks), sum(len(part.starts) * part.width for part in parts))
 
     def _places(self) -> Iterator[tuple[tuple[Array, Array], int, int, int]]:
-        """Yield ((q, seen), first, least, turn) for each end and each additional reading.
+        """Yield ((q, seen), first, least, turn) for each end (pose) and each additional reading.
 
         Seam variable k of it has the index first + k in S; only those with k >= least exist, for an
         additional reading those of the measured point. turn is the index of the reading.
@@ -152,7 +152,7 @@ class Linearisation:
 
 
 def linearise(robot: Robot, m: Measurements, phi: Array) -> Linearisation:
-    """Return the robot linearised at its seams at the measured poses.
+    """Return the robot linearised at the insertion points of effects (seams) at measured poses.
 
     m : measurements with every condition that the candidate effects need
     phi : the robot's parameters, shape (P,) [SI]

@@ -98,8 +98,7 @@ class NoiseAccount:
     def unless_small(self, times: float) -> Self:
         """Return the account without its doubt if the effect that may hide in it is small.
 
-        An effect less than `Settings.max_hidden` as large as the named causes together is a rest
-        that an explanation may leave.
+        It is if its rms is below `Settings.max_hidden` times that of the named causes together.
         times : error of the base model divided by that with the causes
         """
         explained = self.total * float(np.sqrt(max(times**2 - 1, 0.0)))

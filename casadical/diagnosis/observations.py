@@ -308,7 +308,7 @@ def observe(
 
 
 def _seam_jacobian(parts: Sequence[_SetObservations], layout: Layout, ends: int) -> Array:
-    """Return the poses' Jacobian by all seam variables, shape (poses, numbers, seams).
+    """Return the Jacobian by all variables where effects enter (seams), (poses, numbers, seams).
 
     An instrument's effect on its own reading leaves the other readings at the stop unchanged: each
     additional reading has its own variables of the measured point, after all other seam variables.
@@ -342,7 +342,7 @@ def _joint_jacobian(S: Array, ends: int, seams: int, joints: int) -> Array:
 def _point_jacobian(
     identification: Identification, parts: Sequence[_SetObservations], layout: Layout
 ) -> tuple[Array, Array]:
-    """Return the fields U and mean of `Observations`, for the unknown points."""
+    """Return Jacobian and prior mean of the unknown points (U and mean of `Observations`)."""
     where = identification.unknown_points
     U = np.zeros((*layout.shape, 3 * len(where)))
     for part, poses, places in zip(parts, layout.poses, layout.places, strict=True):

@@ -12,7 +12,7 @@ from casadical.diagnosis.figures import diagnosis_figures
 from casadical.diagnosis.joint_curves import CURVE_COLUMNS
 from casadical.diagnosis.localisation import Localisation
 from casadical.diagnosis.result import Diagnosis
-from casadical.diagnosis.statements import Statement, floor_of, left_over, statements
+from casadical.diagnosis.statements import Statement, floor_of, noiseless_errors, statements
 from casadical.identification.accuracy import summarise
 from casadical.identification.figures import correlated, parameter_tables, unidentifiable_table
 
@@ -28,7 +28,7 @@ def diagnosis_page(d: Diagnosis, name: str, more: Details | None = None, replaye
     said = statements(d, more)
     rows, layered = cause_rows(d), []
     if layers := layer_rows(d, floor_of(d, more)):
-        columns = ("layer, added to those above", "mean", "95 %", "fifths of time left out", "rms without noise")
+        columns = ("layer, added to those above", "mean", "95 %", "fifths of time excluded", "rms without noise")
         layered = [Table("Layer by layer: errors on held-out poses, mm", columns, layers, frozenset(range(1, 5)))]
     curves: list[Block] = []
     if more.curves:
@@ -91,7 +91,7 @@ def _tiles(d: Diagnosis, more: Details) -> Iterator[Tile]:
         # A browser may break a long name at a zero-width space.
         yield Tile("Leading cause", first.label.replace("_", "_\u200b"), "", f"probability {first.confidence:.3f}")
     if d.has_rest:
-        before, after, share = left_over(d)
+        before, after, share = noiseless_errors(d)
         yield Tile(
             "Without a named cause", mm(1e-3 * after), "mm rms", f"{100 * share:.0f} % of {before:.3f}, noise off"
         )
@@ -101,7 +101,7 @@ def _errors(d: Diagnosis) -> Table:
     """Return the table of held-out error statistics [mm], without and with the causes."""
     summed = [(one.model, summarise(one.length)) for one in d.held_out.models]
     rows = [(name, str(a.n), *map(mm, (a.mean, a.max, a.std, a.rms, a.p95))) for name, a in summed]
-    columns = ("held-out poses, outliers left out", "n", "mean", "max", "std", "rms", "95 %")
+    columns = ("held-out poses, outliers excluded", "n", "mean", "max", "std", "rms", "95 %")
     return Table("Errors in mm", columns, rows, frozenset(range(1, 7)), frozenset({len(rows) - 1}))
 
 
@@ -141,7 +141,7 @@ def _causes(rows: Sequence[CauseRow]) -> Iterator[Table]:
 def _parameters(d: Diagnosis, figures: Iterable[Figure]) -> Iterator[Block]:
     """Yield figures and tables of the base model's parameters."""
     yield Words(
-        "With priors from the robot file, outliers held back, and without the causes. Bars are 95 % intervals. Base "
+        "With priors from the robot file, outliers excluded, and without the causes. Bars are 95 % intervals. Base "
         "and tool frames are in the table only.",
         "note",
     )

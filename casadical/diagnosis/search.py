@@ -75,9 +75,9 @@ class State:
         return [k for k in ranking.order if k in self.by_label and self.by_label[k].listed]
 
     def twins(self, label: str) -> frozenset[str]:
-        """Return the labels of the forms without a cause at the joint of a listed cause.
+        """Return the labels of all smooth unlisted forms at the joint of a listed cause.
 
-        They say where and by what the joint errs as the cause does, and leave its equation open.
+        They describe an error of that joint without the cause's equation.
         """
         joint = self.by_label[label].joint
         same = (c for c in self.case.candidates if joint and c.name == "unknown" and c.variants[0][0].joint == joint)
@@ -230,8 +230,8 @@ class State:
             case.judged.forget()
         return replace(state, case=screened)
 
-    def with_shown(self) -> State:
-        """Return the state with the lines and the steps that its residual shows as candidates."""
+    def with_residual_candidates(self) -> State:
+        """Return the state with periodic joint errors and jumps of its residual as candidates."""
         case, columns = self.case, self.columns()
         noise = likely_noise(case.judged.log_base(columns), case.judged.sigmas)
         lines, times = shown_by(case, columns, noise, case.form)
@@ -249,7 +249,7 @@ class State:
         That is done where the most probable one is listed.
         """
         state = self
-        # A single cause is compared again if its rivals are now known at the time of its event.
+        # A single cause is compared again if its rivals are candidates at the time of its event.
         timed = any(hasattr(e, "at") for s in self.steps for e in s.effects)
         for k in range(len(self.steps) if len(self.steps) > 1 or timed else 0):
             others = (*state.steps[:k], *state.steps[k + 1 :])
@@ -275,7 +275,7 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
 
     lone = False  # whether sets of causes are still to be searched
 
-    def where_noise_follows(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
+    def under_ar_noise(given: State, least: float = 0.0, *, first: bool = False) -> tuple[State, End] | None:
         """Return the result of a search under the best AR(1) noise given the causes of a state.
 
         Returns None if the noise is not autocorrelated or no cause is found under it.
@@ -296,10 +296,10 @@ def search_with_forms(case: Case, seed: int, bootstrap: int, show: Show) -> tupl
     # Effects with many parameters fit autocorrelated noise; so this noise is tried first without
     # them.
     if any(e.parts for s in state.steps for e in s.effects):
-        before, state, end = state, *(where_noise_follows(State(case), state.log_gain, first=True) or (state, end))
+        before, state, end = state, *(under_ar_noise(State(case), state.log_gain, first=True) or (state, end))
         lone = before is not state
     for _ in range(SETTINGS.max_form_searches):
-        found = where_noise_follows(state)
+        found = under_ar_noise(state)
         if not found:
             break
         (state, end), lone = found, False
@@ -319,7 +319,7 @@ def search(case: Case, seed: int, bootstrap: int, show: Show, *, sets: bool = Tr
     end: End = "none"
     while len(state.steps) < SETTINGS.max_causes:
         show(f"cause {len(state.steps) + 1}: evidence of {len(state.by_label)} candidates")
-        state = state.with_shown().ranked()
+        state = state.with_residual_candidates().ranked()
         ranking, steps = state.rankings[-1], len(state.steps)
         if bootstrap and not state.steps:
             p_nothing = p_value(case, ranking, bootstrap, seed, show)
@@ -360,9 +360,9 @@ def next_cause(state: State, ranking: Ranking, p_nothing: float | None = None) -
         return "unknown", ()
     if there - sum(ranking.probability[k] for k in listed) > 0.5:
         # The cause is unlisted, unless it is one of a few labels, a listed one among them.
-        known = ranking.probability[listed[0]] > SETTINGS.min_ambiguous * there
+        probable = ranking.probability[listed[0]] > SETTINGS.min_ambiguous * there
         few = together >= SETTINGS.ambiguous_share * there
-        if not known or not few or any(state.by_label[k].name == "unknown" for k in alike):
+        if not probable or not few or any(state.by_label[k].name == "unknown" for k in alike):
             return "unknown", ()
         alike = tuple(alike[k] for k in ranked([ranking.probability[k] for k in alike]))
     doubtful = ranking.probability[listed[0]] < SETTINGS.min_further * there

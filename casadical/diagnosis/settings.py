@@ -51,12 +51,12 @@ class Settings:
     max_form_searches : number of times that causes are searched again under another form of
         noise
     max_p_nothing_under_form : under autocorrelated noise a cause is detected only if "nothing"
-        is less probable than this, because the form of such noise is not known for certain
+        is less probable than this, because the form of such noise is uncertain
     min_set_log_gain : log evidence [nats] that each additional cause of a set must gain
     min_change : probability of a change from which the earlier campaign's prior of a part is
         dropped
     min_doubtful : smallest probability at which a detected cause that is not certain (see
-        `claims.named`) may be kept, the sum over it and those that the data cannot distinguish from
+        `claims.named`) may remain, the sum over it and those that the data cannot distinguish from
         it; also that of the labels listed for a possible additional cause
     same_joint_prior_factor : factor on the prior of an additional cause at a joint that has a
         cause already: it is more likely a flaw of the first cause's equation

@@ -94,12 +94,11 @@ def noise(d: Diagnosis) -> str:
 
 
 def noise_hides_structure(d: Diagnosis) -> bool:
-    """Return whether the noise, as estimated, hides structure that is larger than what is left.
-
+    """Return whether the noise, as estimated, hides structure that exceeds the other error.
     It does if it exceeds an independent figure of the noise, or if the structure in it is larger
     than the error beyond the noise (rms of a coordinate).
     """
-    beyond = 1e-3 * left_over(d)[1] / np.sqrt(3)
+    beyond = 1e-3 * noiseless_errors(d)[1] / np.sqrt(3)
     return d.account.excess > 0 or (d.account.is_structure and d.account.structure > beyond)
 
 
@@ -121,7 +120,7 @@ def floor_of(d: Diagnosis, more: Details | None) -> float:
     return d.gap.floor if more is None or more.floor is None else more.floor
 
 
-def left_over(d: Diagnosis) -> tuple[float, float, float]:
+def noiseless_errors(d: Diagnosis) -> tuple[float, float, float]:
     """Return the rms held-out errors without noise of base model and with all causes [mm].
 
     The third item is the ratio of the latter to the former, 0 if the former is 0.
@@ -150,7 +149,7 @@ def wires_of(d: Diagnosis, faults: Sequence[Cause]) -> str:
     return listed(dict.fromkeys(w for c in faults for w in wires_at_fault(d, c)))
 
 
-def great_parts(where: Localisation) -> list[dict[Hashable, Any]]:
+def largest_parts(where: Localisation) -> list[dict[Hashable, Any]]:
     """Return at most five parts of the robot with the largest fractions of the gap, from 5 % on.
 
     Each is a row of `Localisation.joints` or `Localisation.links` as a dict.
@@ -206,11 +205,11 @@ def change(ratio: float) -> str:
     return f"{abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'}"
 
 
-def loose_cycles(d: Diagnosis) -> Iterator[tuple[str, float, float, float]]:
-    """Yield the ripples whose joint spans too little to tell their cycles per turn to one.
+def ambiguous_cycles(d: Diagnosis) -> Iterator[tuple[str, float, float, float]]:
+    """Yield the transmission ripples whose cycles per turn are uncertain by more than one.
 
-    Each item is a cause's label, its cycles, those to both sides that look like them, and the span
-    of the joint's angles [deg].
+    The angles of their joint span too little. Each item is a cause's label, its cycles, the
+    difference of cycles that look alike, and the span of the angles [deg].
     """
     for c in d.causes:
         for e in (e for e in c.effects if isinstance(e, TransmissionRipple)):
@@ -258,13 +257,13 @@ def gain_of(d: Diagnosis, poses: pd.DataFrame) -> float:
 
 # Folder of the Jinja templates of statements.
 _TEMPLATES = Path(__file__).parent
-# Values and functions, by the names under which the templates use them beside the diagnosis.
+# Values and functions, by the names under which the templates use them with the diagnosis.
 _SAYS: dict[str, Any] = {
     "NEW": SETTINGS.min_change,
     "DETECT": SETTINGS.max_p_nothing,
     "CLAIM": SETTINGS.min_claim,
     "SET_CLAIM": SETTINGS.min_set,
-    "LITTLE": SETTINGS.min_decision_gain,
+    "MIN_GAIN": SETTINGS.min_decision_gain,
     "timed": lambda causes: any(depends_on_time(c.effects) for c in causes),
     "rare": lambda d, label: any(c.label == label and c.name != "unknown" for c in d.case.candidates),
     "undeclared": lambda d: any(m.sigma is None for m in d.case.observations.sets),
@@ -284,15 +283,15 @@ _SAYS: dict[str, Any] = {
             members,
             names_of,
             floor_of,
-            left_over,
+            noiseless_errors,
             readings_of,
             unlogged,
             wires_of,
-            great_parts,
+            largest_parts,
             claims_near,
             detections_near,
             change,
-            loose_cycles,
+            ambiguous_cycles,
             resembles,
             not_logged,
         )

@@ -1,4 +1,4 @@
-"""Tests of the residual for structure: dependence on quantities that are known at the poses.
+"""Tests of the residual for structure: dependence on quantities with a value at each pose.
 
 Whitened residuals are regressed on functions of a driver (a joint angle, sums of two, order in
 time, position, orientation, the sense of the last motion) along a direction (an axis of base or
@@ -78,7 +78,7 @@ class Remainder:
 
 
 def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = None) -> Remainder:
-    """Return the dependences of a fit's residual on known quantities, and if it is like noise.
+    """Return the drivers on which a fit's residual depends, and whether it is otherwise like noise.
 
     columns : indices of the columns of the causes in the fit, shape (k,)
     noise, form : noise by which the residual is whitened; None: white
@@ -89,7 +89,7 @@ def remainder_of(case: Case, columns: Array, noise: Noise, form: Form | None = N
 def shown_by(
     case: Case, columns: Array, noise: Noise, form: Form
 ) -> tuple[tuple[tuple[int, float], ...], tuple[float, ...]]:
-    """Return the lines that the residual of a fit shows, and the times of its steps.
+    """Return periodic joint errors (lines) in the residual of a fit, and the times of its jumps.
 
     A line is a joint (1-based) and cycles per turn, with the significance of `remainder_of`. Times,
     two at most, are those at which the instrument jumped, 0 to 1; every pose is tried.
@@ -195,7 +195,7 @@ class _WhitenedResidual:
         tests = [*(s for group in self._groups() for s in self._tests(*group)), *self._neighbours()]
         tests += [s for j in self.case.robot.numbers for s in self._line_tests(j, self._cycles[j])]
         sure = _significant(tests, len(tests) + self._screened)
-        # Of a joint's lines only the most significant one is kept.
+        # Of a joint's lines only the most significant one is reported.
         each = {s.line[0] if s.line else s.over: self._with_aliases(s, sure) for s in reversed(sure)}
         # The tails are Gaussian if the squares have 0.6 of the numbers' degrees of freedom.
         tails = self.freedom >= 0.6 * (self.e.count - self._absorbed)
@@ -204,7 +204,7 @@ class _WhitenedResidual:
 
     @staticmethod
     def _with_aliases(line: Structure, sure: Sequence[Structure]) -> Structure:
-        """Return a line whose name lists the cycles that its joint's angles do not tell from it.
+        """Return a line whose name lists the cycles that these angles do not distinguish from it.
 
         sure : all significant dependences; other dependences are returned unchanged
         """

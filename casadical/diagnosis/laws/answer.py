@@ -418,7 +418,7 @@ def _figure(d: Discovery, s: ScoredLaw, line: str, residuals: Array, name: str) 
     size, tip = (3 + 5 * weight / weight.max()).round(1), f"%{{y:.3g}} {unit} at %{{x:.4g}}"
     poses = Series("points", x.round(5), (factor * seen).round(2), name="poses", colour="grey", size=size, tip=tip)
     caption = (
-        "Line: the law. Points: for each pose the value that its own residual asks for at this place, beside all else "
+        "Line: the law. Points: for each pose the value that its own residual asks for at this place, given all else "
         "in the model, fitted to all poses; the further a pose can see the place, the less its point scatters."
     )
     law = Series("line", grid.round(5), (factor * along).round(2), name="law", tip=tip)

@@ -106,20 +106,20 @@ def _concluded(
     found_values = parameter_values(case, columns, [s.law for s in modelled], noise) if modelled else {}
     values = {f"{law.label}.{name}": value for (law, name), value in found_values.items()}
 
-    def left(effects: Sequence[Effect], noise: Noise, laws: Sequence[ScoredLaw] = ()) -> Array:
+    def errors_of(effects: Sequence[Effect], noise: Noise, laws: Sequence[ScoredLaw] = ()) -> Array:
         """Return the held-out errors of a model, (n_inliers,) [m]."""
         return held_out(case, np.unique(case.group(effects)), laws, noise, found.seed)
 
-    errors: dict[KeptModel, Array] = {"base": left((), found.rankings[0].noise[""])}
+    errors: dict[KeptModel, Array] = {"base": errors_of((), found.rankings[0].noise[""])}
     if found.effects():
-        errors["causes"] = left(found.effects(), found.noise)
+        errors["causes"] = errors_of(found.effects(), found.noise)
     if smooth:
-        errors["smooth"] = left((*found.effects(), *smooth.effects), found.noise)
+        errors["smooth"] = errors_of((*found.effects(), *smooth.effects), found.noise)
     if description:
-        errors["described"] = left(found.effects(), noise, [description])
+        errors["described"] = errors_of(found.effects(), noise, [description])
     shrink = None
     if laws:
-        errors["law"] = left(causes, noise, laws)
+        errors["law"] = errors_of(causes, noise, laws)
         interval = shrink_interval(errors["base"], errors["law"], found.seed, found.case.evidence.stop)
         shrink = float(1 - errors["law"].mean() / errors["base"].mean()), interval
     gap = {name: float(e.mean()) for name, e in errors.items()}

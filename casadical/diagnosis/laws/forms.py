@@ -117,7 +117,7 @@ def varying(linear: Linearisation, variables: Sequence[StateVariable]) -> tuple[
         values.update(zip(some.values(), share.T, strict=True))
 
     def varies(text: str) -> bool:
-        """Return whether a formula varies by more than 0.02 [rad, m, K, kg, or 1] within 1e6."""
+        """Return whether a formula varies over the poses, by more than 0.02 (SI), up to 1e6."""
         x = value_of(text, values)
         return bool(np.isfinite(x).all() and np.ptp(x) > 0.02 and np.abs(x).max() < 1e6)
 
@@ -200,7 +200,7 @@ class Function:
         return cls(variable, driver, Form(SMOOTH_FORM, parts, ("k", "f"), lambda _x: settings), x, names)
 
     def others(self) -> list[Self]:
-        """Return the functions of the grammar over the drivers of a smooth function's variable."""
+        """Return all forms of expressions in the same state variable as this smooth function."""
         every = [(d, form) for d, kind in self.variable.drivers for form in forms_of(kind)]
         some = every if len(self.form.parts) > 1 else []
         return [replace(self, driver=d, form=form, x=value_of(d, self.names)) for d, form in some]

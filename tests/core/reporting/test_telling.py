@@ -59,7 +59,7 @@ def test_a_page_has_tiles_and_no_empty_section() -> None:
 @pytest.mark.parametrize("width", [24, 30, 40, 44, 50, 60, 80])
 def test_a_narrow_terminal_breaks_a_table_and_cuts_nothing(width: int) -> None:
     row = ("as calibrated", "0.071", "0.064 to 0.077", "0.071", "0.073")
-    wide = Table("", ("layer", "mean", "95 %", "time left out", "without noise"), [row], frozenset({1, 2, 3, 4}))
+    wide = Table("", ("layer", "mean", "95 %", "time excluded", "without noise"), [row], frozenset({1, 2, 3, 4}))
     shown = plain_text([wide], width)
     assert max(map(len, shown.splitlines())) <= width
     assert sorted("".join(shown.split())) == sorted("".join(" ".join([*wide.columns, *wide.rows[0]]).split()))
