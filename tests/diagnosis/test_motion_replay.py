@@ -133,7 +133,7 @@ def test_a_later_servo_is_told_and_friction_is_not_without_a_reference():
     assert found.gap()[2][0] < 0.1 * found.gap()[0][0]
     alone = diagnose_log(robot, pendulum(2, 0.4)[1])
     assert not any("friction" in label for label in alone.outcome.rankings[0].order)
-    assert "Friction cannot be told without a log of the healthy arm" in plain_text(alone.blocks(), 400)
+    assert "Friction cannot be judged without a log of the healthy arm" in plain_text(alone.blocks(), 400)
 
 
 @pytest.mark.parametrize("unsigned", [True, False])

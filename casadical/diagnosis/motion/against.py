@@ -106,10 +106,10 @@ def read_parameters(path: Path, robot: Robot) -> Mapping[str, Array]:
         rotor = drive.inertia_at_joint(n)
         return made if rotor is None else {**made, "armature": rotor}
     rows = _of_mjcf(path) if path.suffix == ".xml" else _of_table(path)
-    known = [name for name in names if name in rows]
-    if not known and len(rows) == n:  # other names, the same number: in their order
+    named = [name for name in names if name in rows]
+    if not named and len(rows) == n:  # other names, the same number: in their order
         rows = dict(zip(names, rows.values(), strict=True))
-    elif not known:
+    elif not named:
         raise InputError(f"{path.name}: joints {', '.join(rows) or 'none'}; the robot has {', '.join(names)}")
     lacking = dict.fromkeys(PARAMETERS, np.nan)
     return {k: np.array([rows.get(name, lacking)[k] for name in names]) for k in PARAMETERS}
@@ -150,8 +150,8 @@ def _of_mjcf(path: Path) -> dict[str, Mapping[str, float]]:
         """Store the attributes of all joints of a body and those below it."""
         inherited = body.get("childclass", inherited)
         for joint in body.findall("joint"):
-            known = defaults.get((joint.get("class", inherited), "joint"), {})
-            joints[str(joint.get("name"))] = {**known, **joint.attrib}
+            default = defaults.get((joint.get("class", inherited), "joint"), {})
+            joints[str(joint.get("name"))] = {**default, **joint.attrib}
         for child in body.findall("body"):
             read_bodies(child, inherited)
 
@@ -232,7 +232,7 @@ def arbitrated(
     sampled = np.zeros_like(sigma)
     sampled[:, -1] = DELAY_SAMPLE_SHARE * own[0].step / np.maximum(response.delay, SMALLEST)
     sigma = np.hypot(sigma, sampled)
-    known = (sigma < np.minimum(DETERMINED_SHARE * response.log_widths, MAX_DETERMINED_SIGMA)) & response.moved[:, None]
+    clear = (sigma < np.minimum(DETERMINED_SHARE * response.log_widths, MAX_DETERMINED_SIGMA)) & response.moved[:, None]
     ends = (response.log_values + way * INTERVAL_SIGMAS * sigma for way in (-1, 1))
     low, high = (np.exp(end) * UNITS for end in ends)
     for path, given in sets.items():
@@ -247,7 +247,7 @@ def arbitrated(
         )
         # The ratios of a set without a gain are those to the gain that the logs show.
         off = np.abs(np.log(np.maximum(values, SMALLEST)) - response.log_values) > CONTRADICTED_SIGMAS * sigma
-        verdict = np.where(known, np.where(off, "contradicted", "agrees"), "not determined")
+        verdict = np.where(clear, np.where(off, "contradicted", "agrees"), "not determined")
         errors = np.concatenate([run.position - there.predicted(run) for run in runs])
         yield Arbitration(
             str(path),

@@ -185,9 +185,9 @@ class LogProblem:
                 A[np.ix_(r.own, r.own)] += r.grams[0] / s2
                 b[r.own] += r.grams[1] / s2
             x = np.linalg.solve(A, b)
-            left = [q - 2 * x[r.own] @ g + x[r.own] @ G @ x[r.own] for r in self.rows for G, g, q in [r.grams]]
-            known = np.array([NOISE_FREEDOM * r.sigma**2 for r in self.rows])
-            variance = (known + np.maximum(left, 0.0)) / count
+            squares = [q - 2 * x[r.own] @ g + x[r.own] @ G @ x[r.own] for r in self.rows for G, g, q in [r.grams]]
+            own = np.array([NOISE_FREEDOM * r.sigma**2 for r in self.rows])
+            variance = (own + np.maximum(squares, 0.0)) / count
         aside = x - self.mean
         log_evidence = -0.5 * (
             count @ np.log(variance) + aside @ prior @ aside + np.linalg.slogdet(A)[1] - np.linalg.slogdet(prior)[1]
@@ -206,8 +206,8 @@ class LogProblem:
         out = [np.array(r.r) for r in self.rows]
         for k in np.unique(np.concatenate([r.fold for r in self.rows])):
             x = replace(self, rows=tuple(r.among(r.fold != k) for r in self.rows)).fit.x
-            for r, left in zip(self.rows, out, strict=True):
-                left[r.fold == k] = (r.r - r.J @ x[r.own])[r.fold == k]
+            for r, residual in zip(self.rows, out, strict=True):
+                residual[r.fold == k] = (r.r - r.J @ x[r.own])[r.fold == k]
         return out
 
     def _screened(self) -> Array:
@@ -284,7 +284,7 @@ class Found:
 
     @property
     def fits(self) -> bool:
-        """Return whether the cause fits: a listed one, with clear evidence and no twin but known ones."""
+        """Return whether the cause fits: in `FITTING_CAUSES`, with enough evidence and probability."""
         name = self.label.partition("@")[0]
         return (
             self.listed
@@ -388,9 +388,9 @@ def with_candidates(problem: LogProblem, made: Sequence[tuple[Candidate, list[Si
     variants, groups, width = [], [], 0
     columns: dict[tuple[str, int], list[tuple[int, Array]]] = {(r.kind, r.joint): [] for r in problem.rows}
     for candidate, signals in made:
-        known = candidates.setdefault(candidate.label, replace(candidate, variants=()))
-        variants.append((list(candidates).index(candidate.label), len(known.variants)))
-        candidates[candidate.label] = replace(known, variants=(*known.variants, *candidate.variants))
+        merged = candidates.setdefault(candidate.label, replace(candidate, variants=()))
+        variants.append((list(candidates).index(candidate.label), len(merged.variants)))
+        candidates[candidate.label] = replace(merged, variants=(*merged.variants, *candidate.variants))
         groups.append(width + np.arange(len(signals)))
         for signal in signals:
             for key, values in signal.items():

@@ -148,22 +148,22 @@ def stops_of(dynamics: Dynamics, runs: Sequence[JointLog]) -> list[Stop]:
             np.concatenate([way * np.asarray(v)[:, j] for v in each])
             for each in ([run.command for run in runs], [run.position for run in runs])
         )
-        known = np.isfinite(c) & np.isfinite(q)
+        finite = np.isfinite(c) & np.isfinite(q)
         effort = [run.current if run.torque is None else run.torque for run in runs]
         push = None if any(e is None for e in effort) else np.concatenate([np.abs(np.asarray(e)[:, j]) for e in effort])
-        step = np.concatenate([np.full(len(run), run.step) for run in runs])[known]
-        c, q = c[known], q[known]
+        step = np.concatenate([np.full(len(run), run.step) for run in runs])[finite]
+        c, q = c[finite], q[finite]
         if not len(q):
             continue
         behind = c > q.max() + 0.05  # stiction leaves an error of less
         stays = behind & (q > q.max() - 0.01)
-        if low is not None and stays.any() and low[known][stays].mean() > 0.5:
+        if low is not None and stays.any() and low[finite][stays].mean() > 0.5:
             continue
         if step[stays].sum() < 0.3 or stays.sum() < 0.8 * behind.sum() or np.ptp(c[stays]) < 0.05:
             continue
         pushes = None
-        if push is not None and np.isfinite(push[known]).all() and not stays.all():
-            pushes = float(push[known][stays].mean()), float(push[known][~behind].mean())
+        if push is not None and np.isfinite(push[finite]).all() and not stays.all():
+            pushes = float(push[finite][stays].mean()), float(push[finite][~behind].mean())
             if pushes[0] < 2 * pushes[1]:
                 continue
         angle = float(np.median(q[stays]))

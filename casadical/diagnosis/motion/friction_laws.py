@@ -130,7 +130,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
     """Return torque errors by model and by friction law, with the laws' probabilities.
 
     arm : with the gains and delays of its servos, if the torque follows from position errors
-    floor : surface; rows in contact with it are left out
+    floor : surface; rows in contact with it are excluded
     None where no torque was logged, nor a current with a declared torque constant, nor are there
     commands and gains.
     """
@@ -201,7 +201,7 @@ def friction_laws(log: JointLog, arm: Arm, floor: Floor | None = None) -> Fricti
         return np.asarray(np.sqrt(np.maximum(square, 0) / total))
 
     def at(text: str) -> list[list[int]]:
-        """Return the columns that a text names, for each tried Stribeck curve if some are slow."""
+        """Return the columns that a text names, one list for each Stribeck curve if it has any."""
         words = text.split()
         fixed, slow = ([names.index(w) for w in words if w in names] for names in (JOINT_COLUMNS, SLOW_COLUMNS))
         starts = len(JOINT_COLUMNS) + len(SLOW_COLUMNS) * np.arange(len(STRIBECK_CURVES) if slow else 1)

@@ -27,7 +27,7 @@ def problem_of(views: Sequence[LogView], chosen: Sequence[Cause]) -> LogProblem:
     views : the log and, if there is one, its reference; chosen : causes that are candidates
     """
     log = views[0]
-    # Without a reference the base's friction may be any: that it has grown cannot be told.
+    # Without a reference the base's friction may be any: that it has grown cannot be judged.
     testable = [kind for kind in chosen if len(views) > 1 or kind.name not in FRICTION_CAUSES]
     effects = [c for kind in testable for c in _settings(kind, log.arm.joints)]
     if log.motion.torque is not None:

@@ -561,11 +561,11 @@ def _torque_terms_of(arm: Arm, runs: Sequence[JointLog], floor: Floor | None) ->
         if logged is None or (run.torque is None and arm.per_ampere is None) or len(run) < MIN_TORQUE_ROWS:
             return None
         bodies, terms = bodies_and_terms(arm.dynamics, run, run.position)
-        known = np.isfinite(logged - bodies)
+        usable = np.isfinite(logged - bodies)
         if floor is not None:
-            known &= (floor.above(np.nan_to_num(run.position)) > CONTACT_MARGIN_M)[:, None]
-        residual = np.where(known, logged - bodies, 0.0)
-        H += np.einsum("tja,tjb->jab", terms * known[..., None], terms)
+            usable &= (floor.above(np.nan_to_num(run.position)) > CONTACT_MARGIN_M)[:, None]
+        residual = np.where(usable, logged - bodies, 0.0)
+        H += np.einsum("tja,tjb->jab", terms * usable[..., None], terms)
         b += np.einsum("tja,tj->ja", terms, residual)
     # The small diagonal makes the terms of a joint without torque zero.
     H += (1e-9 * np.trace(H, axis1=1, axis2=2)[:, None, None] + 1e-30) * np.eye(4)

@@ -194,15 +194,15 @@ class LogDiagnosis(Result):
             (name, *(f"{factor * v[j]:.3g}" for v in (nominal, before, after, held_out)), self._where(j))
             for j, name in enumerate(self.log.joints[: self.arm.joints])
         ]
-        title = f"Residual of each joint, rms [{unit}]: model alone, usual friction, with the causes, runs left out"
-        columns = ("joint", "model", "usual arm", "with causes", "left out", "most at")
+        title = f"Residual of each joint, rms [{unit}]: model alone, usual friction, with the causes, held-out runs"
+        columns = ("joint", "model", "usual arm", "with causes", "held out", "most at")
         return Table(title, columns, rows, frozenset({1, 2, 3, 4}))
 
     @cached_property
     def torques(self) -> FrictionLaws | None:
         """Return torque errors by model and friction law in held-out thirds; None without torques."""
-        known = self.log.torque is not None or (self.log.current is not None and not self.log.current_unsigned)
-        return friction_laws(self.log, self.arm) if known else None
+        has_torque = self.log.torque is not None or (self.log.current is not None and not self.log.current_unsigned)
+        return friction_laws(self.log, self.arm) if has_torque else None
 
     def _where(self, j: int) -> str:
         """Return the range of angle, speed, load or time with the largest residual of joint j.
@@ -306,7 +306,7 @@ def cannot_tell(log: JointLog, arm: Arm, compared: bool) -> Iterator[str]:
     """
     if not compared:
         yield (
-            "Friction cannot be told without a log of the healthy arm, as no arm's friction has a usual value "
+            "Friction cannot be judged without a log of the healthy arm, as no arm's friction has a usual value "
             "(--reference LOG)."
         )
     if log.torque is None and (log.current is None or log.current_unsigned):
@@ -394,5 +394,5 @@ def log_views_of(
 
     if reference is None:
         return (seen(log, arm),)
-    known = seen(reference, arm_of(healthy) if healthy else arm)
-    return seen(log, arm, known.peak_torque), known
+    healthy_view = seen(reference, arm_of(healthy) if healthy else arm)
+    return seen(log, arm, healthy_view.peak_torque), healthy_view

@@ -103,6 +103,7 @@ class Replay:
         return [slice(k, k + VARIANTS_PER_BATCH) for k in range(0, count, VARIANTS_PER_BATCH)]
 
     def _angles(self, joint: Array, x: Array, signals: Sequence[Signals], capacity: Array | None) -> Array:
+        """Return the result of `angles` for one batch of variants."""
         m = self.view.motion
         assert m.command is not None
         assert m.command_v is not None

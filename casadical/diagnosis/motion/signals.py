@@ -358,7 +358,7 @@ def faults_of(log: JointLog, arm: Arm, reference: JointLog | None) -> Iterator[F
         yield Fault(
             "clock_scale",
             f"the clock of the log runs wrong by a factor of {factor:.3f} ({1 / log.step:.4g} rows a second, "
-            f"{rate:.4g} are known)",
+            f"{rate:.4g} expected)",
             f"Divide time_s by {factor:.3f}, or state the true rate as log_rate_Hz in [drive].",
         )
     steps = np.diff(log.time)[np.diff(log.run) == 0] / max(log.step, 1e-12)

@@ -1,4 +1,4 @@
-"""Rows of a log with torques: lean friction, rigid bodies and the servo's equation.
+"""Rows of a log with torques: friction, rigid bodies and the servo's equation.
 
 Rows of torques are those in which a joint slides; at rest, and within a few mrad behind a reversal,
 friction may be any torque up to its limit.
@@ -18,13 +18,13 @@ STRIBECK_SPEED_RAD_S = 0.05  # speed at which the excess of friction at low spee
 # Groups of friction torques that change by a common factor from day to day.
 FRICTION_GROUPS = (("slip", "dip"), ("viscous", "curved"), ("loaded", "by side"), ("warm", "warm viscous"))
 WARM_UP_TIME_S = 40.0  # typical time in which an arm warms up [s]
-DAILY_GROUP_SHARE = 0.13  # prior standard deviation of a group's relative change from day to day
-DAILY_JOINT_SHARE = 0.1  # prior standard deviation of the relative change of a joint's friction
+DAILY_GROUP_SHARE = 0.13  # prior sigma of the relative daily change of a joint's group of frictions
+DAILY_JOINT_SHARE = 0.1  # prior sigma of the relative daily change of all frictions of a joint
 DAILY_CLOCK_S = 4e-3  # prior standard deviation of the change of all delays from log to log [s]
 # Prior standard deviations of the change of other coefficients from day to day, by kind.
 DAILY_SIGMAS = {"offset": 0.01, "scale": 0.003, "rotor": 0.01, "delay": 5e-4, "cold": 0.01, "cold viscous": 0.01}
-DAILY_FRICTION_SIGMA = 0.004  # the same, for each coefficient of friction divided by the peak torque
-DAILY_SERVO_SHARE = 0.1  # the same for coefficients of position errors, divided by their prior
+DAILY_FRICTION_SIGMA = 0.004  # prior sigma of a friction's daily change, divided by the peak torque
+DAILY_SERVO_SHARE = 0.1  # prior sigma of the daily change of coefficients of position errors, by their prior
 BASE_TORQUE_NOISE = 0.01  # typical noise of a torque, divided by the peak torque
 BASE_TIME_ERROR_S = 5e-4  # time shift of the motion that gives the typical noise of angles [s]
 
@@ -135,7 +135,7 @@ def _daily(problem: LogProblem, x: Array) -> Array:
     x : the base's parameters on that day
     """
     names, out = problem.names, np.zeros_like(problem.covariance)
-    known = {name for group in FRICTION_GROUPS for name in group}
+    grouped = {name for group in FRICTION_GROUPS for name in group}
 
     def together(values: list[float], share: float) -> Array:
         """Return the covariance of a common relative change of some parameters."""
@@ -143,7 +143,7 @@ def _daily(problem: LogProblem, x: Array) -> Array:
 
     for j in {joint for _, joint, _ in names if joint}:
         friction = [
-            v if (k, i) == ("torque", j) and name in known else 0.0 for v, (k, i, name) in zip(x, names, strict=True)
+            v if (k, i) == ("torque", j) and name in grouped else 0.0 for v, (k, i, name) in zip(x, names, strict=True)
         ]
         out += together(friction, DAILY_JOINT_SHARE)
         for group in FRICTION_GROUPS:

@@ -188,20 +188,20 @@ def signals_of(log_view: LogView, effect: DefinedEffect, sliding: float | None =
     sliding : a direction, 1 or -1, in which all joints slide; None: that of the motion
     """
     out = [Signals() for _ in effect.sizes()]
-    known = {**log_view.variables, **own_variables(log_view, effect)}
+    available = {**log_view.variables, **own_variables(log_view, effect)}
     if sliding is not None:
-        known["slip"] = np.full_like(log_view.motion.q, sliding)
-        known |= {k: sliding * np.abs(v) for k, v in known.items() if k == "friction"}
+        available["slip"] = np.full_like(log_view.motion.q, sliding)
+        available |= {k: sliding * np.abs(v) for k, v in available.items() if k == "friction"}
     for seam in MOTION_SEAMS:
         if seam not in effect.formulas:
             continue
         numbered = {name: match for name in effect.drivers if (match := MOTION_NAME_OF_JOINT.fullmatch(name))}
-        if not {numbered[k][1] if k in numbered else k for k in effect.drivers} <= known.keys():
+        if not {numbered[k][1] if k in numbered else k for k in effect.drivers} <= available.keys():
             return []
         kind = "position" if seam.startswith("response") else "torque"
         for j in range(log_view.arm.joints) if seam.endswith("s") else [(effect.joint or 1) - 1]:
-            variables = {k: known[k][:, j] for k in effect.drivers if k not in numbered}
-            variables |= {k: known[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
+            variables = {k: available[k][:, j] for k in effect.drivers if k not in numbered}
+            variables |= {k: available[of[1]][:, int(of[2]) - 1] for k, of in numbered.items()}
             variables = variables or {"none": np.zeros(len(log_view.motion.time))}
             for k, values in enumerate(motion_columns(effect, seam, variables)):
                 if np.abs(values).max() > 0:
