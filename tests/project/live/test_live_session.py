@@ -355,7 +355,7 @@ def test_files_as_others_write_them(small: Path, tmp_path: Path) -> None:
         table.write_text(csv_text([*rows[:6], rows[6] + rows[7], rows[7]]))  # two writers of one file
         found, said = session.feed(source)
         assert len(found) == 2
-        assert any("line 7" in s and "left aside" in s for s in said)
+        assert any("line 7" in s and "is ignored" in s for s in said)
         table.unlink()
         assert "is gone" in session.feed(source)[1][0]
         folder.mkdir()
